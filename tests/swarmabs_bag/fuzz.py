@@ -201,7 +201,7 @@ class Repairing(Trial):
             if any(topic["lost"] < 0 for topic in said["topics"]):
                 raise WrongAnswerError("fewer than no message lost")
             code, shown = command("repair", self.output)
-            if code or "nothing to do" not in shown:
+            if code or "nothing to repair" not in shown:
                 raise WrongAnswerError(f"a repaired bag is repaired again: {shown[:500]}")
             shutil.rmtree(self.output)
         if self.left() != before:

@@ -416,7 +416,7 @@ def test_of_less_than_a_step_no_step_is_said_to_be_complete(
     (bag / "metadata.yaml").unlink()
     assert main(["repair", str(bag)]) == 0
     shown = capfd.readouterr().out
-    assert "no step is complete, of 0 to 40" in shown
+    assert "none of the steps 0 to 40 is complete" in shown
     assert "-1" not in shown.replace(str(tmp_path), "")
 
 

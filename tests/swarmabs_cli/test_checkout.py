@@ -68,4 +68,4 @@ def test_no_tests_after_a_failed_check(here: Path, started: dict[str, int], monk
     assert started.keys() == {*CHECKS}
     (here / "scripts" / "swarm").unlink()
     monkeypatch.setattr("sys.prefix", str(here))
-    assert "error: no checkout of swarmabs found here; change into one" in ran("test", code=2).err
+    assert "is not in a checkout of swarmabs; change into one" in ran("test", code=2).err

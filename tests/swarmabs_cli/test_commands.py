@@ -79,7 +79,7 @@ def test_a_bag_is_split_repaired_and_run_again(here: Path) -> None:
     split = document("simulate", "--duration", "2", "--max-bag-duration", "1", "-o", "split")
     assert split["digest"] == whole["digest"]
     assert sorted(path.name for path in (here / "split/bag").glob("*.mcap")) == [f"bag_{n}.mcap" for n in range(3)]
-    assert "split is whole: nothing to do" in ran("repair", "split").out
+    assert "split is complete: nothing to repair" in ran("repair", "split").out
 
     os.truncate(here / "split/bag/bag_1.mcap", 10_000)
     found = document("repair", "split")
@@ -88,8 +88,8 @@ def test_a_bag_is_split_repaired_and_run_again(here: Path) -> None:
     assert found["lost_bytes"] > 0
     text = ran("repair", "split", "-o", "new").out
     assert "bag_1.mcap: at byte " in text
-    assert "steps 0 to 99 are complete, of 0 to 200" in text
-    assert text.endswith(f"{found['messages']} messages are in new\n")
+    assert "steps 0 to 99 of 0 to 200 are complete" in text
+    assert text.endswith(f"wrote {found['messages']} messages to new\n")
     assert document("simulate", "new", "-o", "again")["digest"] == whole["digest"]
     assert "new" in refused("repair", "split", "-o", "new")
     assert "nothing" in refused("repair", "nothing")

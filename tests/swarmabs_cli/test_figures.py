@@ -54,7 +54,7 @@ def test_bags_are_drawn_and_a_missing_one_is_made_only_when_asked(here: Path, dr
     done = ran("figures", "PD_res", "--from", "runs", "--simulate", "-o", "out", "--format", "png", "--json")
     found = done.document()
     assert (found["made"], found["bags"]["pd_si_4"]) == (["pd_het_4"], "runs/pd_si_4/bag/bag_0.mcap")
-    assert "warning: runs/pd_si_4/bag/bag_0.mcap: not the built-in pd_si_4, but a variant" in done.err
+    assert "warning: runs/pd_si_4/bag/bag_0.mcap is a variant of the built-in pd_si_4" in done.err
     assert [name for name in names(here / "out") if "/" not in name] == ["PD_res.png"]
 
 
@@ -62,10 +62,10 @@ def test_without_runs_only_geometry_is_drawn_and_what_cannot_be_drawn_or_written
     assert ran("figures", "posMapping", "--format", "png").out == "figures/posMapping.png\n"
     assert names(here) == ["figures/posMapping.png"]
     error = refused("figures", "PD", "--json")
-    assert "no figure 'PD'; there are mappingEx, posMapping, PD_res, ARISE_res, ARISE_lg_swarm" in error
+    assert "unknown figure 'PD'; choose from mappingEx, posMapping, PD_res, ARISE_res, ARISE_lg_swarm" in error
     (here / "out").write_text("a file")
-    assert "error: out cannot be made: " in refused("figures", "posMapping", "-o", "out")
-    assert "error: out/below/runs cannot be made: " in refused("figures", "PD_res", "-o", "out/below")
+    assert "error: out cannot be created: " in refused("figures", "posMapping", "-o", "out")
+    assert "error: out/below/runs cannot be created: " in refused("figures", "PD_res", "-o", "out/below")
 
 
 def test_a_damaged_bag_stops_it_before_any_file_is_written(here: Path) -> None:

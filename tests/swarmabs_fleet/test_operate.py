@@ -219,7 +219,7 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_
             until_all_say(file, "follows", *robots)
             alive = operate("remove", file, 3)
             assert alive.returncode == 1
-            assert "does so only with one that is silent, another can leave by itself: drain" in alive.stderr
+            assert "only a silent robot can be removed; use drain" in alive.stderr
             units["agent_003"].process.kill()
             until_all_say(file, "2 of 3 robots follow", "abstraction_observer")
             assert status(file)["abstraction_observer"]["values"]["left"] == ""

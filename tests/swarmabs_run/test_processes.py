@@ -93,7 +93,7 @@ def test_folders_that_are_damaged_or_without_a_run_are_refused(tmp_path: Path) -
 
 def test_a_process_that_has_got_the_id_later_is_not_the_run(tmp_path: Path) -> None:
     folder = folder_of(tmp_path)
-    assert RunProcesses(folder).going_on()
+    assert RunProcesses(folder).running()
     network = folder / "logs" / "network.json"
     written = json.loads(network.read_text())
     network.write_text(json.dumps(written | {"started": written["started"] - 1}))
@@ -120,7 +120,7 @@ def test_a_run_that_says_that_it_is_over_is_over(tmp_path: Path) -> None:
     profile = Path(environment["FASTDDS_DEFAULT_PROFILES_FILE"])
     assert profile.read_text() == profile_xml(5, peers=range(12), participant=FIRST_FREE)
     file.over()
-    assert not processes.going_on()
+    assert not processes.running()
     with pytest.raises(run_files.RunOverError):
         run_files.environment_of_run(folder)
     with pytest.raises(run_files.RunOverError), target(folder):

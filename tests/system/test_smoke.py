@@ -27,7 +27,7 @@ from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, TOPICS, AgentState, EventKind, Status
 from swarmabs_run.orchestration.plan import ProcessPlan
-from swarmabs_run.orchestration.run_files import goes_on, read_processes, read_progress
+from swarmabs_run.orchestration.run_files import is_running, read_processes, read_progress
 from swarmabs_run.steering.client import SteeringClient
 
 pytestmark = [pytest.mark.smoke, pytest.mark.timeout(180)]
@@ -56,7 +56,7 @@ def test_the_command_run_has_the_bits_of_the_simulation(finished: tuple[Path, ru
     assert (folder / "logs" / "launcher.log").read_bytes() == b""
     told = read_progress(folder / "logs")
     assert told is not None and (told.phase, told.steps) == ("over", STEPS)
-    assert not goes_on(folder)
+    assert not is_running(folder)
     assert re.search(r"ROS domain \d+.*start", runs.run_log(folder), re.DOTALL)
 
 
@@ -219,7 +219,7 @@ def test_an_interrupt_completes_the_bag_and_a_kill_ends_everything(tmp_path: Pat
         runs.until_stepping(tmp_path / "run")
         written = read_processes(tmp_path / "run")
         assert written is not None and written.items() >= runs.named_processes(mark).items()
-        assert written["orchestrator"] == command.process.pid and goes_on(tmp_path / "run")
+        assert written["orchestrator"] == command.process.pid and is_running(tmp_path / "run")
         os.kill(command.process.pid, signal.SIGINT)
         done = command.wait()
     assert done.code == 1
@@ -234,7 +234,7 @@ def test_an_interrupt_completes_the_bag_and_a_kill_ends_everything(tmp_path: Pat
         command.process.kill()
         command.process.wait()
         until(lambda: not marked_processes(mark), "everything of the run has ended")
-    assert not goes_on(tmp_path / "killed")
+    assert not is_running(tmp_path / "killed")
 
 
 def test_a_run_is_steered(folder: Path) -> None:
@@ -301,10 +301,10 @@ def test_in_real_time_a_robot_may_die_and_the_plane_may_not(folder: Path, mark: 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--realtime", "--set", "faults=[{at: 1, kind: kill, agent: 1}]"), "error: faults: "),
-        (("--realtime", "--packed"), "--packed is for runs in lockstep"),
-        (("--realtime", "--agents-per-process", "2"), "--agents-per-process is for runs in lockstep"),
-        (("--steer", "--no-bag"), "--steer with --no-bag"),
+        (("--realtime", "--set", "faults=[{at: 1, kind: kill, agent: 1}]"), "faults: not supported in real time"),
+        (("--realtime", "--packed"), "--packed cannot be combined with --realtime"),
+        (("--realtime", "--agents-per-process", "2"), "--agents-per-process cannot be combined"),
+        (("--steer", "--no-bag"), "--steer cannot be combined with --no-bag"),
         (("--view", "--view-port", "TAKEN"), "of 127.0.0.1: Address already in use"),
         (("--foxglove", "--foxglove-port", "TAKEN"), "of 127.0.0.1: Address already in use"),
     ],

@@ -36,6 +36,9 @@ PROVENANCE_FILE = "provenance.json"
 SCHEMA_VERSION = 1
 """Version of the provenance's fields; bags without it have version 1 (docs/reference/compatibility.md)."""
 
+UNDECIDED = "it contains several scenarios and does not state which one was run"
+"""The `contradiction` of a bag that no repair can decide."""
+
 _DISTRIBUTIONS = ("swarmabs_core", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "mcap", "numpy")
 
 
@@ -165,7 +168,7 @@ def contradiction(bag: BagReader) -> str | None:
     A bag of several swarms may contain a scenario for each. Errors as for `attachments`.
     """
     if len(bag.swarms) <= 1 and bag.contradicts_itself(SCENARIO_FILE):
-        return "it contains several scenarios and does not state which one was run"
+        return UNDECIDED
     return None
 
 

@@ -12,7 +12,7 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from swarmabs_bag.attached import SCENARIO_FILE, attached_provenance, contradiction
+from swarmabs_bag.attached import SCENARIO_FILE, UNDECIDED, attached_provenance, contradiction
 from swarmabs_bag.channels import named_swarms
 from swarmabs_bag.errors import DamagedBagError, repair_command
 from swarmabs_bag.metadata import ABORTED_KEY, REPAIRED_KEY, load_yaml
@@ -179,7 +179,7 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
     scenario = info.scenario
     facts = {
         "file": info.file,
-        "state": "complete" if info.complete else f"damaged: {info.problem}; {repair_command(info.file)}",
+        "state": _state(info),
         "ended early": info.aborted,
         "repaired": info.repaired,
         "size": f"{info.size:,} bytes",
@@ -195,6 +195,16 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
         and f"{scenario.name}, seed {scenario.seed}, {scenario.agents} agents, {scenario.duration:.9g} s",
     }
     return {name: value for name, value in facts.items() if value}
+
+
+def _state(info: BagInfo) -> str:
+    """Return whether the bag is complete, else the problem and, if a repair can help, its command."""
+    if info.complete:
+        return "complete"
+    if info.problem == UNDECIDED:
+        return f"contradictory: {info.problem}; no repair can decide this"
+    remedy = repair_command(info.file) if info.message_count else "no message can be saved"
+    return f"damaged: {info.problem}; {remedy}"
 
 
 def _times(info: BagInfo) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Callable
+from difflib import get_close_matches
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -31,7 +32,7 @@ _COMMAND = re.compile(r"^@click\.(?:command|group)\b.*?^def (\w+)\(", re.MULTILI
 
 
 class LazyGroup(click.Group):
-    """Commands that are loaded when they are called: what some of them need takes a second to load."""
+    """Loads a command only when it is called, because some need modules that take a second to import."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - given by click
         """Return the names of all commands, section by section."""
@@ -46,6 +47,17 @@ class LazyGroup(click.Group):
                 command: click.Command = getattr(import_module(f"{__name__}.{section}.{file.stem}"), cmd_name)
                 return command
         return None
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find a command; the error for an unknown one suggests those with similar names."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            near = get_close_matches(args[0], self.list_commands(ctx), n=1)
+            hint = f"did you mean '{near[0]}'?" if near else "--help lists the commands"
+            raise click.UsageError(f"no command {args[0]!r}; {hint}", ctx) from error
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """List the commands by section, without loading them."""
@@ -65,7 +77,7 @@ def _files(section: str) -> dict[str, Path]:
 
 
 def _summary(name: str, path: Path, width: int) -> str:
-    """Read in its source how a command is described."""
+    """Return the short help of a command, read from its source."""
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.FunctionDef) and node.name == name:
             return click.Command(name, help=ast.get_docstring(node)).get_short_help_str(width)
@@ -81,7 +93,7 @@ def _summary(name: str, path: Path, width: int) -> str:
 def swarm() -> None:
     """Run, record and study swarms of robots that level a tilting plane, with one ROS 2 process per robot.
 
-    Exit codes: 0 success, 1 started and failed, 2 refused before anything started.
+    Exit codes: 0 success, 1 started and failed, 2 rejected before anything started.
     """
 
 
@@ -92,8 +104,16 @@ def main(arguments: list[str] | None = None) -> int:
     return exit_code(lambda: swarm.main(arguments, prog_name="swarm", standalone_mode=False))
 
 
+def _sentence(text: str) -> str:
+    """Return an error of click as a sentence in plain words, with the remedy that click leaves out."""
+    text = text.replace("a valid float range", "a number").replace("a valid integer range", "a whole number")
+    if text.startswith("Got unexpected extra argument"):
+        text = f"{text.rstrip('.')}; remove it, or put the value that it belongs to in quotes"
+    return text if text.endswith((".", "?")) else f"{text}."
+
+
 def exit_code(command: Callable[[], int | None]) -> int:
-    """Carry out a command and return its exit code; what it refuses, and why it failed, is printed."""
+    """Run a command and return its exit code; errors are printed."""
     try:
         code = command()
     except click.exceptions.NoArgsIsHelpError as error:
@@ -102,7 +122,7 @@ def exit_code(command: Callable[[], int | None]) -> int:
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         path = context.command_path if context is not None else "swarm"
-        click.echo(f"error: {error.format_message()} See {path} --help.", err=True)
+        click.echo(f"error: {_sentence(error.format_message())} See {path} --help.", err=True)
         return error.exit_code
     except (click.exceptions.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)

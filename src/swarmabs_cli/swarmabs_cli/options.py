@@ -9,11 +9,12 @@ from typing import Any
 import click
 
 RUNS = Path("runs")
-"""Where the folders of results are that are not named."""
+"""Parent of the folders of results that are not named by -o."""
 A_PATH = click.Path(path_type=Path)
 
 COMMAND = "./scripts/swarm"
-"""How users start the command line."""
+"""The program by which users start the command line."""
+_END_OF = {"[": "]", "{": "}"}
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -35,23 +36,34 @@ def named_scenario_option(parameter: str = "scenario") -> Decorator:
 
 
 def examples(*lines: str) -> str:
-    """Return the end of a command's help: command lines, without how users start them where that comes first."""
+    """Return the epilog of a command's help from example command lines, which get the prefix `COMMAND` if needed."""
     shown = (line if COMMAND in line else f"{COMMAND} {line}" for line in lines)
     return "\n".join(("\b", "Examples:", *(f"  {line}" for line in shown)))
 
 
-def set_option(text: str = "Change a value of the scenario; repeatable.") -> Decorator:
+def set_option(text: str = "Change a value of the scenario, such as plane.angle=0.2; repeatable.") -> Decorator:
     """Return the option ``--set`` that changes values."""
-    return click.option("--set", "overrides", multiple=True, metavar="A.B=VALUE", help=text)
+    return click.option("--set", "overrides", multiple=True, metavar="A.B=VALUE", help=text, callback=_check_quoted)
+
+
+def _check_quoted(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> tuple[str, ...]:
+    """Reject a list or mapping without its end, which a shell splits off at a space that is not quoted."""
+    for text in texts:
+        path, _, value = text.partition("=")
+        if (end := _END_OF.get(value[:1])) and not value.rstrip().endswith(end):
+            raise click.BadParameter(
+                f"{text!r} has no closing '{end}'; put a value with spaces in quotes: --set '{path}={value[0]}...{end}'"
+            )
+    return texts
 
 
 def output_option(text: str, **settings: Any) -> Decorator:
-    """Return the option ``-o`` that says where results go."""
+    """Return the option ``-o`` for the place of results."""
     return click.option("-o", "--output", type=A_PATH, help=text, **settings)
 
 
 def together(*decorators: Decorator) -> Decorator:
-    """Return one decorator that adds options in the order in which these are given."""
+    """Return one decorator that adds several options in the given order."""
 
     def add(function: Callable[..., Any]) -> Callable[..., Any]:
         for decorator in reversed(decorators):

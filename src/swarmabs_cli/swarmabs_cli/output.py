@@ -16,7 +16,7 @@ from swarmabs_bag.run_folder import RunFolder, new_run_folder, next_run_folder
 from swarmabs_cli.options import RUNS
 
 _WIDEST = 1000
-"""Of what is printed into a file or pipe, characters."""
+"""Largest width of what is printed to a file or pipe, characters."""
 _SIGNS = {"ok": "ok  ", "note": "note", "bad": "BAD "}
 
 
@@ -26,12 +26,12 @@ def print_json(document: object) -> None:
 
 
 def print_documents(documents: Sequence[object]) -> None:
-    """Print the JSON document of one thing, or a list of those of several."""
+    """Print one JSON document as it is, several as a list."""
     print_json(documents[0] if len(documents) == 1 else documents)
 
 
 def print_tables(*tables: RenderableType) -> None:
-    """Print tables to standard output, in the width of the terminal; elsewhere in as much width as they need."""
+    """Print tables to standard output, in the width of the terminal; to a file or pipe as wide as needed."""
     console, shown = Console(highlight=False), Group(*tables)
     if not console.is_terminal:
         console.width = console.measure(shown, options=console.options.update(max_width=_WIDEST)).maximum
@@ -45,7 +45,7 @@ def print_warnings(warnings: Iterable[object]) -> None:
 
 
 def print_findings(findings: Sequence[Any], *, as_json: bool) -> int:
-    """Print the findings of an examination; return the exit code, 1 if one of them is bad."""
+    """Print the findings of checks; return the exit code, 1 if one of them is bad."""
     if as_json:
         print_json([asdict(finding) for finding in findings])
     else:
@@ -55,16 +55,16 @@ def print_findings(findings: Sequence[Any], *, as_json: bool) -> int:
 
 
 def printable(line: str) -> str:
-    """Return a line such that text from a file cannot steer the terminal."""
+    """Replace unprintable characters of a line, so that text from a file cannot control the terminal."""
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in line)
 
 
 def results_folder(output: Path | None, name: str) -> RunFolder:
-    """Make the folder of results that the user has named, or the next free one after a name."""
+    """Make the folder of results: the one that the user has named, or the next free one for a name."""
     return new_run_folder(output) if output is not None else next_run_folder(RUNS, name)
 
 
 def open_page(url: str) -> None:
-    """Show a page in the user's browser, where there is one."""
+    """Open a page in the user's browser, if there is one."""
     if not webbrowser.open(url):
         click.echo("warning: no browser could be started; open the address yourself", err=True)

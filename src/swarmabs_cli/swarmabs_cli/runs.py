@@ -1,4 +1,4 @@
-"""What the commands share that run something: their options, and the way from a scenario to its summary."""
+"""Shared by the commands that run scenarios: their options, and the steps from a scenario to its summary."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ from swarmabs_view.terminal import shown_progress
 Execute = Callable[[Scenario, RunFolder, RunOptions], Outcome]
 """Runs a scenario and leaves its results in a folder, such as `swarmabs_run.simulated_run.simulate_run`."""
 SETUP = "SWARMABS_SETUP"
-"""Environment variable in which ``scripts/swarm`` says which process it became, and after how many seconds."""
+"""Environment variable in which ``scripts/swarm`` passes its process id and the duration of the set-up, s."""
 
 
 def _whole(unit: str, largest: int) -> Callable[[click.Context, click.Parameter, str], int]:
-    """Return what reads a whole number from 0 on, as the options of the same name of ``ros2 bag record`` take it."""
+    """Return a parser of whole numbers from 0 on, as accepted by the same options of ``ros2 bag record``."""
 
     def read(_context: click.Context, _option: click.Parameter, text: str) -> int:
         try:
@@ -52,8 +52,8 @@ def _whole(unit: str, largest: int) -> Callable[[click.Context, click.Parameter,
             number = -1
         if not 0 <= number <= largest:
             raise click.BadParameter(
-                f"give a whole number of {unit} from 1 to {largest}, or 0 for a bag in one file, and not {text!r}: "
-                "like the same option of ros2 bag record it takes no fractions."
+                f"{text!r} is not a whole number of {unit} (as with ros2 bag record); give 1 to {largest}, or 0 for a "
+                "bag in one file."
             )
         return number
 
@@ -72,14 +72,14 @@ run_options = together(
         default="0",
         callback=_whole("bytes", 2**63 - 1),
         metavar="BYTES",
-        help="Start a new file of the bag at this size.  [default: never]",
+        help="Start a new bag file at this size.  [default: never]",
     ),
     click.option(
         "--max-bag-duration",
         default="0",
         callback=_whole("seconds", 10**9),
         metavar="SECONDS",
-        help="Start a new file of the bag after this simulated time.  [default: never]",
+        help="Start a new bag file after this simulated time.  [default: never]",
     ),
     json_option,
 )
@@ -101,11 +101,11 @@ def carry_out(
     steered: bool = False,
     check: Callable[[Scenario], object] = bool,
 ) -> int:
-    """Load, run, sum up, print; return the exit code."""
+    """Load and run a scenario, and print the summary; return the exit code."""
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
     if bag_scenario is not None and not names_bag(scenario):
-        raise InputError(f"--scenario is for a bag that holds none, and {scenario} is no bag; leave --scenario out")
+        raise InputError(f"--scenario is for a bag without one, but {scenario} is not a bag; remove --scenario")
     recorded = recorded_run(scenario, overrides, scenario=bag_scenario) if names_bag(scenario) else None
     loaded = find_scenario(scenario, overrides) if recorded is None else recorded.scenario
     check(loaded)
@@ -130,17 +130,17 @@ def carry_out(
     outcome, summary = summed_up(loaded, folder, run, judge)
     print_summary(summary, folder, outcome, as_json=as_json)
     if summary["rerun_of"] is not None and summary["rerun_of"]["same"] is False:
-        click.echo(f"error: this is not the run of {scenario}; see the command compare, and warnings above", err=True)
+        click.echo(f"error: the digest differs from that of {scenario}; see the warnings above, and compare", err=True)
         return 1
     return 0 if outcome.status == "ok" else 1
 
 
 def _check_realtime(scenario: Scenario, recorded: RepeatableRun | None) -> None:
-    """Refuse what is for lockstep only, before there is a folder."""
+    """Reject what only lockstep supports, before the folder is made."""
     if recorded is not None:
         raise InputError(
-            f"{recorded.bag}: a bag is run again in lockstep, where it can reach the same digest; for a run in real "
-            "time give the scenario.yaml of its folder"
+            f"{recorded.bag}: a bag can be run again only in lockstep; remove --realtime, or name the scenario.yaml in "
+            "its folder"
         )
     check_realtime(scenario.resolved())
 
@@ -151,7 +151,7 @@ def summed_up(
     run: Callable[[Callable[[Progress], None]], Outcome],
     more: Callable[[Outcome], Mapping[str, object]],
 ) -> tuple[Outcome, dict[str, Any]]:
-    """Run with the progress shown, and return the outcome and the summary that is written, with `more` in it."""
+    """Run while showing the progress; return the outcome and the written summary, which includes `more`."""
     try:
         loading = since_start()
         with shown_progress(scenario) as show:
@@ -167,7 +167,7 @@ def summed_up(
 def print_summary(
     summary: Mapping[str, Any], folder: RunFolder, outcome: Outcome, *tables: RenderableType, as_json: bool
 ) -> None:
-    """Print how a run went, by its summary and what else there is to show, and why it failed if it did."""
+    """Print the summary of a run, further tables, and the reason if it failed."""
     print_warnings(outcome.warnings)
     if as_json:
         print_json(summary)
@@ -177,23 +177,23 @@ def print_summary(
             print_tables(*tables)
         if folder.bag.exists():
             click.echo(f"\n{COMMAND} view {folder.path} --open   # play the run in the browser")
-            click.echo(f"{COMMAND} report {folder.path}   # write a report of it")
+            click.echo(f"{COMMAND} report {folder.path}   # write a report")
     if outcome.reason is not None:
         click.echo(f"error: {outcome.reason}", err=True)
 
 
 def since_start() -> float:
-    """Return the wall time since this process was started, which is when the user's command was, s."""
+    """Return the wall time since this process, and with it the user's command, was started, s."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) - (start_of(os.getpid()) or 0) / os.sysconf("SC_CLK_TCK")
 
 
 def setup_seconds() -> float:
-    """Return how much of `since_start` was the set-up of the checkout, s; commands that this one starts had none."""
+    """Return the part of `since_start` that the set-up of the checkout took, s; 0 for commands that this one starts."""
     pid, _, seconds = os.environ.get(SETUP, "").partition(":")
     return float(seconds) if pid == str(os.getpid()) else 0.0
 
 
 def times(loading: float, outcome: Outcome) -> Times:
-    """Return what has taken how long; `loading` is what `since_start` was when the run was begun, s."""
+    """Return the durations of a run; `loading` is the value of `since_start` at its beginning, s."""
     setup, start = setup_seconds(), outcome.start_seconds
     return Times(since_start(), setup, None if start is None else loading - setup + start)

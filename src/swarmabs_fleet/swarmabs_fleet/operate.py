@@ -30,7 +30,7 @@ from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.node_files import profile, tool_environment
 from swarmabs_ros.endpoints import advertise
 from swarmabs_run.orchestration.network import dds_environment
-from swarmabs_run.orchestration.run_files import environment_of_run, goes_on, is_realtime
+from swarmabs_run.orchestration.run_files import environment_of_run, is_realtime, is_running
 from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class Target:
 
     def check(self) -> None:
         """Refuse to speak into a network that may be another swarm's by now: whoever was found may belong to it."""
-        if self.run is not None and not goes_on(self.run):
+        if self.run is not None and not is_running(self.run):
             raise RunError(f"{self.name}: the run has ended; start it again")
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import psutil
 
 from swarmabs_core.errors import InputError
-from swarmabs_run.orchestration.run_files import NETWORK_FILE, RunOverError, goes_on, orchestrator_of, read_progress
+from swarmabs_run.orchestration.run_files import NETWORK_FILE, RunOverError, is_running, orchestrator_of, read_progress
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -66,12 +66,12 @@ class RunProcesses:
         self._orchestrator = orchestrator_of(folder)
         self._watched: dict[psutil.Process, str] = {}
         self._pss: dict[psutil.Process, int | None] = {}
-        if not self.going_on():
+        if not self.running():
             raise RunOverError(folder)
 
-    def going_on(self) -> bool:
+    def running(self) -> bool:
         """Tell whether the run goes on."""
-        return goes_on(self.folder)
+        return is_running(self.folder)
 
     def snapshot(self, now: float, shares: int | None = SHARES) -> Snapshot:
         """Return how the processes are doing at a time (s, monotonic); CPU time counts since the snapshot before.

@@ -23,7 +23,7 @@ from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.swarm_state import SwarmState
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
-from swarmabs_run.orchestration.run_files import RunOverError, environment_of_run, goes_on, read_processes
+from swarmabs_run.orchestration.run_files import RunOverError, environment_of_run, is_running, read_processes
 from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
 from swarmabs_view.live import MOST_PLACES, MOST_POINTS, LiveSession, LiveView
@@ -197,7 +197,7 @@ class RunView:
             return None
 
     def _over(self) -> bool:
-        return self._folder.summary.exists() or not goes_on(self._folder.path)
+        return self._folder.summary.exists() or not is_running(self._folder.path)
 
     async def _end(self) -> None:
         """Show the bag, if it can be read."""

@@ -198,8 +198,8 @@ def test_a_sweep_that_was_stopped_goes_on_and_ends_as_if_it_had_not_been(
     [
         (("bad.yaml",), "bad.yaml:4: gird: unknown key 'gird'; did you mean 'grid'?"),
         (("small.yaml", "--set", "plane.lenght=2"), "--set plane.lenght=2: plane.lenght: unknown key 'lenght'"),
-        (("small.yaml", "--resume"), "--resume needs the folder of the sweep: -o DIR"),
-        (("small.yaml", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"), "a scheduler has its own workers"),
+        (("small.yaml", "--resume"), "--resume needs the folder of the sweep; name it with -o DIR"),
+        (("small.yaml", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"), "which has its own workers"),
         (("small.yaml", "--scheduler", "nonsense://1"), "no Dask scheduler at nonsense://1"),
         (("small.yaml", "-o", "small.yaml"), "output folder small.yaml is not a folder"),
         (("small.yaml", "-o", "full"), "full"),

@@ -30,7 +30,7 @@ def compare(a: Path, b: Path, *, namespaces: tuple[str, ...], as_json: bool) -> 
     the folder of a run, its bag folder, or an .mcap file. The exit code is 1 if the bags differ or one is damaged.
     """
     if len(namespaces) > 2:
-        raise click.UsageError("--namespace may be given once or twice: there are two bags.")
+        raise click.UsageError(f"--namespace is given {len(namespaces)} times; give it once, or once for each bag.")
 
     of_a, of_b = (namespaces[0], namespaces[-1]) if namespaces else (None, None)
     comparison = compare_bags(a, b, namespaces=(of_a, of_b))

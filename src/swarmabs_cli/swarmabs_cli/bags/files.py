@@ -1,4 +1,4 @@
-"""``swarm info`` and ``swarm repair``: what the files of bags hold, and what can be saved of damaged ones."""
+"""``swarm info`` and ``swarm repair``: the contents of bags, and the repair of damaged ones."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _lines(report: RepairReport) -> Iterator[str]:
         for problem in file.problems:
             yield f"{file.file}: {problem}"
         for part in file.lost:
-            span = "" if part.start is None else f", said to be of {part.start:.9g} s to {part.end:.9g} s"
+            span = "" if part.start is None else f", recorded as {part.start:.9g} s to {part.end:.9g} s"
             yield f"lost: {part.bytes} bytes at byte {part.offset} of {Path(file.file).name}{span}"
     for topic in report.topics:
         lost = f", {topic.lost} known to be lost" if topic.lost else ""
@@ -66,17 +66,17 @@ def _lines(report: RepairReport) -> Iterator[str]:
     for name in report.lost_attachments:
         yield f"lost: attachment {name}"
     if report.last_complete_step is not None:
-        yield f"{_complete_steps(report)}, of 0 to {report.last_planned_step}"
+        yield _complete_steps(report)
     if report.undecided is not None:
         yield f"no repair can decide this: {report.undecided}"
     if report.output is None:
-        yield f"{report.bag}: nothing to do" if report.undecided else f"{report.bag} is whole: nothing to do"
+        yield f"{report.bag}: nothing to repair" if report.undecided else f"{report.bag} is complete: nothing to repair"
     else:
-        yield f"{report.messages} messages are in {report.output}"
+        yield f"wrote {report.messages} messages to {report.output}"
 
 
 def _complete_steps(report: RepairReport) -> str:
     first, last = report.first_step, report.last_complete_step
     if first is None or last is None or last < first:
-        return "no step is complete"
-    return f"steps {first} to {last} are complete"
+        return f"none of the steps 0 to {report.last_planned_step} is complete"
+    return f"steps {first} to {last} of 0 to {report.last_planned_step} are complete"

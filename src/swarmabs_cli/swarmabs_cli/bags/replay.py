@@ -61,7 +61,8 @@ def replay(bag: Path, nodes: tuple[str, ...], *, as_json: bool, **options: Any) 
     wrong = next((name for name in (_WITHOUT_NODE if nodes else _WITH_NODE) if options[name]), None)
     if wrong is not None:
         option = {"overrides": "--set", "output": "--output"}.get(wrong, "--" + wrong.replace("_", "-"))
-        raise InputError(f"{option} is for a replay {'without' if nodes else 'with'} --node; leave one of them out")
+        remedy = "cannot be combined with --node; remove one of them" if nodes else "needs --node; add it"
+        raise InputError(f"{option} {remedy}")
     return _replay(bag, nodes, as_json=as_json, **options) if nodes else _play(bag, as_json=as_json, **options)
 
 
@@ -115,7 +116,7 @@ def _play(
     """Play a bag; return the exit code."""
     pace = Pace(1.0 if rate is None else rate, start or 0.0, duration, loop)
     bag = open_bag(path, namespace=namespace, several=True)
-    if not network:  # who has set a range has decided already, such as the environment of a run
+    if not network:  # a range that is set already, such as by the environment of a run, is kept
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     wanted = topics.split(",") if topics else ()
     playable, warnings = choose_topics(bag, wanted, one_swarm=namespace is not None)

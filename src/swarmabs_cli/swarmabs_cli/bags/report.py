@@ -46,7 +46,7 @@ def report(
         html, png = html or folder / "report.html", png or folder / "report.png"
     targets = [path for path in (html, png) if path is not None]
     if len({path.resolve() for path in targets}) < len(targets):
-        raise click.UsageError(f"--html and --png both name {html}.")
+        raise click.UsageError(f"--html and --png both name {html}; name two files.")
     for path in targets:
         check_target(path)
     made = make_report(bag, namespace=namespace, scenario=scenario)

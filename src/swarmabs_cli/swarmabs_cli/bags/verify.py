@@ -24,7 +24,7 @@ _LINE_INTERVAL = 2.0
     type=click.FloatRange(min=0.0, max=1.0, max_open=True),
     default=0.0,
     metavar="T",
-    help="Accept a number that differs from the recomputed b by T (1 + |b|).  [default: 0, bit for bit]",
+    help="Accept a number within T (1 + |b|) of the recomputed value b.  [default: 0, bit for bit]",
 )
 @namespace_option
 @named_scenario_option()
@@ -37,7 +37,7 @@ def verify(
     Each message is recomputed from the recorded scenario and the messages before it. The first difference is reported
     with topic, step, robot and field. A BAG is the folder of a run, its bag folder, or an .mcap file.
     """
-    # What is refused is refused before anything is started.
+    # Open all bags first, so that invalid input is rejected before any verification starts.
     opened = [open_to_verify(path, namespace=namespace, scenario=scenario) for path in bags]
     verdicts = [
         bag
@@ -55,7 +55,7 @@ def verify(
 
 
 def describe(verdict: VerificationResult) -> str:
-    """Say in a few lines what was found out."""
+    """Describe the result in a few lines."""
     lines = [f"{verdict.bag}: {'ok' if verdict.ok else 'NOT ok'}"]
     if verdict.scenario is not None:
         how = f"agree within {verdict.tolerance:g}" if verdict.tolerance else "agree bit for bit"
@@ -67,7 +67,8 @@ def describe(verdict: VerificationResult) -> str:
     if verdict.difference is not None:
         lines.append(f"  first difference: {verdict.difference}")
     if verdict.problem is not None:
-        lines.append(f"  damaged: {verdict.problem}; {repair_command(verdict.bag)}")
+        opened = verdict.scenario is not None
+        lines.append(f"  damaged: {verdict.problem}{f'; {repair_command(verdict.bag)}' if opened else ''}")
     if verdict.ended_early is not None:
         lines.append(f"  the run ended early: {verdict.ended_early}")
     if verdict.digest is not None:
@@ -77,16 +78,16 @@ def describe(verdict: VerificationResult) -> str:
 
 
 def _shown(name: str, steps: int) -> Callable[[int], None]:
-    """Return what tells on standard error now and then how far the verification is."""
-    told, latest = time.monotonic(), -1
+    """Return a callback that reports progress on standard error every few seconds."""
+    reported, latest = time.monotonic(), -1
 
     def show(step: int) -> None:
-        nonlocal told, latest
+        nonlocal reported, latest
         if step == latest:
             return
         latest, now = step, time.monotonic()
-        if now - told >= _LINE_INTERVAL:
-            told = now
+        if now - reported >= _LINE_INTERVAL:
+            reported = now
             click.echo(f"{name}: step {step} of {steps} verified", err=True)
 
     return show

@@ -29,13 +29,13 @@ def view(bag: Path | None, live: str | None, port: int, *, open_browser: bool, n
     stop.
     """
     if (bag is None) == (live is None):
-        raise click.UsageError("Name a bag, or a swarm by --live.")
+        raise click.UsageError("Name either a bag, or a running swarm with --live.")
     if live is not None and namespace is not None:
-        raise click.UsageError("--namespace is for bags; give --live the namespace itself.")
+        raise click.UsageError("--namespace is for bags; name the namespace with --live instead.")
 
     def ready(url: str) -> None:
         click.echo(url)
-        click.echo("Ctrl-C ends the view", err=True)
+        click.echo("press Ctrl-C to stop", err=True)
         if open_browser:
             open_page(url)
 

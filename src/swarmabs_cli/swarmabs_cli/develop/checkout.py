@@ -1,4 +1,4 @@
-"""``swarm bench``, ``swarm docs`` and ``swarm test``, which need more of the checkout than what is installed."""
+"""``swarm bench``, ``swarm docs`` and ``swarm test``, which need files of the checkout that are not installed."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from swarmabs_run.ending import GRACE
 
 SUITES = ("product", "start", "memory", "large", "simulate", "recorder", "reading")
 _LONGEST_WARM_UP = 2.0
-"""Time before a measurement that does not count, s; at most a third of its length."""
+"""Longest warm-up before a measurement, s; at most a third of its length."""
 
 MOST_PROCESSES = 4
-"""Processes that share the tests which start little; each takes some 500 MB."""
+"""Largest number of processes for the everyday tests; each takes some 500 MB."""
 
 _RESEMBLES = 0.75
-"""How near, as of `difflib`, a word comes to an option that is meant; pytest has --cov and --full-trace."""
+"""Similarity (`difflib`) at which a word counts as a misspelt option; pytest has --cov and --full-trace."""
 
 
 def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tuple[int, ...]:
-    """Read numbers of robots."""
+    """Parse a list of numbers of robots."""
     try:
         numbers = tuple(int(word) for word in text.split(","))
     except ValueError:
@@ -119,7 +119,7 @@ def bench(
 
 
 @click.command(epilog=examples("docs"))
-@output_option("Folder of the site; a site that is there is replaced.  [default: build/docs]")
+@output_option("Folder of the site; an existing site is replaced.  [default: build/docs]")
 def docs(output: Path | None) -> int:
     """Build the documentation and the Python API as one site of HTML pages.
 
@@ -127,23 +127,23 @@ def docs(output: Path | None) -> int:
     """
     folder = (output or _checkout() / "build" / "docs").absolute()
     if folder.exists() and not (folder / "sitemap.xml").is_file() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder} is not a site that this command has built; name an empty or a new folder")
+        raise InputError(f"{folder} was not built by this command; name a new or an empty folder with -o")
     return _run(["docs.build_site", str(folder)], NO_MKDOCS_2_WARNING="1")
 
 
 class Tier(NamedTuple):
-    """Tests with these marks, shared by so many processes at most."""
+    """Tests by their marks, and the largest number of processes that share them."""
 
     marks: str
     processes: int
 
     def arguments(self) -> list[str]:
-        """Return what pytest is to be told."""
+        """Return the arguments of pytest."""
         return ["-m", self.marks, "-n", str(min(self.processes, os.cpu_count() or 1)), "--dist", "loadfile"]
 
 
 TIERS = (Tier("not system and not full", MOST_PROCESSES), Tier("system and not full", 2), Tier("full", 2))
-"""The tests of every day, those with real processes, those that take long."""
+"""The everyday tests, those with real processes, and the long ones."""
 
 
 @click.command(
@@ -183,7 +183,7 @@ def test(pytest_arguments: tuple[str, ...], *, system: bool, full: bool, coverag
 
 
 def _refuse_misspelt(words: tuple[str, ...]) -> None:
-    """Refuse what resembles an option of this command: pytest, which gets all others, knows nothing of these."""
+    """Reject a word that resembles an option of this command; all other options are passed to pytest."""
     context = click.get_current_context()
     own = [name for parameter in context.command.params for name in parameter.opts if name.startswith("--")]
     for name in (word.partition("=")[0] for word in words if word.startswith("-")):
@@ -200,15 +200,15 @@ def _run(words: list[str], **environment: str) -> int:
 
 
 def _variables() -> dict[str, str]:
-    """Return the environment of a module of the checkout that is not installed."""
+    """Return the environment for a module of the checkout that is not installed."""
     search = os.pathsep.join(filter(None, (str(_checkout()), os.environ.get("PYTHONPATH"))))
     return {**os.environ, "PYTHONPATH": search}
 
 
 def _checkout() -> Path:
-    """Return the checkout in which, or from which, the command was started."""
+    """Return the checkout that contains the current folder or the interpreter."""
     for start in (Path.cwd(), Path(sys.prefix)):
         for folder in (start, *start.parents):
             if (folder / "scripts" / "swarm").is_file() and (folder / "tests").is_dir():
                 return folder
-    raise InputError("no checkout of swarmabs found here; change into one")
+    raise InputError(f"{Path.cwd()} is not in a checkout of swarmabs; change into one")

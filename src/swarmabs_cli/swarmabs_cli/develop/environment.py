@@ -1,4 +1,4 @@
-"""``swarm env`` and ``swarm doctor``: what a shell needs, and whether this machine can run swarms."""
+"""``swarm env`` and ``swarm doctor``: the environment of ROS tools, and checks of this machine."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ WORKSPACE = (
     "RMW_IMPLEMENTATION",
     "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
 )
-"""What makes a shell find this workspace."""
+"""The variables by which a shell finds this workspace."""
 SOURCED = "SWARMABS_SOURCED_"
-"""Before the names of variables by which ``scripts/swarm`` says what lets a ROS that was sourced find it too."""
+"""Prefix of the variables by which ``scripts/swarm`` adds this workspace to a ROS that was sourced."""
 
 
 @click.command(epilog=examples('eval "$(./scripts/swarm env runs/pd_het_4-001)"'))

@@ -50,14 +50,14 @@ def deploy(
         raise click.UsageError("Missing argument 'FLEET.yaml'.")
     if checks:
         if output is not None or keys is not None or revoke:
-            raise click.UsageError("--check writes nothing; leave out -o, --keys and --revoke")
+            raise click.UsageError("--check writes nothing; remove -o, --keys and --revoke")
         return print_findings(check(paths, host), as_json=as_json)
     if host is not None:
-        raise click.UsageError("--host goes with --check")
+        raise click.UsageError("--host needs --check; add --check, or remove --host")
     if len(paths) > 1:
-        raise click.UsageError("one fleet at a time; several go with --check")
+        raise click.UsageError("several fleets are named; name one, or add --check")
     if output is None:
-        raise click.UsageError("name the folder of the bundles: -o DIR")
+        raise click.UsageError("no folder for the bundles; name one with -o DIR")
     loaded = load_fleet(paths[0])
     fleet = loaded.fleet
     print_warnings((*fleet.warnings(), *loaded.scenario.warnings()))
@@ -71,5 +71,5 @@ def deploy(
     else:
         for bundle in bundles:
             click.echo(f"{bundle['host']:<16} {bundle['address']:<16} {bundle['folder']}")
-        click.echo("copy each to its host, and start there as root: install.sh")
+        click.echo("copy each folder to its host, and run its install.sh there as root")
     return 0

@@ -1,4 +1,4 @@
-"""The commands that speak to a swarm in real time: `swarm stop`, `reset`, `drain`, `join`, `remove`, `status`."""
+"""The commands that operate a swarm in real time: `swarm stop`, `reset`, `drain`, `join`, `remove`, `status`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ of_swarm, of_robot = together(_swarm, _timeout), together(_swarm, _robot, _timeo
 @of_swarm
 def stop(swarm: Path, patience: float) -> None:
     """Stop all robots of a fleet or a real-time run until `reset`."""
-    _call(swarm, lambda _: "swarm/stop", patience, "all robots are told to stop, until reset")
+    _call(swarm, lambda _: "swarm/stop", patience, "all robots have been told to stop, until a reset")
 
 
 @click.command(epilog=examples("reset runs/pd_het_4-001"))
@@ -47,9 +47,11 @@ def stop(swarm: Path, patience: float) -> None:
 def reset(swarm: Path, patience: float) -> None:
     """Let the robots move again after a stop.
 
-    A fleet that starts in the stopped state needs its first `reset` to move.
+    A fleet that starts in the stopped state moves after its first `reset`.
     """
-    _call(swarm, lambda _: "swarm/reset", patience, "robots stand for a second, then they follow again")
+    _call(
+        swarm, lambda _: "swarm/reset", patience, "robots stand still for one second, then follow the controller again"
+    )
 
 
 @click.command(epilog=examples("drain runs/pd_het_4-001 2"))
@@ -71,7 +73,7 @@ def join(swarm: Path, robot: int, patience: float) -> None:
 
 
 def _call(swarm: Path, service: Callable[[Target], str], patience: float, done: str) -> None:
-    """Call a service of a swarm's node, and say what is done then."""
+    """Call a service of a node of the swarm, and print the effect."""
     with target(swarm) as found:
         name = service(found)
         with joined(found) as client:
@@ -84,7 +86,7 @@ def _call(swarm: Path, service: Callable[[Target], str], patience: float, done: 
 def remove(swarm: Path, robot: int, patience: float) -> None:
     """Tell the swarm that a silent robot was removed.
 
-    The observer then no longer counts its weight as on the plane. A robot that is not silent leaves with `drain`.
+    The observer then no longer counts its weight as on the plane. For a robot that is not silent, use `drain`.
     """
     with target(swarm) as found:
         found.robot(robot)
@@ -97,8 +99,8 @@ def remove(swarm: Path, robot: int, patience: float) -> None:
             client.listen(monitor, patience, gone)
     if not gone():
         raise RunError(
-            f"{found.name}: the observer has not taken robot {robot} off the plane; it does so only with one that is "
-            "silent, another can leave by itself: drain"
+            f"{found.name}: the observer has not removed robot {robot}, because only a silent robot can be removed; "
+            f"use drain {robot} for one that is running"
         )
     click.echo(f"{found.name}: robot {robot} counts as off the plane")
 
@@ -114,7 +116,7 @@ def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
     The exit code is 1 if a node is silent or reports an error.
     """
     if watch and as_json:
-        raise click.UsageError("--watch and --json exclude each other")
+        raise click.UsageError("--watch cannot be combined with --json; remove one of them")
     with target(swarm) as found, joined(found) as client:
         monitor = HealthMonitor(found.hosts)
         if watch:
@@ -137,7 +139,7 @@ def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
 
 def _table(rows: Sequence[Row]) -> Table:
     table = Table(box=None, pad_edge=False)
-    for head in ("node", "host", "health", "says"):
+    for head in ("node", "host", "health", "message"):
         table.add_column(head, overflow="fold")
     for row in rows:
         level = Text(row.level, style=_STYLES.get(row.level, "red"))

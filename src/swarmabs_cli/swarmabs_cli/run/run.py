@@ -25,7 +25,7 @@ from swarmabs_view.ports import check_foxglove
 from swarmabs_view.viewers import PageViewer, markers_viewer
 
 FOXGLOVE_PORT = 8765
-"""The one that Foxglove offers by itself."""
+"""The default port of Foxglove."""
 
 
 @click.command(
@@ -40,7 +40,7 @@ FOXGLOVE_PORT = 8765
     help="Robots per process, for large simulations.",
 )
 @click.option("--packed", is_flag=True, help="Broadcast one message instead of three: faster with many robots.")
-@click.option("--realtime", is_flag=True, help="Step by the clock, as on robots, with simulated bodies.")
+@click.option("--realtime", is_flag=True, help="Run in real time, as on robots, with simulated bodies.")
 @click.option("--steer", is_flag=True, help="Accept changes from the command `steer` during the run.")
 @click.option(
     "--rate",
@@ -81,13 +81,14 @@ def run(
     given = {"--packed": packed, "--agents-per-process": agents_per_process > 1, "--steer": steer}
     if realtime and any(given.values()):
         option = next(name for name, there in given.items() if there)
-        raise InputError(f"{option} is for runs in lockstep; leave it or --realtime out")
+        raise InputError(f"{option} cannot be combined with --realtime, it needs lockstep; remove one of them")
     if rate is not None and not steer:
-        raise InputError("--rate is for a run with --steer; leave one of them out, or add the other")
+        raise InputError("--rate needs --steer; add --steer, or remove --rate")
     if steer and options["no_bag"]:
-        raise InputError("--steer with --no-bag: what is done to a run is recorded; leave one of them out")
+        raise InputError("--steer cannot be combined with --no-bag, since changes are recorded; remove one of them")
     if not view and (view_port is not None or open_browser):
-        raise click.UsageError(f"{'--open' if open_browser else '--view-port'} is for a run with --view.")
+        option = "--open" if open_browser else "--view-port"
+        raise click.UsageError(f"{option} needs --view; add --view, or remove {option}.")
     with PageViewer(view_port or 0, steered=steer) if view else nullcontext() as viewer:
 
         def execute(scenario: Scenario, folder: RunFolder, recording: RunOptions) -> Outcome:
@@ -110,7 +111,7 @@ def run(
                 )
                 return LockstepRun(scenario, folder, asked).run()
 
-        shown = _shown_beside(options, clock=not realtime)
+        shown = _marker_viewers(options, clock=not realtime)
         code = carry_out(
             execute,
             realtime=realtime,
@@ -126,27 +127,27 @@ def run(
 
 
 def _step_seconds(scenario: Scenario, rate: float | None) -> float:
-    """Return the shortest wall time of a step, s; 0 for none.
+    """Return the shortest wall time of a step, s; 0: as fast as possible.
 
     Raises
     ------
     InputError
-        If a run that is as slow could not be told from one that stalls.
+        If the run would be so slow that it looked like a stall.
     """
     seconds = 0.0 if rate is None else scenario.period / rate
     slowest = min(SLOWEST_STEP, 0.5 * scenario.lockstep.stall_timeout)
     if seconds > slowest:
         raise InputError(
-            f"--rate {rate:g}: a step would take {seconds:g} s, and more than {slowest:g} s looks like a stall; use "
+            f"--rate {rate:g}: a step would take {seconds:g} s, and more than {slowest:g} s counts as a stall; use "
             f"at least {scenario.period / slowest:g}"
         )
     return seconds
 
 
-def _shown_beside(options: dict[str, Any], *, clock: bool) -> Callable[[Path], AbstractContextManager[None]]:
-    """Take these options out of those of a run; return what shows a run in a folder for the time of a block.
+def _marker_viewers(options: dict[str, Any], *, clock: bool) -> Callable[[Path], AbstractContextManager[None]]:
+    """Remove the options of markers and Foxglove from those of a run; return a context manager that serves them.
 
-    With `clock` the run's time is not that of the machine, and is published.
+    With `clock`, the time of the run is published, because it differs from that of the machine.
     """
     markers, foxglove, port = (options.pop(name) for name in ("markers", "foxglove", "foxglove_port"))
     if not (markers or foxglove):

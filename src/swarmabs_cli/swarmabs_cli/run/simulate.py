@@ -16,6 +16,6 @@ from swarmabs_run.simulated_run import simulate_run
 def simulate(**options: Any) -> int:
     """Run a scenario in one process, without DDS.
 
-    The results and the digest are those of `run`, several times faster.
+    The results and the digest are the same as with `run`, several times faster.
     """
     return carry_out(simulate_run, realtime=False, **options)

@@ -16,7 +16,7 @@ ACTIONS = ("reference", "disturbance", "kill", "freeze", "remove", "leave", "add
 
 
 @click.command(
-    context_settings={"ignore_unknown_options": True},  # a negative number is no option
+    context_settings={"ignore_unknown_options": True},  # a negative number is not an option
     epilog=examples("steer runs/pd_het_4-001 reference 0.05", "steer runs/pd_het_4-001 kill 2"),
 )
 @run_argument
@@ -39,7 +39,7 @@ def steer(run: Path, action: str, value: str | None, *, as_json: bool) -> int:
         raise InputError(str(answer["reason"]))
     if not as_json:
         click.echo(
-            _status(answer) if action == "status" else f"from step {answer['step']} on, t = {answer['time']:g} s"
+            _status(answer) if action == "status" else f"applies from step {answer['step']}, t = {answer['time']:g} s"
         )
     return 0
 
@@ -47,7 +47,7 @@ def steer(run: Path, action: str, value: str | None, *, as_json: bool) -> int:
 def _argument(action: str, value: str | None) -> dict[str, Any]:
     if action == "status":
         if value is not None:
-            raise InputError("status takes no value")
+            raise InputError(f"status takes no value; remove {value!r}")
         return {}
     of_robot = action not in ("reference", "disturbance")
     try:
@@ -56,7 +56,8 @@ def _argument(action: str, value: str | None) -> dict[str, Any]:
         return {"value": float(value or "")}
     except ValueError:
         wanted = "the id of a robot, e.g. 3" if of_robot else "a number, e.g. 0.1"
-        raise InputError(f"{action}: give {wanted}, and not {value!r}") from None
+        found = "found none" if value is None else f"found {value!r}"
+        raise InputError(f"{action}: expected {wanted}, {found}; give one") from None
 
 
 def _status(answer: dict[str, Any]) -> str:
@@ -68,7 +69,7 @@ def _status(answer: dict[str, Any]) -> str:
             f"step {answer['step']} of {answer['steps']}, t = {answer['time']:g} s",
             f"reference {answer['reference']:+g} rad, at most {answer['largest_reference']:g}",
             f"disturbance {answer['disturbance']:+g} N m, at most {answer['largest_disturbance']:g}",
-            f"robots that take part: {ids('members')}",
+            f"active robots: {ids('members')}",
             f"robots that can be added: {ids('absent')}",
         )
     )

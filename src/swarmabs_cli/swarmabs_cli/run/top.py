@@ -18,7 +18,7 @@ from swarmabs_cli.output import print_json, print_tables
 from swarmabs_run.processes import RunProcesses, Snapshot, document, newest_run
 
 SAMPLE = 0.5
-"""Time, s, over which a single snapshot takes the processor time."""
+"""Time, s, over which a single snapshot measures the processor time."""
 _SLICE = 0.1
 
 
@@ -42,7 +42,7 @@ def top(run: Path | None, interval: float, *, once: bool, as_json: bool) -> None
     """
     folder = newest_run(RUNS) if run is None else run
     processes = RunProcesses(folder)
-    processes.snapshot(time.monotonic(), shares=0)  # from here on processor time counts
+    processes.snapshot(time.monotonic(), shares=0)  # processor time counts from here on
     if once or as_json:
         time.sleep(SAMPLE)
         snapshot = processes.snapshot(time.monotonic(), shares=None)
@@ -52,22 +52,22 @@ def top(run: Path | None, interval: float, *, once: bool, as_json: bool) -> None
             print_tables(_table(folder, snapshot))
         return
     if not sys.stdout.isatty():
-        while _wait(processes.going_on, interval):
+        while _wait(processes.running, interval):
             print_tables(_table(folder, processes.snapshot(time.monotonic())))
         return
 
     with Live(auto_refresh=False, transient=True) as live:
         wait = SAMPLE
-        while _wait(processes.going_on, wait):
+        while _wait(processes.running, wait):
             live.update(_table(folder, processes.snapshot(time.monotonic())), refresh=True)
             wait = interval
-    click.echo(f"{folder}: the run is over")
+    click.echo(f"{folder}: the run has ended")
 
 
-def _wait(going_on: Callable[[], bool], seconds: float) -> bool:
-    """Wait as long as the run goes on; tell whether it still does."""
+def _wait(running: Callable[[], bool], seconds: float) -> bool:
+    """Wait until the time is over or the run has ended; tell whether it is still running."""
     deadline = time.monotonic() + seconds
-    while going_on():
+    while running():
         left = deadline - time.monotonic()
         if left <= 0.0:
             return True

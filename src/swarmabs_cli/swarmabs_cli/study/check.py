@@ -66,7 +66,7 @@ def check(
 
 
 def render(report: Report, *, everything: bool) -> Group:
-    """Return the verdict, a line for each theorem, and the conditions that fail; or `everything` that was evaluated."""
+    """Return the verdict, a line for each theorem, and the conditions that fail; with `everything`, all conditions."""
     parts: list[RenderableType] = [
         Text(f"{report.scenario}: {report.controller} with {report.swarm}, theta_max = {report.angle_max:g} rad"),
         _conclusion(report),
@@ -88,7 +88,7 @@ def render(report: Report, *, everything: bool) -> Group:
         ]
     parts += [Text(f"note: {note}") for note in report.notes]
     if not everything:
-        parts += [Text("every condition with its value, bound and margin: --all", style="dim")]
+        parts += [Text("--all shows every condition with its value, bound and margin", style="dim")]
     return Group(*parts)
 
 

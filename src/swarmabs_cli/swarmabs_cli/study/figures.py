@@ -65,10 +65,10 @@ def figures(
     """
     for name in names:
         if name not in FIGURES:
-            raise click.UsageError(f"no figure {name!r}; there are {', '.join(FIGURES)}")
+            raise click.UsageError(f"unknown figure {name!r}; choose from {', '.join(FIGURES)}")
     chosen = {name: figure.scenarios for name, figure in FIGURES.items() if name in names or not names}
     needed = [name for scenarios in chosen.values() for name in scenarios]
-    sources = find_runs(bags, needed, lambda reason: click.echo(f"warning: left out: {reason}", err=True))
+    sources = find_runs(bags, needed, lambda reason: click.echo(f"warning: skipped: {reason}", err=True))
     if not bags or make is not None:
         make = make or "simulate"
         sources = find_made(output / "runs", [name for name in needed if name not in sources]) | sources
@@ -81,7 +81,7 @@ def figures(
         )
     for source in sources.values():
         if source.altered:
-            click.echo(f"warning: {source.bag}: not the built-in {source.scenario.name}, but a variant", err=True)
+            click.echo(f"warning: {source.bag} is a variant of the built-in {source.scenario.name}", err=True)
     runs = output / "runs"
     _make_folder(runs if missing else output)
     try:
@@ -118,4 +118,4 @@ def _make_folder(folder: Path) -> None:
         if not os.access(folder, os.W_OK | os.X_OK):
             raise InputError(f"{folder} cannot be written; choose another folder with -o")
     except OSError as error:
-        raise InputError(f"{folder} cannot be made: {error.strerror}; choose another folder with -o") from error
+        raise InputError(f"{folder} cannot be created: {error.strerror}; choose another folder with -o") from error

@@ -54,10 +54,10 @@ def sweep(
     --resume.
     """
     if resume and output is None:
-        raise click.UsageError("--resume needs the folder of the sweep: -o DIR")
+        raise click.UsageError("--resume needs the folder of the sweep; name it with -o DIR")
     if jobs is not None and scheduler is not None:
-        raise click.UsageError("--jobs is for this machine; a scheduler has its own workers")
-    try:  # here, since help needs none of them
+        raise click.UsageError("--jobs cannot be combined with --scheduler, which has its own workers; remove --jobs")
+    try:  # imported here, since the help needs none of them
         from swarmabs_analysis.sweep.executor import LocalExecutor, SchedulerExecutor  # noqa: PLC0415
         from swarmabs_analysis.sweep.run import run_sweep  # noqa: PLC0415
     except ModuleNotFoundError as missing:
@@ -66,7 +66,9 @@ def sweep(
     with closing(LocalExecutor(jobs) if scheduler is None else SchedulerExecutor(scheduler)) as executor:
         if executor.differing:
             workers = ", ".join(executor.differing)
-            click.echo(f"warning: another math library on {workers}: digests differ from those made here", err=True)
+            click.echo(
+                f"warning: {workers} use another math library, so digests differ from those of this machine", err=True
+            )
         begun = resume and output is not None and output.exists() and any(output.iterdir())
         folder = find_folder(study, output) if begun and output is not None else make_folder(study, output, RUNS)
         summary = folder.complete()
@@ -86,7 +88,7 @@ def sweep(
 
 @contextmanager
 def _shown(name: str, cases: int) -> Iterator[Callable[[Counter[str]], None]]:
-    """Show how far a sweep is on standard error: a bar on a terminal, now and then a line elsewhere."""
+    """Show the progress of a sweep on standard error: a bar on a terminal, else a line every few seconds."""
 
     def describe(outcomes: Counter[str]) -> str:
         ended = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))

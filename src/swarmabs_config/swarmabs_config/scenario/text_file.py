@@ -66,7 +66,7 @@ def _remedy_missing(path: Path) -> str:
     except OSError:
         return "check the path"
     names = sorted(entry.name for entry in files if entry.suffix in {".yaml", ".yml", path.suffix})
-    return nearest(path.name, names[:5]) if names else "check the path"
+    return nearest(path.name, names[:5]) if names and path.suffix else "check the path"
 
 
 def _line(data: bytes, offset: int) -> int:

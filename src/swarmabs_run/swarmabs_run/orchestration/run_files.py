@@ -149,7 +149,7 @@ def orchestrator_of(run: Path) -> psutil.Process | None:
     return process if lives and start_of(pid) == network["started"] else None
 
 
-def goes_on(run: Path) -> bool:
+def is_running(run: Path) -> bool:
     """Tell whether a run goes on: the process that has started it lives, and does not say that it is over."""
     told = read_progress(run / "logs")
     return (told is None or told.phase != OVER) and orchestrator_of(run) is not None
@@ -162,7 +162,7 @@ def is_realtime(run: Path) -> bool:
 
 def environment_of_run(run: Path) -> dict[str, str]:
     """Return the environment variables with which a tool sees the nodes of a run; a `RunOverError` if it is over."""
-    if not goes_on(run):
+    if not is_running(run):
         raise RunOverError(run)
     return dds_environment(_network(run)["domain"], str((run / "logs" / TOOL_PROFILE).resolve()))
 
