@@ -47,7 +47,6 @@ GENERATED = [
     ("single_integrator: 2, position: true", "2: swarm.generate.position: expected a number, found true; write"),
     ("single_integrator: 2, position: 0", "2: swarm.generate.position: 0 is out of range; give a number > 0"),
     ("single_integrator: 2, mass: [2, 1]", "2: swarm.generate.mass: the smallest mass 2.0 exceeds the largest 1.0; w"),
-    ("double_integrator: 2, damping: [1, 0]", "2: swarm.generate.damping: the smallest damping 1.0 exceeds"),
     ("single_integrator: 65535, double_integrator: 1", "2: swarm.generate: 65536 robots are more than the 65535 ids;"),
 ]
 EMPTY = "manifold: {torque_max: 20, curvature: 0}"
@@ -87,7 +86,6 @@ ADDED = [
     ("? [a]\n: 2", "4: a key that is not a name; write 'key: value' with a name as key"),
     # Types, besides what the declarations give.
     ("duration: '30'", "4: duration: expected a number, found the text '30'; remove the quotes"),
-    ("duration: 1:30", "4: duration: expected a number, found the text '1:30'; write a number"),
     ("duration: 1_000", "4: duration: expected a number, found the text '1_000'; write a number"),
     ("duration: 0x1F", "4: duration: expected a number, found the text '0x1F'; write a number"),
     ("duration: 010", "4: duration: '010' begins with 0, which could mean octal; remove the 0, or"),
@@ -104,7 +102,6 @@ ADDED = [
     ("name: ''", "4: name: the text '' cannot name a folder; use 1 to 60 printable characters"),
     (f"name: {'x' * 61}", "4: name: the text 'xxx…cannot name a folder; use 1 to 60 printable characters"),
     ("plane:", "4: plane: expected a mapping, found nothing (null); write 'key: value' pairs, or leave it"),
-    ("plane: [1]", "4: plane: expected a mapping, found a list of 1; write 'key: value' pairs"),
     ("plane: {friction: 3}", "4: plane.friction: expected a list of 6 numbers, found the number 3; write"),
     ("plane: {friction: [1,\n x, 1, 1, 1, 1]}", "5: plane.friction.1: expected a number, found the text 'x'"),
     ("faults: {}", "4: faults: expected a list, found a mapping; write a list in [ ]"),
@@ -132,8 +129,6 @@ ADDED = [
     ("controller: {type: arise, trajectory: {type: constant, size: 1}}", "4: controller.trajectory.size: …: type, ang"),
     # Tags, aliases: nothing is executed, nothing explodes.
     ("name: !!python/name:os.system x", "4: name: the tag 'tag:yaml.org,2002:python/name:os.system' is not"),
-    ("name: !!binary aGk=", "4: name: the tag 'tag:yaml.org,2002:binary' is not allowed; remove the tag"),
-    ("plane: !robot {angle: 0}", "4: plane: the tag '!robot' is not allowed; remove the tag: a scenario is"),
     ("seed: !!int '1.5'", "4: seed: the number 1.5 does not fit its tag 'tag:yaml.org,2002:int'; remove the"),
     ("seed: *one", "4: seed: the alias 'one' has no anchor before it; write the value itself"),
     ("plane: &p {angle: *p}", "4: plane.angle: the alias 'p' has no anchor before it; write the value"),
@@ -148,7 +143,6 @@ FAULTS = [
     ("{kind: kill, at: 1, agent: 1}\n- {kind: leave, at: 2, agent: 1}", "6: faults.1: …twice (see line 5); keep one"),
     ("{kind: join, at: 1, agent: 1}\n- {kind: join, at: 2, agent: 1}", "6: faults.1: robot 1 joins twice (see line 5)"),
     ("{kind: kill, at: 1, agent: 1}\n- {kind: join, at: 1.001, agent: 1}", "6: faults.1.at: …is gone from step 100"),
-    ("{kind: kill, at: .01, agent: 1}\n- {kind: join, at: .01, agent: 1}", "6: faults.1.at: …is gone from step 1 "),
     ("{kind: delay, steps: 0, to: 2}\n- {kind: delay, steps: 1, from: 1, agents: [2]}", "6: faults.1: …for robot 2 at"),
     ("{kind: reordering, probability: .1, agents: [1, 7]}", "5: faults.0.agents.1: there is no robot 7; name an"),
     ("{kind: duplication, probability: .1, agents: []}", "5: faults.0.agents: no robots are listed; list"),
