@@ -130,7 +130,7 @@ def newest_run(runs: Path) -> Path:
         except InputError:
             continue
         return folder
-    raise InputError(f"no run in {runs}/ is going on; start one, or name the folder of one that is elsewhere")
+    raise InputError(f"no run in {runs}/ is running; start one, or name the folder of a run elsewhere")
 
 
 def document(folder: Path, snapshot: Snapshot) -> dict[str, Any]:

@@ -54,7 +54,7 @@ class SteeringClient:
         except OSError as error:
             self._socket.close()
             raise InputError(
-                f"{run} is not the folder of a run that goes on and is yours to steer ({error.strerror}: {SOCKET}); "
+                f"{run} is not the folder of a running simulation that you can steer ({error.strerror}: {SOCKET}); "
                 "start one with run --steer"
             ) from error
         self._lines = self._socket.makefile("rb")
