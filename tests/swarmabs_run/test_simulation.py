@@ -66,7 +66,7 @@ def test_a_scenario_by_name_with_values_gives_what_its_bag_gives(tmp_path: Path)
     assert (again.events, again.reference.tolist()) == (run.events, run.reference.tolist())
     assert again.summary() == run.summary() == simulate(folder.path).summary()
     assert (changed.angle[0], changed.summary()["digest"] == run.summary()["digest"]) == (0.1, False)
-    with pytest.raises(InputError, match="no scenario or file 'pd_het_5'; did you mean"):
+    with pytest.raises(InputError, match="'pd_het_5'; did you mean pd_het_4"):
         simulate("pd_het_5", {})
 
 

@@ -183,7 +183,7 @@ def step_period(bag: BagReader) -> int | None:
 
 
 def event_time(bag: BagReader) -> Callable[[SwarmEvent], float]:
-    """Return what gives the time (s) of an event: that of its step, or of its stamp where steps have no period."""
+    """Return a function from an event to its time (s): that of its step or, without a period, of its stamp."""
     period = step_period(bag)
     return lambda event: (event.stamp if period is None else event.step * period) / 1e9
 
