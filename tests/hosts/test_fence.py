@@ -75,6 +75,6 @@ def test_a_fence_keeps_others_out_and_can_be_taken_down(level: str, tmp_path: Pa
         robot.ip("rule", "delete", "pref", "3", "to", OTHER)
         for word in ("", "UP", "--help"):
             refused = robot.start([*down.split()[:1], word], stderr=-1)
-            assert (refused.communicate()[1], refused.returncode) == ("fence.sh: say up or down\n", 1)
+            assert (refused.communicate()[1], refused.returncode) == ("fence.sh: give up or down as the argument\n", 1)
         robot.run(["sh", "-c", down])
         assert robot.ip("rule") == rules

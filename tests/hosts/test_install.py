@@ -141,7 +141,7 @@ def test_a_place_that_the_account_of_the_nodes_cannot_enter_is_refused(host: Hos
     station = installation.station
     closed = station.etc / "closed"
     closed.mkdir(mode=0o700)
-    with pytest.raises(AssertionError, match=f"{ACCOUNT} cannot enter /etc/closed/bundles; let others enter it"):
+    with pytest.raises(AssertionError, match=f"{ACCOUNT} cannot enter /etc/closed/bundles; run chmod"):
         installation.install()
     assert installation.nothing_is_left()
     closed.chmod(0o755)

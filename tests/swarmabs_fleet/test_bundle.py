@@ -82,7 +82,7 @@ def test_an_output_that_is_not_empty_or_cannot_be_written_is_refused_before_keys
     output = tmp_path / "out"
     output.mkdir()
     (output / "mine.txt").write_text("mine")
-    with pytest.raises(InputError, match="is not empty; name another with -o"):
+    with pytest.raises(InputError, match="is not empty; choose another with -o"):
         deploy(example("tunnel"), output, tmp_path / "keys")
     assert contents(tmp_path) == {"out/mine.txt": b"mine"}
     (output / "mine.txt").unlink()
@@ -135,9 +135,9 @@ def test_a_bad_key_of_a_tunnel_is_named_with_the_remedy(own: Callable[[str], Pat
 
     for content in ("", "not base64!", "c2hvcnQ="):
         key.write_text(content)
-        refused(r"cart-2\.key holds no private key; restore it")
+        refused(r"cart-2\.key does not contain a private key; restore it")
     key.chmod(0o644)
-    refused(r"other accounts can read .*cart-2\.key; it may be known: remove it")
+    refused(r"other accounts can read .*cart-2\.key, so it may be known; remove it")
     (keys / "floor").chmod(0o755)
     refused("chmod 700")
     assert not (tmp_path / "again").exists()

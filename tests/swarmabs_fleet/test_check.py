@@ -34,9 +34,9 @@ PARAMETERS, CONFIGURATION = "nodes/agent_001.yaml", "wireguard/floor0.conf"
 DAMAGES: dict[str, Callable[[Path], object]] = {
     "agent_001.yaml has been changed; copy or install": lambda bundle: os.truncate(bundle / PARAMETERS, 9),
     "agent_001.yaml: No such file or directory; copy or install": lambda bundle: (bundle / PARAMETERS).unlink(),
-    "floor0.conf has the mode 0644, not 0600; chmod 0600": lambda bundle: (bundle / CONFIGURATION).chmod(0o644),
-    "authorized_keys does not belong there; remove it": lambda bundle: (bundle / "nodes/authorized_keys").touch(),
-    "made with AgentState RIHS01_0, here is RIHS01_": lambda bundle: changed_manifest(
+    "floor0.conf has mode 0644, not 0600; run: chmod 0600": lambda bundle: (bundle / CONFIGURATION).chmod(0o644),
+    "authorized_keys does not belong to": lambda bundle: (bundle / "nodes/authorized_keys").touch(),
+    "made with AgentState RIHS01_0, but this machine has RIHS01_": lambda bundle: changed_manifest(
         bundle, lambda found: found["versions"].update(AgentState="RIHS01_0")
     ),
 }
@@ -47,7 +47,7 @@ def test_a_bundle_is_as_it_was_made_or_what_is_wrong_is_named(
 ) -> None:
     findings = check([*examples.values(), *EXAMPLES.values()], None)
     assert bad(findings) == []
-    assert sum(finding.text.startswith("they do not get") for finding in findings) == 3
+    assert sum(finding.text.startswith("no conflicts") for finding in findings) == 3
     assert [finding.verdict for finding in findings if finding.text.startswith("security is none")] == ["note"]
     for words, act in DAMAGES.items():
         bundle = own("tunnel") / "cart-1"
@@ -63,10 +63,10 @@ def test_bundles_that_this_version_would_make_otherwise_are_noted(own: Callable[
     file = output / "fleet.yaml"
     file.write_text(file.read_text().replace("mass: 0.3552", "mass: 0.4"))
     found = [(one.verdict, one.text) for one in check([output], None) if one.check == "bundle lan/robot-1"]
-    assert ("note", "this version makes another nodes/agent_001.yaml; deploy again if that is wanted") in found
+    assert ("note", "fleet.yaml now gives another nodes/agent_001.yaml; deploy again to update the bundle") in found
     file.write_text(file.read_text().replace("robot-1", "robot-7"))
     (text,) = bad(check([output], None))
-    assert text == f"{file} has no such host; deploy again into a new folder"
+    assert text == f"{file} no longer has this host; deploy again into a new folder"
 
 
 def test_fleets_that_get_into_each_others_way(tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_what_cannot_be_checked_is_refused(tmp_path: Path, own: Callable[[str], 
     for paths, host, words in (
         (["lan"], "robot-9", "did you mean 'robot-"),
         (["lan", "tunnel"], "base", "several fleets have a host 'base'; check one fleet at a time"),
-        (["empty"], None, "holds no bundle"),
+        (["empty"], None, "contains no bundle"),
         (["nothing.yaml"], None, "no such file"),
     ):
         with pytest.raises(InputError, match=words):
@@ -94,11 +94,11 @@ def test_what_cannot_be_checked_is_refused(tmp_path: Path, own: Callable[[str], 
     bundle = own("lan") / "robot-1"
     for path in ("../../secret", "/etc/passwd"):
         changed_manifest(bundle, lambda found: found.update(files={path: {"sha256": "0", "mode": "0644"}}))  # noqa: B023
-        with pytest.raises(InputError, match="not in the bundle"):
+        with pytest.raises(InputError, match="outside the bundle"):
             check([bundle], None)
     for text in ("{", "[]", '{"bundle": 1}', "[" * 100_000, '{"bundle": 2}'):
         (bundle / "manifest.json").write_text(text)
-        with pytest.raises(InputError, match="update swarmabs" if "2" in text else "not the manifest of a bundle"):
+        with pytest.raises(InputError, match="update swarmabs" if "2" in text else "not a valid bundle manifest"):
             check([bundle], None)
 
 
@@ -162,7 +162,7 @@ def test_the_machine_is_examined(machine: Machine) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.bind(("127.0.0.1", 7000 + 100 * domain + 10 + 2 * 9))  # the second robot's
             assert machine.findings(fleet)["ports"].verdict == "bad"
-            assert f"UDP {other.getsockname()[1]} " in machine.findings(fleet)["ports"].text
+            assert f"UDP port {other.getsockname()[1]} " in machine.findings(fleet)["ports"].text
             machine.program("systemctl", "active")
             assert machine.findings(fleet)["ports"].verdict == "note"
 
@@ -170,11 +170,11 @@ def test_the_machine_is_examined(machine: Machine) -> None:
 def test_the_clock_of_the_machine(machine: Machine) -> None:
     machine.program("timedatectl", "yes")
     for chrony, verdict, words in (
-        (None, "note", "not how well"),
-        ("506 Cannot talk to daemon", "note", "not how well"),
-        (CHRONY.format(offset="0.0", leap="Normal"), "ok", "at most 0.000900 s by chrony"),
-        (CHRONY.format(offset="-0.0049", leap="Normal"), "bad", "more than time.max_offset 0.005 s"),
-        (CHRONY.format(offset="0.0", leap="Not synchronised"), "bad", "is not synchronised"),
+        (None, "note", "does not report the error"),
+        ("506 Cannot talk to daemon", "note", "does not report the error"),
+        (CHRONY.format(offset="0.0", leap="Normal"), "ok", "at most 0.000900 s according to chrony"),
+        (CHRONY.format(offset="-0.0049", leap="Normal"), "bad", "more than time.max_offset (0.005 s)"),
+        (CHRONY.format(offset="0.0", leap="Not synchronised"), "bad", "not synchronised"),
     ):
         if chrony is not None:
             machine.program("chronyc", chrony)
@@ -184,14 +184,14 @@ def test_the_clock_of_the_machine(machine: Machine) -> None:
 
 def test_a_machine_that_is_not_the_host(machine: Machine) -> None:
     found = machine.findings(edited(machine.folder / "one.yaml", ONE_HOST, ("interface: lo", "interface: wlan9")))
-    assert found["interface"].text.startswith("there is no wlan9 here (")
+    assert found["interface"].text.startswith("no interface wlan9 on this host (")
     found = machine.findings(edited(machine.folder / "one.yaml", ONE_HOST, ("127.0.0.1", "127.0.0.9")))
-    assert "lo has not the address 127.0.0.9 but 127.0.0.1" in found["interface"].text
+    assert "lo has the address 127.0.0.1, not 127.0.0.9" in found["interface"].text
     assert found["ports"].verdict == "note"
-    assert found["clock"].text.startswith("nothing synchronises it; install chrony")
+    assert found["clock"].text.startswith("not synchronised by any service; install chrony")
     assert found["systemd"].verdict == "bad"
-    assert found["checkout"].text.startswith("there is no /nowhere/swarmabs/scripts/swarm; ")
-    assert found["account"].text.startswith("there is no nobody-here; make it: useradd")
+    assert found["checkout"].text.startswith("/nowhere/swarmabs/scripts/swarm does not exist; ")
+    assert found["account"].text.startswith("account nobody-here does not exist; create it: useradd")
 
 
 def test_an_installed_bundle_and_its_checkout_must_be_whole_and_open_to_the_account_of_the_nodes() -> None:
@@ -210,15 +210,15 @@ def test_an_installed_bundle_and_its_checkout_must_be_whole_and_open_to_the_acco
             given = bundle if bundle.exists() else output / "base"
             return next((found.verdict, found.text) for found in check([given], "base") if found.check == name)
 
-        assert examined() == ("note", f"not looked at: nothing is installed in {bundle}")
+        assert examined() == ("note", f"not checked: nothing is installed in {bundle}")
         (output / "base").rename(bundle)
         assert examined() == ("ok", f"nobody can read {bundle}")
-        again = "start install.sh of the bundle again"
+        again = "run install.sh of the bundle again"
         closed = {bundle.parent: 0o700, bundle: 0o750, bundle / "dds": 0o744, bundle / "dds" / "robot.xml": 0o600}
         for path, mode in {**closed, folder / "opt": 0o700}.items():
             before = path.stat().st_mode & 0o7777
             path.chmod(mode)
-            remedy = again if path in closed else "let others enter it"
+            remedy = again if path in closed else "grant it access, for example with chmod o+rx"
             text = f"nobody has no access to {path} (mode {mode:04o}), so no node starts; {remedy}"
             assert examined() == ("bad", text)
             path.chmod(before)
@@ -232,8 +232,8 @@ def test_an_installed_bundle_and_its_checkout_must_be_whole_and_open_to_the_acco
         swarm.touch(mode=0o755)
         assert examined("checkout") == ("ok", f"{folder}/opt/swarmabs")
         python.unlink()
-        remedy = "start there: ./scripts/swarm doctor"
-        assert examined("checkout") == ("bad", f"{folder}/opt/swarmabs is not prepared; {remedy}")
+        remedy = "run there: ./scripts/swarm doctor"
+        assert examined("checkout") == ("bad", f"{folder}/opt/swarmabs is not set up; {remedy}")
 
 
 def test_owner_and_groups_of_a_file_decide(tmp_path: Path) -> None:

@@ -211,7 +211,7 @@ def test_a_folder_that_is_no_bundle_of_the_fleet_is_left_alone(
     for script in ("install.sh", "uninstall.sh") if content != "link" else ("install.sh",):
         done = start(made["tunnel"] / "base" / script, root)
         assert done.returncode == 1
-        assert done.stderr.startswith(f"{script}: {foreign} is no bundle of floor, so it stays as it is; move it away")
+        assert done.stderr.startswith(f"{script}: {foreign} is not a bundle of floor; move it away")
         assert contents(root) == before
         assert foreign.is_symlink() == (content == "link")
 
@@ -244,9 +244,9 @@ def test_what_a_new_bundle_has_no_more_is_removed(
     [
         ("changed", "nodes/recorder.yaml"),
         ("missing", "nodes/recorder.yaml"),
-        ("no list", "the bundle is not complete; copy it again"),
-        ("no manifest", "the bundle is not complete; copy it again"),
-        ("not prepared", "not prepared"),
+        ("no list", "the bundle is incomplete; copy it again"),
+        ("no manifest", "the bundle is incomplete; copy it again"),
+        ("not prepared", "is not set up"),
         ("no environment", "./scripts/swarm doctor"),
         ("foreign tunnel", "floor0.conf"),
     ],
@@ -305,7 +305,7 @@ def test_without_root_nothing_is_touched(made: dict[str, Path], tmp_path: Path) 
     program(tmp_path / "programs" / "id", "echo 1000")
     for script in ("install.sh", "uninstall.sh", "restart.sh"):
         done = start(made["lan"] / "base" / script, programs=f"{tmp_path / 'programs'}:")
-        assert (done.returncode, done.stderr) == (1, f"{script}: this needs root; start it with sudo\n")
+        assert (done.returncode, done.stderr) == (1, f"{script}: root is required; run it with sudo\n")
     assert not Path("/etc/swarmabs").exists()
 
 
@@ -319,7 +319,7 @@ def test_nodes_are_restarted_one_by_one_and_a_failure_ends_it(failing: str, chec
     programs, log = tmp_path / "programs", tmp_path / "log"
     program(programs / "id", "echo 0")
     program(programs / "systemctl", f'echo "$*" >>{log}\n[ "$3" != "{failing}" ]')
-    assert "is not complete; start install.sh again" in start(installed / "restart.sh", programs=f"{programs}:").stderr
+    assert "is incomplete; run install.sh again" in start(installed / "restart.sh", programs=f"{programs}:").stderr
     assert not log.exists()
     (installed / "complete").touch()
     done = start(installed / "restart.sh", programs=f"{programs}:")

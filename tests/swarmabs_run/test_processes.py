@@ -82,7 +82,7 @@ def test_progress_is_written_now_and_then(tmp_path: Path) -> None:
 def test_folders_that_are_damaged_or_without_a_run_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is not the folder of a run with processes"):
         RunProcesses(tmp_path)
-    with pytest.raises(InputError, match=r"no run in .* is going on"):
+    with pytest.raises(InputError, match=r"no run in .* is running"):
         newest_run(tmp_path)
     folder = folder_of(tmp_path)
     for content in ("", "[]", "{}", "null", '{"orchestrator": null}', '{"orchestrator": "x"}'):
@@ -107,7 +107,7 @@ def test_a_process_that_has_got_the_id_later_is_not_the_run(tmp_path: Path) -> N
 def test_a_run_that_says_that_it_is_over_is_over(tmp_path: Path) -> None:
     """The process that has started it may live on, such as a notebook."""
     folder = folder_of(tmp_path)
-    with pytest.raises(InputError, match="a run in lockstep has no operator; look at it with top"), target(folder):
+    with pytest.raises(InputError, match="operator commands need a realtime run"), target(folder):
         pass
     processes = RunProcesses(folder)
     file = run_files.ProgressFile(folder / "logs")

@@ -65,7 +65,7 @@ def test_every_robot_is_a_process_that_hears_the_broadcasts_and_nothing_else(fol
         shown = runs.swarm("env", folder, "--json")
         assert environment_of_run(folder).items() <= json.loads(shown.out).items()
         refused = runs.swarm("remove", folder, 1)
-        assert (refused.code, "a run in lockstep has no operator" in refused.err) == (2, True)
+        assert (refused.code, "operator commands need a realtime run" in refused.err) == (2, True)
         runs.interrupt()
 
     assert runs.lockstep(folder, "pd_het_4", runs.FOREVER, on_progress=runs.at({1: look})).status == "interrupted"

@@ -1,1 +1,1 @@
-"""Fleets: one file describes robots, hosts, network and security, and each host gets a bundle made from it."""
+"""Fleets: one file describes robots, hosts, network and security; each host gets a bundle generated from it."""

@@ -1,4 +1,4 @@
-"""The bundles of a fleet: one folder per host with everything that its nodes need, and a manifest of it."""
+"""The bundles of a fleet: one folder per host with all files that its nodes need, and a manifest that lists them."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ MANIFEST, SUMS = "manifest.json", "SHA256SUMS"
 FORMAT = 1
 """Version of the bundle's layout."""
 SCRIPTS = ("install.sh", "uninstall.sh", "restart.sh", "fence.sh")
-"""POSIX shell that is given nothing to interpret.
+"""POSIX shell scripts in which no value from the fleet file is interpreted as code.
 
-Names and paths stand in single quotes at the top and in double quotes where they are used; what they may be made of is
-checked when the fleet file is read. With DESTDIR everything goes below that folder, and accounts and services are left
-alone, as packagers expect it.
+Names and paths are assigned in single quotes at the top and expanded in double quotes; reading the fleet file checks
+their characters. With DESTDIR the scripts install below that folder and leave accounts and services alone, as packagers
+expect.
 """
 SECRET, PLAIN, PROGRAM = 0o600, 0o644, 0o755
 _FOLDER, _SECRET_FOLDER = 0o755, 0o700
@@ -54,24 +54,24 @@ class BundleFile:
 
     @property
     def sha256(self) -> str:
-        """SHA-256 of its content."""
+        """SHA-256 of the content."""
         return sha256(self.content).hexdigest()
 
 
 def _octal(value: object) -> object:
-    """Read a mode, which is written as people know it."""
+    """Read a mode, which is written in octal."""
     return int(value, 8) if isinstance(value, str) and value.isdecimal() else value
 
 
 class FileFacts(Model):
-    """A file as it was written."""
+    """Checksum and mode of a file as written."""
 
     sha256: str
     mode: Annotated[int, BeforeValidator(_octal), PlainSerializer("{:04o}".format)]
 
 
 class Manifest(Model):
-    """What a bundle was made with and consists of, and what can be checked on its host."""
+    """What a bundle contains, which versions it was generated with, and what to check on its host."""
 
     bundle: int
     fleet: Name
@@ -93,7 +93,7 @@ class Manifest(Model):
 
 
 def manifest_of(host: HostPlan, files: Mapping[str, BundleFile]) -> Manifest:
-    """Return the manifest of a host's bundle; before it is made there are no files."""
+    """Return the manifest of a host's bundle; `files` is empty before the bundle is generated."""
     fleet = host.fleet
     return Manifest(
         bundle=FORMAT,
@@ -117,7 +117,7 @@ def manifest_of(host: HostPlan, files: Mapping[str, BundleFile]) -> Manifest:
 
 
 def versions() -> dict[str, str]:
-    """Return what the hosts of a fleet must have in common: the version, and the definitions of the messages."""
+    """Return what must be the same on all hosts of a fleet: the version and the message definitions."""
     try:
         own = version("swarmabs_core")
     except PackageNotFoundError:
@@ -141,31 +141,31 @@ def read_manifest(folder: Path) -> Manifest:
             raise InputError(f"{path} has a newer format than this version reads ({FORMAT}); update swarmabs")
         return Manifest.model_validate(data)
     except (ValueError, RecursionError, ValidationError) as error:
-        raise InputError(f"{path} is not the manifest of a bundle; deploy again") from error
+        raise InputError(f"{path} is not a valid bundle manifest; deploy again") from error
 
 
 def deploy(loaded: LoadedFleet, output: Path, keys: Path | None, revoke: Sequence[str] = ()) -> list[Path]:
-    """Write the bundles of a fleet, and return the folders of its hosts.
+    """Write the bundles of a fleet and return the folder of each host.
 
     Parameters
     ----------
     loaded : LoadedFleet
         The fleet and its scenario.
     output : Path
-        Folder to write, which must not exist or be empty; it appears whole or not at all.
+        Folder to write, which must be empty or not exist; it is written atomically.
     keys : Path, optional
-        Folder of keys, needed with security by a tunnel or by sros2.
+        Key folder, required with tunnel or sros2 security.
     revoke : sequence of str, optional
-        With sros2: hosts and enclaves whose certificates are revoked first.
+        With sros2: hosts and enclaves whose certificates to revoke first.
 
     Raises
     ------
     InputError
-        If the output or the keys cannot be used; nothing is left behind.
+        If the output folder or the keys cannot be used; nothing is written.
     RunError
-        If writing fails; no output is left behind.
+        If writing fails; the incomplete output is removed.
     """
-    part = _beside(output)
+    part = _temporary_folder(output)
     try:
         store = _keys(loaded, output, keys)
         if revoke:
@@ -191,7 +191,7 @@ def deploy(loaded: LoadedFleet, output: Path, keys: Path | None, revoke: Sequenc
 
 
 def host_bundle(loaded: LoadedFleet, host: HostPlan, keys: Keys | None) -> dict[str, BundleFile]:
-    """Return the files of a host's bundle by path, the manifest last; without keys those that need some are missing."""
+    """Return the files of a host's bundle by path, the manifest last; those made from keys only if keys are given."""
     texts = node_files(host)
     for node in host.nodes:
         texts[f"nodes/{node.name}.yaml"] = parameter_file(parameters(loaded, node))
@@ -209,48 +209,50 @@ def host_bundle(loaded: LoadedFleet, host: HostPlan, keys: Keys | None) -> dict[
 
 
 def _keys(loaded: LoadedFleet, output: Path, folder: Path | None) -> Keys | None:
-    """Return where keys are kept, checked to be needed and no part of the output."""
+    """Return the key store after checking that it is needed and outside the output; None without security."""
     level = loaded.fleet.security.level
     if level == "none":
         if folder is not None:
-            raise InputError("security is none, which has no keys; leave out --keys")
+            raise InputError("security is none and uses no keys; leave out --keys")
         return None
     if folder is None:
         raise InputError(
-            f"security {level} has private keys; name a folder for them, which later deployments need: --keys DIR"
+            f"security {level} needs private keys; give a folder for them and reuse it in later deployments: --keys DIR"
         )
     inside, outside = folder.resolve(), output.resolve()
     if inside == outside or outside in inside.parents:
-        raise InputError(f"the folder of keys {folder} is in the output, which is copied to robots; name another place")
+        raise InputError(
+            f"the key folder {folder} is inside the output, which is copied to robots; choose another folder"
+        )
     try:
-        from swarmabs_fleet.keys import Keys  # noqa: PLC0415 - cryptography is there only where keys are made
+        from swarmabs_fleet.keys import Keys  # noqa: PLC0415 - cryptography is optional
     except ImportError as error:
-        raise InputError(f"{error}; keys need the Python package cryptography: install it") from error
+        raise InputError(f"{error}; generating keys needs the Python package cryptography: install it") from error
     return Keys(inside / loaded.fleet.name)
 
 
-def _beside(output: Path) -> Path:
-    """Make a folder beside the output, in which it is written.
+def _temporary_folder(output: Path) -> Path:
+    """Create the temporary folder, next to the output, in which the output is prepared.
 
     Raises
     ------
     InputError
-        If the output exists and is not empty, or cannot be made.
+        If the output exists and is not empty, or cannot be created.
     """
     try:
         if output.exists() and (not output.is_dir() or any(output.iterdir())):
             what = "not empty" if output.is_dir() else "not a folder"
-            raise InputError(f"output folder {output} is {what}; name another with -o, or remove it")
+            raise InputError(f"output folder {output} is {what}; choose another with -o, or remove it")
         output.parent.mkdir(parents=True, exist_ok=True)
         return Path(tempfile.mkdtemp(prefix=f".{output.name}.", dir=output.parent))
     except (FileExistsError, NotADirectoryError):
-        raise InputError(f"output folder {output} is not in a folder; name another with -o") from None
+        raise InputError(f"a parent of the output folder {output} is not a folder; choose another with -o") from None
     except OSError as error:
         raise InputError(f"output folder {output} cannot be used: {error.strerror}; choose another with -o") from error
 
 
 def _write(path: Path, file: BundleFile) -> None:
-    """Write a file with its mode from the first byte on, and folders that fit."""
+    """Write a file that has its mode from the start, and create missing folders with the mode that fits it."""
     missing = [folder for folder in (path.parent, *path.parent.parents) if not folder.exists()]
     for folder in reversed(missing):
         folder.mkdir()

@@ -1,6 +1,6 @@
-"""What would keep a fleet from working, each with its remedy: fleets side by side, and bundles against their manifests.
+"""Checks of a fleet, with a remedy for each problem: fleets against each other, bundles against their manifests.
 
-What can be seen on the host itself only is in `host_check`.
+`host_check` contains the checks that only the host itself can make.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from swarmabs_run.doctor import Verdict
 
 _MADE_THERE = ("complete", "workspace.env")
-"""What install.sh adds to a bundle."""
+"""Files that install.sh adds to a bundle."""
 _EXPIRING = timedelta(days=30)
 _NOT_AFTER = re.compile(rb"<not_after>([0-9T:-]{19})</not_after>")
 
@@ -38,14 +38,14 @@ def check(paths: Sequence[Path], host: str | None) -> list[Finding]:
     Parameters
     ----------
     paths : sequence of Path
-        What to check; fleets among them are also checked against each other.
+        Files and folders to check; several fleets are also checked against each other.
     host : str, optional
-        Name of the host that this machine is, which is then examined, too.
+        Name of the host that this machine is; the machine is then checked, too.
 
     Raises
     ------
     InputError
-        If something is neither, or invalid, or there is no such host.
+        If a path is none of these or invalid, or no such host exists.
     """
     given: list[LoadedFleet] = []
     bundles: dict[Path, Manifest] = {}
@@ -57,10 +57,10 @@ def check(paths: Sequence[Path], host: str | None) -> list[Finding]:
             if (path / FLEET_FILE).is_file():
                 given.append(load_fleet(path / FLEET_FILE))
             elif not found:
-                raise InputError(f"{path} holds no bundle; give a fleet file, or what 'swarm deploy' has written")
+                raise InputError(f"{path} contains no bundle; give a fleet file or the output of 'swarm deploy'")
         else:
             given.append(load_fleet(path))
-    # Without repetition, as of a file and the bundles made from it.
+    # Without duplicates, such as a fleet file and the copy in its bundles.
     fleets = list({(loaded.fleet_text, loaded.scenario_text): loaded for loaded in given}.values())
     verdicts = [(f"fleet {loaded.fleet.name}", _alone(loaded)) for loaded in fleets]
     pairs = [(one.fleet, other.fleet) for one, other in combinations(fleets, 2)]
@@ -73,12 +73,12 @@ def check(paths: Sequence[Path], host: str | None) -> list[Finding]:
 
 
 def _known(host: str, fleets: list[LoadedFleet], bundles: dict[Path, Manifest]) -> Manifest:
-    """Return what is known of a host.
+    """Return the manifest of a host, from its bundle or its fleet.
 
     Raises
     ------
     InputError
-        If nothing is, or it is in several fleets.
+        If no fleet has the host, or several have.
     """
     found = {(manifest.fleet, manifest.host): manifest for manifest in bundles.values()}
     for loaded in fleets:
@@ -101,56 +101,56 @@ def _alone(loaded: LoadedFleet) -> Iterator[Verdict]:
 
 
 def _together(one: Fleet, other: Fleet) -> Iterator[Verdict]:
-    """Say where two fleets get into each other's way."""
+    """Report conflicts between two fleets."""
     found = []
     if one.network.domain == other.network.domain:
-        found.append(f"both have the ROS domain {one.network.domain}; give one another network.domain")
+        found.append(f"both use ROS domain {one.network.domain}; change network.domain of one")
     shared = sorted({host.address for host in one.hosts} & {host.address for host in other.hosts})
     if shared and one.name == other.name:
-        found.append(f"both have this name on {shared[0]}, where one would replace the other; name one otherwise")
+        found.append(f"both have this name on {shared[0]}, where one would replace the other; rename one")
     if shared and one.tunnel is not None and other.tunnel is not None:
         if one.tunnel.interface == other.tunnel.interface:
-            found.append(f"both have the tunnel {one.tunnel.interface} on {shared[0]}; name one otherwise")
+            found.append(f"both have the tunnel {one.tunnel.interface} on {shared[0]}; rename one")
         if one.tunnel.port == other.tunnel.port:
-            found.append(f"both tunnels have the port {one.tunnel.port} on {shared[0]}; give one another port")
+            found.append(f"both tunnels use port {one.tunnel.port} on {shared[0]}; change the port of one")
     for text in found:
         yield "bad", text
     if not found:
-        yield "ok", "they do not get into each other's way"
+        yield "ok", "no conflicts"
 
 
 def _bundle(folder: Path, manifest: Manifest) -> Iterator[Verdict]:
-    """Compare a bundle with its manifest, with this version, and with the fleet file beside it."""
+    """Compare a bundle with its manifest, with this version, and with the fleet file next to it."""
     here = versions()
     differing = next((name for name, text in here.items() if manifest.versions.get(name) != text), None)
     if differing is not None:
         made = manifest.versions.get(differing, "none")
-        text = f"made with {differing} {made}, here is {here[differing]}"
-        yield "bad", f"{text}; bring all hosts to one version, deploy again"
+        text = f"made with {differing} {made}, but this machine has {here[differing]}"
+        yield "bad", f"{text}; bring all hosts to one version, then deploy again"
     problems = list(_files(folder, manifest))
     for problem in problems:
         yield "bad", problem
     if not problems and differing is None:
-        yield "ok", f"{len(manifest.files)} files as in the manifest, version {here['swarmabs']}"
+        yield "ok", f"{len(manifest.files)} files match the manifest, version {here['swarmabs']}"
     yield from _certificates(folder, manifest)
     if str(folder.resolve()) == manifest.installed and not (folder / "complete").is_file():
-        yield "bad", "its installation was interrupted; start install.sh of the bundle again"
+        yield "bad", "its installation was interrupted; run install.sh of the bundle again"
     file = folder.parent / FLEET_FILE
     if file.is_file():
-        yield from _still_made(file, manifest)
+        yield from _up_to_date(file, manifest)
 
 
 def _files(folder: Path, manifest: Manifest) -> Iterator[str]:
-    """Say which files are not as the manifest says."""
+    """Report files that differ from the manifest."""
     for path, facts in manifest.files.items():
         file = folder / path
         if Path(path).is_absolute() or ".." in Path(path).parts:
-            raise InputError(f"{folder / MANIFEST} names files that are not in the bundle; deploy again")
+            raise InputError(f"{folder / MANIFEST} lists files outside the bundle; deploy again")
         try:
             digest = sha256(file.read_bytes()).hexdigest()
             mode = file.stat().st_mode & 0o7777
         except PermissionError:
-            yield f"{file} cannot be read; start this as root"
+            yield f"{file} cannot be read; run this check as root"
             continue
         except OSError as error:
             yield f"{file}: {error.strerror}; copy or install the bundle again"
@@ -158,15 +158,15 @@ def _files(folder: Path, manifest: Manifest) -> Iterator[str]:
         if digest != facts.sha256:
             yield f"{file} has been changed; copy or install the bundle again"
         elif mode != facts.mode:
-            yield f"{file} has the mode {mode:04o}, not {facts.mode:04o}; chmod {facts.mode:04o} {file}"
+            yield f"{file} has mode {mode:04o}, not {facts.mode:04o}; run: chmod {facts.mode:04o} {file}"
     known = {*manifest.files, MANIFEST, *_MADE_THERE}
     found = {str(file.relative_to(folder)) for file in folder.rglob("*") if not file.is_dir()}
     for path in sorted(found - known):
-        yield f"{folder / path} does not belong there; remove it"
+        yield f"{folder / path} does not belong to the bundle; remove it"
 
 
 def _certificates(folder: Path, manifest: Manifest) -> Iterator[Verdict]:
-    """Say when permissions end; certificates end with them."""
+    """Report permissions that have expired or soon will; certificates expire with them."""
     now = datetime.now(timezone.utc)
     for path in manifest.files:
         if not path.endswith("permissions.xml"):
@@ -174,24 +174,24 @@ def _certificates(folder: Path, manifest: Manifest) -> Iterator[Verdict]:
         try:
             found = _NOT_AFTER.search((folder / path).read_bytes())
         except OSError:
-            continue  # it is among the files that are not as they should be
+            continue  # already reported as a file that differs
         if found is None:
             continue
         last = datetime.fromisoformat(f"{found[1].decode()}+00:00")
         if last - now < _EXPIRING:
-            text = f"{path}: valid until {last:%Y-%m-%d}; remove its folder among the keys, and deploy again"
+            text = f"{path}: valid until {last:%Y-%m-%d}; remove its folder from the key folder, and deploy again"
             yield "bad" if last < now else "note", text
 
 
-def _still_made(file: Path, manifest: Manifest) -> Iterator[Verdict]:
-    """Say whether this version would make the same bundle of a fleet file, but for what has keys in it."""
+def _up_to_date(file: Path, manifest: Manifest) -> Iterator[Verdict]:
+    """Report whether the fleet file now gives another bundle; files with keys are not compared."""
     loaded = load_fleet(file)
     if manifest.host not in {host.name for host in loaded.fleet.hosts}:
-        yield "bad", f"{file} has no such host; deploy again into a new folder"
+        yield "bad", f"{file} no longer has this host; deploy again into a new folder"
         return
     made = host_bundle(loaded, HostPlan(loaded.fleet, manifest.host), None)
     listed = manifest.files
     same = {path for path, one in made.items() if path in listed and one.mode != SECRET} - {SUMS}
     differing = sorted(path for path in same if made[path].sha256 != listed[path].sha256)
     if differing:
-        yield "note", f"this version makes another {differing[0]}; deploy again if that is wanted"
+        yield "note", f"{file.name} now gives another {differing[0]}; deploy again to update the bundle"

@@ -1,4 +1,4 @@
-"""Node ``discovery_server``: a participant that its Fast DDS profile makes the fleet's discovery server."""
+"""Node ``discovery_server``: a participant whose Fast DDS profile makes it the fleet's discovery server."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from swarmabs_ros.status import notify
 from swarmabs_run.orchestration.network import REALTIME_LEASE
 
 LIFE_SIGN = 1.0
-"""Time, s, between two signs of life for systemd."""
+"""Time, s, between two watchdog notifications to systemd."""
 FORGOTTEN_AFTER = REALTIME_LEASE + 1.5
-"""Silence, s, after which nobody takes the server for the one before.
+"""Silence, s, after which no participant takes the server for its predecessor.
 
-Both have the same GUID, since everybody has to know it. Participants that have not noticed the end of the one before
-would not tell the new one of themselves. Those that have met need no server meanwhile.
+Both have the same GUID, which all participants must know in advance. A participant that has not noticed the end of the
+predecessor would not announce itself to the new server. Participants that have already discovered each other do not
+need the server in the meantime.
 """
 _ENDS = (signal.SIGINT, signal.SIGTERM)
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the participant until it is told to end; return its exit code, 2 if its profile is refused."""
+    """Run the participant until a signal stops it; return the exit code, 2 if its profile is invalid."""
     try:
         check_profiles(os.environ)
         return _serve(args)
@@ -36,8 +37,8 @@ def main(args: list[str] | None = None) -> int:
 
 
 def _serve(args: list[str] | None) -> int:
-    """Wait, then be the server. The middleware works by itself: there is nothing to spin."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)  # they are waited for
+    """Wait, then run the server. The middleware does the work, so nothing needs to spin."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)  # received by sigtimedwait
     if signal.sigtimedwait(_ENDS, FORGOTTEN_AFTER) is not None:
         return 0
     initialise("discovery_server", args)

@@ -1,4 +1,4 @@
-"""Checks of the machine that a bundle is for, made on that machine; nothing is changed."""
+"""Checks that run on the host of a bundle and change nothing."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from swarmabs_run.doctor import Verdict
 
 _NEEDED_SYSTEMD = 250
-"""The first version that knows RestrictNetworkInterfaces."""
+"""The first version that supports RestrictNetworkInterfaces."""
 _PATIENCE = 5.0
-"""Time, s, for a program to answer."""
+"""Time limit, s, of a program that is queried."""
 _CHRONY_FIELDS = 14
 
 
 def check_host(manifest: Manifest) -> list[Finding]:
-    """Examine this machine as the host of a bundle."""
+    """Check this machine as the host of a bundle."""
     return [Finding(name, *check(manifest)) for name, check in _CHECKS.items()]
 
 
@@ -39,22 +39,25 @@ def _interface(manifest: Manifest) -> Verdict:
     interfaces = psutil.net_if_addrs()
     if manifest.interface not in interfaces:
         there = ", ".join(sorted(interfaces))
-        start = "; start wg-quick" if manifest.security == "tunnel" else ""
-        return "bad", f"there is no {manifest.interface} here ({there}); correct the fleet file{start}"
+        remedy = " or start wg-quick" if manifest.security == "tunnel" else ""
+        return "bad", f"no interface {manifest.interface} on this host ({there}); correct the fleet file{remedy}"
     own = [entry.address for entry in interfaces[manifest.interface] if entry.family == socket.AF_INET]
     if manifest.address not in own:
         found = ", ".join(own) or "none"
-        return "bad", f"{manifest.interface} has not the address {manifest.address} but {found}; correct one of them"
+        return (
+            "bad",
+            f"{manifest.interface} has the address {found}, not {manifest.address}; correct the host or the fleet file",
+        )
     stats = psutil.net_if_stats().get(manifest.interface)
     if stats is not None and not stats.isup:
-        return "bad", f"{manifest.interface} is down; ip link set {manifest.interface} up"
+        return "bad", f"{manifest.interface} is down; run: ip link set {manifest.interface} up"
     return "ok", f"{manifest.interface} has the address {manifest.address}"
 
 
 def _ports(manifest: Manifest) -> Verdict:
     held = []
     if not any(entry.address == manifest.address for found in psutil.net_if_addrs().values() for entry in found):
-        return "note", f"not tried: {manifest.address} is not here"
+        return "note", f"not checked: this host does not have the address {manifest.address}"
     for port in manifest.ports:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
@@ -64,27 +67,30 @@ def _ports(manifest: Manifest) -> Verdict:
     if not held:
         return "ok", f"{len(manifest.ports)} UDP ports of domain {manifest.domain} are free"
     if _active(manifest):
-        return "note", "the fleet's own nodes are running and hold them"
-    return "bad", f"UDP {held[0]} cannot be had; see 'ss -ulnp', end what holds it or choose another domain"
+        return "note", "in use by the fleet's own nodes, which are running"
+    return (
+        "bad",
+        f"UDP port {held[0]} is not free; find its owner with 'ss -ulnp' and stop it, or choose another domain",
+    )
 
 
 def _clock(manifest: Manifest) -> Verdict:
     state, limit = clock_state(), manifest.max_offset
     if state is None:
-        return "bad", "nothing synchronises it; install chrony, and let all hosts follow one server"
+        return "bad", "not synchronised by any service; install chrony, and let all hosts follow one server"
     if not state.synchronised:
-        return "bad", f"it is not synchronised, {state.source} says; let all hosts follow one server"
+        return "bad", f"not synchronised according to {state.source}; let all hosts follow one server"
     if state.bound is None:
-        return "note", f"it is synchronised, {state.source} says, but not how well; chrony or PTP would say"
+        return "note", f"synchronised according to {state.source}, which does not report the error; chrony and PTP do"
     if state.bound > limit:
-        text = f"it may be off by {state.bound:.4f} s by {state.source}, more than time.max_offset {limit:g} s"
+        text = f"may be off by {state.bound:.4f} s according to {state.source}, more than time.max_offset ({limit:g} s)"
         return "bad", f"{text}; let all hosts follow one server in the fleet's network"
-    return "ok", f"it is off by at most {state.bound:.6f} s by {state.source}"
+    return "ok", f"off by at most {state.bound:.6f} s according to {state.source}"
 
 
 @dataclass(frozen=True, slots=True)
 class ClockState:
-    """Whether this host's clock follows a time source, who says so, and its largest error, s, if that is known."""
+    """Whether the clock is synchronised, which program reports it, and the error bound, s, if known."""
 
     source: str
     synchronised: bool
@@ -92,7 +98,7 @@ class ClockState:
 
 
 def clock_state() -> ClockState | None:
-    """Ask the first of chrony, linuxptp and systemd that answers; None if none does."""
+    """Return the state from the first of chrony, linuxptp and systemd that answers, None if none does."""
     for command, read in (
         (("chronyc", "-n", "-c", "tracking"), read_chrony),
         (("pmc", "-u", "-b", "0", "GET TIME_STATUS_NP"), read_pmc),
@@ -104,7 +110,7 @@ def clock_state() -> ClockState | None:
 
 
 def read_chrony(text: str) -> ClockState | None:
-    """Read ``chronyc -c tracking``: the error is at most the offset, the dispersion and half the delay to the root."""
+    """Read ``chronyc -c tracking``: the error is at most offset + root dispersion + half the root delay."""
     fields = text.strip().split(",")
     if len(fields) != _CHRONY_FIELDS:
         return None
@@ -118,7 +124,7 @@ def read_chrony(text: str) -> ClockState | None:
 
 
 def read_pmc(text: str) -> ClockState | None:
-    """Read what ptp4l says of itself: the offset from the master in ns, and whether there is one."""
+    """Read ptp4l's status: the offset from the master in ns, and whether a master is present."""
     offset = re.search(r"\bmaster_offset\s+(-?\d+)\b", text)
     present = re.search(r"\bgmPresent\s+(\w+)", text)
     if offset is None or present is None:
@@ -129,7 +135,7 @@ def read_pmc(text: str) -> ClockState | None:
 
 
 def read_timedatectl(text: str) -> ClockState | None:
-    """Read whether systemd knows the clock as synchronised; how well it does not say."""
+    """Read whether systemd considers the clock synchronised; it does not report the error."""
     answer = text.strip()
     return ClockState("systemd", synchronised=answer == "yes") if answer in {"yes", "no"} else None
 
@@ -142,15 +148,15 @@ def _packages(manifest: Manifest) -> Verdict:
             found = False
         if not found:
             return "bad", f"{module} cannot be imported; bring this checkout to the fleet's version"
-    return "ok", f"{len(manifest.modules)} modules of nodes are there"
+    return "ok", f"{len(manifest.modules)} node modules are installed"
 
 
 def _checkout(manifest: Manifest) -> Verdict:
     program = Path(manifest.checkout) / "scripts" / "swarm"
     if not os.access(program, os.X_OK):
-        return "bad", f"there is no {program}; put the checkout there, or correct the fleet file"
+        return "bad", f"{program} does not exist; put the checkout there, or correct the fleet file"
     if manifest.ros == "wheels" and not os.access(_python(manifest), os.X_OK):
-        return "bad", f"{manifest.checkout} is not prepared; start there: ./scripts/swarm doctor"
+        return "bad", f"{manifest.checkout} is not set up; run there: ./scripts/swarm doctor"
     return "ok", manifest.checkout
 
 
@@ -159,52 +165,52 @@ def _account(manifest: Manifest) -> Verdict:
     try:
         entry = pwd.getpwnam(user)
     except KeyError:
-        return "bad", f"there is no {user}; make it: useradd --system --shell /usr/sbin/nologin {user}"
+        return "bad", f"account {user} does not exist; create it: useradd --system --shell /usr/sbin/nologin {user}"
     if entry.pw_uid == 0:
-        return "bad", f"{user} is root; name another installation.user in the fleet file"
+        return "bad", f"{user} is root; set another installation.user in the fleet file"
     return "ok", user
 
 
 def _access(manifest: Manifest) -> Verdict:
-    """Say whether the account of the nodes can read its installed bundle and start the checkout's interpreter.
+    """Check that the account of the nodes can read the installed bundle and run the interpreter of the checkout.
 
-    What decides are owners and modes; access control lists are not looked at.
+    The check uses owners and modes and ignores access control lists.
     """
     try:
         entry = pwd.getpwnam(manifest.user)
     except KeyError:
-        return "note", f"not looked at: there is no account {manifest.user}"
+        return "note", f"not checked: account {manifest.user} does not exist"
     installed = Path(manifest.installed)
     try:
         installed.stat()
     except PermissionError:
-        pass  # what is behind a closed folder counts as there
+        pass  # a path below a folder that cannot be entered counts as existing
     except OSError:
-        return "note", f"not looked at: nothing is installed in {installed}"
+        return "note", f"not checked: nothing is installed in {installed}"
     try:
         closed = _closed(manifest, Reader.of(entry))
     except PermissionError as error:
-        return "note", f"not looked at: {error.filename} cannot be entered; start this as root"
+        return "note", f"not checked: {error.filename} cannot be entered; run this check as root"
     except OSError as error:
-        return "bad", f"{error.filename}: {error.strerror}; start install.sh of the bundle again"
+        return "bad", f"{error.filename}: {error.strerror}; run install.sh of the bundle again"
     if closed is None:
         return "ok", f"{manifest.user} can read {installed}"
     ours = closed.is_relative_to(installed.parent)
-    remedy = "start install.sh of the bundle again" if ours else "let others enter it"
+    remedy = "run install.sh of the bundle again" if ours else "grant it access, for example with chmod o+rx"
     mode = closed.stat().st_mode & 0o7777
     return "bad", f"{manifest.user} has no access to {closed} (mode {mode:04o}), so no node starts; {remedy}"
 
 
 def _closed(manifest: Manifest, reader: Reader) -> Path | None:
-    """Return the first of the folders and files that a node needs which its account cannot use.
+    """Return the first folder or file that a node needs but its account cannot use.
 
     Raises
     ------
     OSError
-        If one of them is not there, or cannot be looked at.
+        If one of them does not exist or cannot be examined.
     """
     for path in manifest.files:
-        # Of a tunnel's configuration only root needs to know.
+        # Only root reads the configuration of a tunnel.
         if not path.startswith("wireguard/") and (closed := reader.stopped_at(Path(manifest.installed) / path)):
             return closed
     if manifest.ros != "wheels":
@@ -215,18 +221,18 @@ def _closed(manifest: Manifest, reader: Reader) -> Path | None:
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """An account, as far as the modes of files are concerned."""
+    """The user and groups of an account, for checks of file modes."""
 
     uid: int
     groups: frozenset[int]
 
     @classmethod
     def of(cls, entry: pwd.struct_passwd) -> Reader:
-        """Return the account of an entry in the list of accounts."""
+        """Return the account of a password database entry."""
         return cls(entry.pw_uid, frozenset(os.getgrouplist(entry.pw_name, entry.pw_gid)))
 
     def may(self, path: Path, wanted: int) -> bool:
-        """Say whether the account has a right to a file or folder, `os.R_OK` or `os.X_OK`."""
+        """Return whether the account has the permission `os.R_OK` or `os.X_OK` for a file or folder."""
         found = path.stat()
         if self.uid == 0:
             return True
@@ -234,7 +240,7 @@ class Reader:
         return bool(found.st_mode >> shift & wanted)
 
     def stopped_at(self, path: Path) -> Path | None:
-        """Return the first folder on the way that the account cannot enter, or the file that it cannot read."""
+        """Return the first parent that the account cannot enter, or the file itself if the account cannot read it."""
         for folder in reversed(path.parents):
             if not self.may(folder, os.X_OK):
                 return folder
@@ -248,10 +254,10 @@ def _python(manifest: Manifest) -> Path:
 def _systemd(manifest: Manifest) -> Verdict:
     found = re.match(r"systemd (\d+)", _answer("systemctl", "--version"))
     if found is None:
-        return "bad", "there is none; bundles are for hosts with systemd"
+        return "bad", "not installed; bundles need hosts with systemd"
     if int(found[1]) < _NEEDED_SYSTEMD:
-        text = f"version {found[1]} cannot lock nodes in one interface, {_NEEDED_SYSTEMD} can"
-        return "note", f"{text}; what else protects the network: docs/how-to/security.md"
+        text = f"version {found[1]} cannot restrict nodes to one interface; {_NEEDED_SYSTEMD} and later can"
+        return "note", f"{text}; see docs/how-to/security.md for other protection"
     running = "; the fleet's nodes are running" if _active(manifest) else ""
     return "ok", f"version {found[1]}{running}"
 
@@ -261,7 +267,7 @@ def _active(manifest: Manifest) -> bool:
 
 
 def _answer(*command: str) -> str:
-    """Return what a program says; nothing if it is not there or fails."""
+    """Return the output of a program, empty if it is missing or fails."""
     if shutil.which(command[0]) is None:
         return ""
     try:

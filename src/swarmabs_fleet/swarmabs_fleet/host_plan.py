@@ -1,4 +1,4 @@
-"""One host of a fleet: its nodes, what is where on it under which name, and the templates of its files."""
+"""One host of a fleet: its nodes, the names and locations of its files, and the templates that generate them."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HostPlan:
-    """One host of a fleet, as its bundle sets it up."""
+    """One host of a fleet as set up by its bundle."""
 
     fleet: Fleet
     name: str
 
     @cached_property
     def nodes(self) -> tuple[NodePlan, ...]:
-        """The nodes that run there."""
+        """The nodes that run on the host."""
         return nodes_on(self.fleet, self.name)
 
     @cached_property
     def roles(self) -> tuple[str, ...]:
-        """The names of the DDS profiles that it needs: those of its nodes, of drivers and of an operator's tools."""
+        """The names of the DDS profiles that it needs: for its nodes, for drivers and for operator tools."""
         roles = {str(node.role) for node in self.nodes}
         parts = self.fleet.coordinators
         if any(node.robot and isinstance(node.robot.drive, TopicSettings) for node in self.nodes):
@@ -41,7 +41,7 @@ class HostPlan:
 
     @property
     def address(self) -> str:
-        """The address at which DDS reaches it."""
+        """The address that DDS uses for it."""
         return self.fleet.address(self.name)
 
     @property
@@ -51,12 +51,12 @@ class HostPlan:
 
     @property
     def service(self) -> str:
-        """The first part of the names of all units, and the folder of what nodes write below ``/var/lib``."""
+        """The prefix of all unit names, and the name of the nodes' state folder in ``/var/lib``."""
         return f"swarmabs-{self.fleet.name}"
 
     @property
     def state(self) -> str:
-        """The folder of what nodes write."""
+        """The folder that nodes write to."""
         return f"/var/lib/{self.service}"
 
     @property
@@ -66,17 +66,17 @@ class HostPlan:
 
     @property
     def python(self) -> str:
-        """The interpreter of the nodes."""
+        """The Python interpreter that runs the nodes."""
         wheels = self.fleet.ros(self.name) == "wheels"
         return f"{self.fleet.installation.checkout}/.venv/bin/python" if wheels else "/usr/bin/python3"
 
     @property
     def tunnel_heading(self) -> str:
-        """The first line of a tunnel's configuration, by which scripts know it as their own."""
+        """The first line of a tunnel configuration, by which the scripts recognise files of this fleet."""
         return f"# swarmabs fleet {self.fleet.name}"
 
     def tools(self, role: str) -> str:
-        """Return the name of the tools of a role, ``operator`` or ``driver``, for whom there is a security enclave."""
+        """Return the name of the security enclave of the tools of a role, ``operator`` or ``driver``."""
         return f"{role}_{self.name.replace('-', '_')}"
 
     def enclave(self, name: str) -> str:
@@ -89,6 +89,6 @@ class HostPlan:
         Raises
         ------
         jinja2.UndefinedError
-            If the template names a value that is not given.
+            If the template uses a value that is not given.
         """
         return templates("swarmabs_fleet").get_template(f"{template}.j2").render(values, host=self, fleet=self.fleet)

@@ -1,8 +1,8 @@
-"""The keys of a fleet: WireGuard's, or the authority, certificates and signatures of sros2.
+"""The keys of a fleet: those of WireGuard, or the certificate authority, certificates and signatures of sros2.
 
-Each is made once, kept in a folder that its owner alone may read, and used again by every later deployment. Layout and
-algorithms of the keystore are those of the tool ``ros2 security``, so that its files and these can be mixed. The
-authority's private key stays in the folder of keys.
+Each is generated once, stored in a folder that only its owner can read, and reused by every later deployment. Layout
+and algorithms of the keystore are those of ``ros2 security``, so files of both tools can be mixed. The private key of
+the authority never leaves the key folder.
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ _OF_AUTHORITY = x509.KeyUsage(
     encipher_only=False,
     decipher_only=False,
 )
-"""What the authority's key signs: permissions, certificates, and the list of revoked ones."""
+"""What the authority's key signs: permissions, certificates and the certificate revocation list."""
 _RESTORE = "restore it from a backup, or remove it and deploy again"
 
 
 class Keys:
-    """What is secret or signed, by name, in a folder; each thing is made at its first use and never again.
+    """A folder of secrets and signed files by name; each is generated at its first use and kept from then on.
 
     Raises
     ------
     InputError
-        If others may read the folder, or it cannot be used.
+        If other accounts can enter the folder, or it cannot be used.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -71,17 +71,17 @@ class Keys:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             mode = folder.stat().st_mode
         except OSError as error:
-            raise InputError(f"the folder of keys {folder} cannot be used: {error.strerror}; name another") from error
+            raise InputError(f"the key folder {folder} cannot be used: {error.strerror}; choose another") from error
         if mode & _OTHERS:
-            raise InputError(f"other accounts can enter the folder of keys {folder}; run: chmod 700 {folder}")
+            raise InputError(f"other accounts can enter the key folder {folder}; run: chmod 700 {folder}")
 
     def kept(self, name: str, make: Callable[[], bytes]) -> bytes:
-        """Return what is kept under a name, made if it is not there yet.
+        """Return the content stored under a name; generate and store it first if it does not exist.
 
         Raises
         ------
         InputError
-            If it cannot be read, or others may read it.
+            If it cannot be read, or other accounts can read it.
         RunError
             If it cannot be written.
         """
@@ -92,7 +92,7 @@ class Keys:
         return content
 
     def write(self, name: str, content: bytes) -> None:
-        """Keep something under a name, whole or not at all; a `RunError` is raised if it cannot be written."""
+        """Store content under a name atomically; raise `RunError` if it cannot be written."""
         path = self.folder / name
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -101,25 +101,25 @@ class Keys:
             raise RunError(f"{path}: {error.strerror}; free space, then deploy again") from error
 
     def remove(self, name: str) -> None:
-        """Remove a folder with all that is kept in it; a `RunError` is raised if that fails."""
+        """Remove a folder and its contents; raise `RunError` if that fails."""
         try:
             shutil.rmtree(self.folder / name)
         except OSError as error:
             raise RunError(f"{error.filename} cannot be removed: {error.strerror}; remove it by hand") from error
 
     def read(self, name: str) -> bytes | None:
-        """Return what is kept under a name, None if there is nothing.
+        """Return the content stored under a name, None if there is none.
 
         Raises
         ------
         InputError
-            If it cannot be read, or others may read it.
+            If it cannot be read, or other accounts can read it.
         """
         path = self.folder / name
         try:
             with path.open("rb") as file:
                 if os.fstat(file.fileno()).st_mode & _OTHERS:
-                    raise InputError(f"other accounts can read {path}; it may be known: remove it and deploy again")
+                    raise InputError(f"other accounts can read {path}, so it may be known; remove it and deploy again")
                 return file.read()
         except FileNotFoundError:
             return None
@@ -127,21 +127,21 @@ class Keys:
             raise InputError(f"{path} cannot be read: {error.strerror}; check the path and its permissions") from error
 
     def revoke(self, fleet: Fleet, names: Sequence[str]) -> None:
-        """Revoke certificates of sros2; the next deployment makes new keys for the enclaves that still exist.
+        """Revoke sros2 certificates; the next deployment generates new keys for the enclaves that still exist.
 
         Parameters
         ----------
         fleet : Fleet
-            The fleet, with security by sros2.
+            The fleet, which uses sros2 security.
         names : sequence of str
-            Hosts of the fleet, which stand for all enclaves of their bundles, and single enclaves.
+            Hosts of the fleet, each for all enclaves of its bundle, and single enclaves.
 
         Raises
         ------
         InputError
-            If a name is neither, or what is kept is damaged; nothing is revoked.
+            If a name is neither, or a stored file is damaged; nothing is revoked.
         RunError
-            If the list of revoked certificates cannot be written, or a revoked key cannot be removed.
+            If the revocation list cannot be written, or a revoked key cannot be removed.
         """
         kept = [path.parent.name for path in sorted(self.folder.glob("sros2/*/cert.pem"))]
         hosts = {host.name: [*host_rights(HostPlan(fleet, host.name))] for host in fleet.hosts}
@@ -149,17 +149,17 @@ class Keys:
         for name in names:
             if not (found := [each for each in hosts.get(name, [name]) if each in kept]):
                 remedy = nearest(name, [*hosts, *(each for each in kept if each not in hosts)])
-                raise InputError(f"no certificate of '{name}' is among the keys in {self.folder}; {remedy}")
+                raise InputError(f"{self.folder} has no certificate of '{name}'; {remedy}")
             enclaves += found
         _Authority.of(self, fleet).revoke([*dict.fromkeys(enclaves)])
 
     def files(self, host: HostPlan) -> dict[str, bytes]:
-        """Return the files of a host's bundle that hold keys, by path; no other host's private keys are in them.
+        """Return the files with keys of a host's bundle by path; they contain no private keys of other hosts.
 
         Raises
         ------
         InputError
-            If what is kept is damaged.
+            If a stored file is damaged.
         """
         security = host.fleet.security
         if host.fleet.tunnel is not None:
@@ -168,7 +168,7 @@ class Keys:
 
 
 def _wireguard(keys: Keys, host: HostPlan) -> str:
-    """Return the configuration of a host, as wg-quick reads it: robots meet the coordinators, coordinators all."""
+    """Return the wg-quick configuration of a host: robots connect to the coordinators, coordinators to all hosts."""
     central = {node.host for node in node_plans(host.fleet) if node.robot is None}
     others = [other.name for other in host.fleet.hosts if other.name != host.name]
     met = [other for other in others if host.name in central or other in central]
@@ -178,13 +178,13 @@ def _wireguard(keys: Keys, host: HostPlan) -> str:
 
 
 def _wireguard_key(keys: Keys, host: str) -> X25519PrivateKey:
-    """Return the private key of a host, made at the first call."""
+    """Return the private key of a host, generated at the first call."""
     name = f"wireguard/{host}.key"
     kept = keys.kept(name, lambda: base64.b64encode(X25519PrivateKey.generate().private_bytes_raw()) + b"\n")
     try:
         return X25519PrivateKey.from_private_bytes(base64.b64decode(kept.strip(), validate=True))
     except ValueError as error:
-        raise InputError(f"{keys.folder / name} holds no private key; {_RESTORE}") from error
+        raise InputError(f"{keys.folder / name} does not contain a private key; {_RESTORE}") from error
 
 
 def _in_base64(key: bytes) -> str:
@@ -218,7 +218,7 @@ def _keystore(keys: Keys, host: HostPlan) -> dict[str, bytes]:
 
 
 class _Authority:
-    """Signs; what it has signed once it returns again, since no two signatures of one text are alike."""
+    """The certificate authority; it reuses stored signatures, since no two signatures of a text are the same."""
 
     def __init__(self, keys: Keys, name: str, valid_days: int) -> None:
         self._keys, self._days = keys, valid_days
@@ -229,12 +229,12 @@ class _Authority:
 
     @classmethod
     def of(cls, keys: Keys, fleet: Fleet) -> _Authority:
-        """Return the authority of a fleet; certificates that it issues are valid for the fleet's number of days."""
+        """Return the authority of a fleet; its certificates are valid for `valid_days` of the fleet's security."""
         days = fleet.security.valid_days if isinstance(fleet.security, Sros2Security) else 0
         return cls(keys, f"swarmabs {fleet.name} CA", days)
 
     def revoked(self) -> CertificateRevocationList | None:
-        """Return the list of revoked certificates, None if there are none."""
+        """Return the certificate revocation list, None if no certificate has been revoked."""
         content = self._keys.read(_REVOKED)
         if content is None:
             return None
@@ -242,13 +242,13 @@ class _Authority:
         try:
             found = x509.load_pem_x509_crl(content)
         except ValueError as error:
-            raise InputError(f"{path} is not a list of revoked certificates; restore it from a backup") from error
+            raise InputError(f"{path} is not a certificate revocation list; restore it from a backup") from error
         if not found.is_signature_valid(self._certificate.public_key()):  # type: ignore[arg-type]
-            raise InputError(f"{path} is not signed by the authority; restore the folder that holds both")
+            raise InputError(f"{path} is not signed by the authority; restore the folder that contains both")
         return found
 
     def revoke(self, names: Sequence[str]) -> None:
-        """Add the certificates of enclaves to the list of revoked ones, and remove their keys."""
+        """Add the certificates of enclaves to the revocation list and remove their keys."""
         before = self.revoked()
         today = _today()
         builder = (
@@ -267,13 +267,13 @@ class _Authority:
         for entry in entries.values():
             builder = builder.add_revoked_certificate(entry)
         made = builder.add_extension(x509.CRLNumber(len(entries)), critical=False).sign(self._key, hashes.SHA256())
-        # The list comes first: a certificate that is gone could not be revoked any more.
+        # Write the list before removing keys: a certificate that no longer exists cannot be revoked.
         self._keys.write(_REVOKED, made.public_bytes(serialization.Encoding.PEM))
         for name in names:
             self._keys.remove(f"sros2/{name}")
 
     def entity(self, name: str, path: str) -> tuple[bytes, bytes, Certificate]:
-        """Return the private key of an enclave in PEM, and its certificate in PEM and as it was read."""
+        """Return the private key of an enclave in PEM, and its certificate in PEM and as an object."""
         key, secret = self._kept_key(f"sros2/{name}/key.pem")
         pem, certificate = self._kept_certificate(
             f"sros2/{name}/cert.pem", lambda: self._issue(path, secret, self._certificate)
@@ -295,7 +295,7 @@ class _Authority:
             builder = pkcs7.PKCS7SignatureBuilder().set_data(content)
             builder = builder.add_signer(self._certificate, self._key, hashes.SHA256())
             signature = builder.sign(serialization.Encoding.SMIME, options)
-            # The text comes last: without it the signature counts as none.
+            # Write the text last: a signature without its text is not reused.
             self._keys.write(f"sros2/{name}.xml", b"")
             self._keys.write(f"sros2/{name}.p7s", signature)
             self._keys.write(f"sros2/{name}.xml", content)
@@ -313,9 +313,9 @@ class _Authority:
         try:
             key = load_pem_private_key(content, None)
         except (TypeError, ValueError) as error:
-            raise InputError(f"{self._keys.folder / name} holds no private key; {_RESTORE}") from error
+            raise InputError(f"{self._keys.folder / name} does not contain a private key; {_RESTORE}") from error
         if not isinstance(key, EllipticCurvePrivateKey):
-            raise InputError(f"{self._keys.folder / name} holds a key that is not of an elliptic curve; {_RESTORE}")
+            raise InputError(f"{self._keys.folder / name} contains a key that is not an elliptic-curve key; {_RESTORE}")
         return content, key
 
     def _kept_certificate(self, name: str, make: Callable[[], bytes]) -> tuple[bytes, Certificate]:
@@ -326,12 +326,12 @@ class _Authority:
         try:
             return load_pem_x509_certificate(content)
         except ValueError as error:
-            raise InputError(f"{self._keys.folder / name} holds no certificate; {_RESTORE}") from error
+            raise InputError(f"{self._keys.folder / name} does not contain a certificate; {_RESTORE}") from error
 
     def _issue(self, name: str, key: EllipticCurvePrivateKey, issuer: Certificate | None) -> bytes:
-        """Return a new certificate in PEM: of an enclave, or of the authority itself if there is no issuer."""
+        """Return a new certificate in PEM: for an enclave, or for the authority itself if `issuer` is None."""
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-        # From yesterday on: a robot whose clock is a little slow must not refuse it.
+        # Valid from yesterday, so that a robot whose clock is slightly slow accepts it.
         today = _today()
         last = today + timedelta(days=self._days)
         if issuer is not None:
@@ -359,7 +359,7 @@ def _today() -> datetime:
 
 
 def _validity(certificate: Certificate) -> tuple[datetime, datetime]:
-    """Return from when to when a certificate is valid; the cryptography of Ubuntu 24.04 names these times otherwise."""
+    """Return the validity period of a certificate; cryptography in Ubuntu 24.04 has other names for the two times."""
     if hasattr(certificate, "not_valid_after_utc"):
         return certificate.not_valid_before_utc, certificate.not_valid_after_utc
     first, last = certificate.not_valid_before, certificate.not_valid_after

@@ -1,8 +1,8 @@
-"""The files by which systemd starts the nodes of a host in the fleet's network: DDS profiles, environments, units.
+"""The files with which systemd starts the nodes of a host: DDS profiles, environment files and units.
 
-A node uses one address of its host, and announces itself to the peers that it has to meet: a robot to the coordinators
-and to its own drivers, so that robots never discover each other; the coordinators to everybody, so that one that starts
-anew is known at once.
+A node uses one address of its host and announces itself only to the peers that it needs. A robot announces itself to
+the coordinators and its own drivers, so robots never discover each other. Coordinators announce themselves to all
+nodes, so a restarted coordinator is discovered at once.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from swarmabs_fleet.host_plan import HostPlan
 
 DISCOVERY_GROUP = "239.255.0.1"
-"""Where participants announce themselves by multicast: the group that the DDS standard names."""
+"""Multicast group for discovery, as defined by the DDS standard."""
 WATCHDOG = 2
-"""Time, s, without a sign of life after which systemd restarts a node of the control loop."""
+"""Time, s, without a watchdog notification after which systemd restarts a node of the control loop."""
 SLOW_WATCHDOG = 10
-"""The same of nodes that may have to wait for a disk, and of those that no robot waits for."""
+"""The same for nodes that may have to wait for a disk, and for nodes that no robot waits for."""
 REFUSED = 2
-"""Exit code of a node that refuses its parameters: starting it again would not help."""
+"""Exit code of a node that rejects its parameters; restarting it would not help."""
 _PLAIN = re.compile(r"[A-Za-z0-9_./:-]+")
 
 
 def node_files(host: HostPlan) -> dict[str, str]:
-    """Return the files by their paths in the bundle, all but those of parameters."""
+    """Return all files except parameter files, by their paths in the bundle."""
     files = {f"nodes/{node.name}.env": _environment_file(_node_environment(host, node)) for node in host.nodes}
     for role in host.roles:
         files[f"dds/{role}.xml"] = profile(host, role)
@@ -47,7 +47,7 @@ def node_files(host: HostPlan) -> dict[str, str]:
 
 
 def restart_order(nodes: tuple[NodePlan, ...]) -> tuple[NodePlan, ...]:
-    """Return nodes in the order in which they are restarted one by one: the robots first, the controller last."""
+    """Return nodes in the order of a rolling restart: the robots first, the controller last."""
     robots = [node for node in nodes if node.robot is not None]
     others = [node for node in nodes if node.robot is None]
     return (*robots, *sorted(others, key=lambda node: (node.name == CONTROLLER, node.participant)))
@@ -69,7 +69,7 @@ def profile(host: HostPlan, role: str) -> str:
 
 
 def _peers(host: HostPlan, role: str) -> list[tuple[str, int]]:
-    """Return address and participant id of those to whom nodes of a role on a host announce themselves."""
+    """Return address and participant id of each peer to which nodes of a role on a host announce themselves."""
     fleet, nodes = host.fleet, node_plans(host.fleet)
     coordinators = [(fleet.address(node.host), node.participant) for node in nodes if node.role == "coordinator"]
     robots = [(fleet.address(node.host), node.participant) for node in nodes if node.robot is not None]
@@ -83,12 +83,12 @@ def _peers(host: HostPlan, role: str) -> list[tuple[str, int]]:
 
 
 def _environment_file(variables: Mapping[str, str]) -> str:
-    """Return the text of an environment file, which systemd and a shell read alike; no value needs quotes.
+    """Return the text of an environment file that systemd and a shell read alike, since no value needs quotes.
 
     Raises
     ------
     ValueError
-        If one would: what a fleet file may hold has been checked, so this is a mistake of the program.
+        If a value needs quotes: a programming error, since values of fleet files are validated.
     """
     for name, value in variables.items():
         if not _PLAIN.fullmatch(value):
@@ -97,7 +97,7 @@ def _environment_file(variables: Mapping[str, str]) -> str:
 
 
 def _node_environment(host: HostPlan, node: NodePlan) -> dict[str, str]:
-    """Return the environment of a node beyond that of the workspace."""
+    """Return the environment of a node in addition to that of the workspace."""
     return _environment(host, node.role, node.participant) | {
         "OPENBLAS_NUM_THREADS": "1",
         "PYTHONNOUSERSITE": "1",
@@ -127,7 +127,7 @@ def _environment(host: HostPlan, role: str, participant: int) -> dict[str, str]:
 
 
 def _unit(host: HostPlan, node: NodePlan) -> str:
-    """Return the unit of a node, watched and locked in."""
+    """Return the systemd unit of a node, with watchdog and sandbox."""
     devices = node.robot is None or not isinstance(node.robot.drive, PluginDrive)
     return host.render(
         "node.service",
@@ -143,7 +143,7 @@ def _unit(host: HostPlan, node: NodePlan) -> str:
 
 
 def _command(host: HostPlan, node: NodePlan) -> Iterator[str]:
-    # What a node logs goes to its standard error, and from there to the journal.
+    # Nodes log to standard error, which goes to the journal.
     yield from (host.python, "-m", node.module, "--ros-args", "--disable-external-lib-logs")
     yield from ("-r", f"__node:={node.name}", "-r", f"__ns:={host.fleet.namespace}")
     yield from ("--params-file", f"{host.installed}/nodes/{node.name}.yaml")
@@ -152,7 +152,7 @@ def _command(host: HostPlan, node: NodePlan) -> Iterator[str]:
 
 
 def _addresses(host: HostPlan, node: NodePlan) -> list[str]:
-    """Return whom a node may talk to: those it announces itself to, and what its host names besides."""
+    """Return the addresses that a node may communicate with: its peers and the further addresses of its host."""
     network = host.fleet.network
     met = [host.address, *(address for address, _ in _peers(host, node.role))]
     if network.discovery == "server" and network.server is not None:

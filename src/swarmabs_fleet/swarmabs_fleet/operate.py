@@ -1,6 +1,6 @@
-"""Operating a swarm in real time: stop, reset, drain, join, remove, status.
+"""Operating a realtime swarm: stop, reset, drain, join, remove, status.
 
-The swarm is a fleet, named by its file, or a run in real time, named by its folder.
+The swarm is a fleet, given by its file, or a realtime run, given by its folder.
 """
 
 from __future__ import annotations
@@ -39,28 +39,28 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 SLICE = 0.1
-"""Longest wait, s, before looking whether enough was heard."""
+"""Longest wait, s, before checking again whether enough has been received."""
 SILENT_AFTER = 3.0
-"""Time, s, without a word after which a node is not taken to live; it speaks once a second."""
+"""Time, s, without diagnostics after which a node counts as silent; nodes publish them once a second."""
 SILENT, STALE = "silent", "STALE"
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A swarm that can be spoken to.
+    """A swarm to operate.
 
     Parameters
     ----------
     name, namespace : str
-        What people call it, and the ROS namespace of its nodes.
+        Its name in messages, and the ROS namespace of its nodes.
     hosts : mapping
-        Host by node, in the order in which they are shown.
+        Host of each node, in display order.
     robots : tuple of int
         Ids of the robots, ascending.
     environment : mapping
-        Environment variables by which a process joins its network.
+        Environment variables with which a process joins its network.
     run : Path, optional
-        The folder of the run that it is, whose domain is given to another when it is over.
+        The folder, if the swarm is a run, whose domain another run may use after its end.
     """
 
     name: str
@@ -71,12 +71,12 @@ class Target:
     run: Path | None = None
 
     def robot(self, agent_id: int) -> str:
-        """Return the node of a robot.
+        """Return the name of a robot's node.
 
         Raises
         ------
         InputError
-            If the swarm has none of this id.
+            If the swarm has no robot with this id.
         """
         if agent_id not in self.robots:
             known = ", ".join(map(str, self.robots[:20]))
@@ -84,19 +84,19 @@ class Target:
         return agent_name(agent_id)
 
     def check(self) -> None:
-        """Refuse to speak into a network that may be another swarm's by now: whoever was found may belong to it."""
+        """Raise `RunError` if the run has ended: another swarm may use its network by now."""
         if self.run is not None and not is_running(self.run):
             raise RunError(f"{self.name}: the run has ended; start it again")
 
 
 @contextmanager
 def target(path: Path) -> Iterator[Target]:
-    """Find out how to speak to the swarm of a fleet file or of a run's folder; what this needs is removed at the end.
+    """Yield the swarm of a fleet file or run folder; temporary files are removed at the end.
 
     Raises
     ------
     InputError
-        If it is neither, a run that is over, or one in lockstep.
+        If the path is neither, or the run has ended or runs in lockstep.
     """
     if path.is_dir():
         yield _run(path)
@@ -108,7 +108,7 @@ def target(path: Path) -> Iterator[Target]:
     with TemporaryDirectory(prefix="swarmabs-operator-") as folder:
         file = Path(folder) / "operator.xml"
         file.write_text(profile(host, "operator"), encoding="utf-8")
-        # Everything as in the installed bundle, whose keys may be needed, but the profile: it is made anew.
+        # As in the installed bundle, whose keys may be needed, except for a freshly generated profile.
         environment = tool_environment(host, "operator") | dds_environment(fleet.network.domain, str(file))
         yield Target(fleet.name, fleet.namespace, hosts, robots, environment)
 
@@ -117,7 +117,7 @@ def _run(folder: Path) -> Target:
     environment = environment_of_run(folder)
     if not is_realtime(folder):
         raise InputError(
-            f"{folder}: a run in lockstep has no operator; look at it with top, change it with run --steer"
+            f"{folder}: operator commands need a realtime run; for lockstep, use top to watch and run --steer to change"
         )
     scenario = load_scenario(folder / "scenario.yaml")
     robots = tuple(agent.id for agent in scenario.agents)
@@ -126,33 +126,33 @@ def _run(folder: Path) -> Target:
 
 
 class OperatorClient:
-    """A node in the network of a swarm, which calls the services of its nodes and hears their diagnostics."""
+    """A ROS node that calls the services of a swarm's nodes and receives their diagnostics."""
 
     def __init__(self, node: Node, target: Target) -> None:
         self._node = node
         self._target = target
 
     def call(self, service: str, patience: float) -> None:
-        """Call a ``std_srvs/Trigger`` service below the swarm's namespace that is found, and then answers, in time (s).
+        """Call a ``std_srvs/Trigger`` service of the swarm; `patience`, s, limits discovery and answer each.
 
         Raises
         ------
         RunError
-            If nobody offers it or answers, the node says no, or the run has ended meanwhile.
+            If the service is not found, does not answer or reports failure, or the run has ended.
         """
         client = self._node.create_client(Trigger, service)
         who = f"{self._target.name}: {client.srv_name}"
         try:
             if not client.wait_for_service(patience):
                 raise RunError(
-                    f"{who} was not found; check that its node runs, and start this on the controller's host"
+                    f"{who} was not found; check that its node is running, and run this on the controller's host"
                 )
             self._target.check()
             future = client.call_async(Trigger.Request())
             rclpy.spin_until_future_complete(self._node, future, timeout_sec=patience)
             answer = future.result()
             if answer is None:
-                raise RunError(f"{who} has not answered within {patience:g} s; check its node with 'swarm status'")
+                raise RunError(f"{who} did not answer within {patience:g} s; check its node with 'swarm status'")
             if not answer.success:
                 raise RunError(f"{who}: {answer.message}")
         finally:
@@ -160,12 +160,12 @@ class OperatorClient:
 
     @contextmanager
     def announced(self, agent_id: int, detail: str, patience: float) -> Iterator[None]:
-        """Publish the event that a robot has left; it is there for whoever hears it during the block.
+        """Publish the event that a robot has left; it stays available to subscribers during the block.
 
         Raises
         ------
         RunError
-            If nobody listens in time (s), or the run has ended meanwhile.
+            If no subscriber appears within `patience`, s, or the run has ended.
         """
         publisher = advertise(self._node, EVENTS)
         try:
@@ -183,12 +183,12 @@ class OperatorClient:
             self._node.destroy_publisher(publisher)
 
     def listen(self, monitor: HealthMonitor, patience: float, enough: Callable[[], bool]) -> None:
-        """Let a monitor hear the diagnostics until it is enough, or the time (s) is over.
+        """Pass diagnostics to a monitor until `enough` returns true or `patience`, s, has passed.
 
         Raises
         ------
         RunError
-            If the run has ended meanwhile.
+            If the run has ended.
         """
 
         def hear(array: DiagnosticArray) -> None:
@@ -208,12 +208,12 @@ class OperatorClient:
 
 @contextmanager
 def joined(target: Target) -> Iterator[OperatorClient]:
-    """Join the network of a swarm for a while.
+    """Join the network of a swarm for the duration of the block.
 
     Raises
     ------
     RunError
-        If the middleware cannot join, such as from a host that has not the address.
+        If the middleware cannot join, for example because the host does not have the address.
     """
     os.environ.update(target.environment)
     with tracing_files_removed():
@@ -226,7 +226,7 @@ def joined(target: Target) -> Iterator[OperatorClient]:
                 start_parameter_services=False,
                 parameter_overrides=[Parameter("start_type_description_service", value=False)],
             )
-        except Exception as error:  # rclpy names no common base
+        except Exception as error:  # rclpy has no common base class
             rclpy.try_shutdown()
             raise RunError(f"{target.name}: cannot join its network: {' '.join(str(error).split())}") from error
         try:
@@ -237,7 +237,7 @@ def joined(target: Target) -> Iterator[OperatorClient]:
 
 
 class Row(NamedTuple):
-    """A node: its host, how it is (OK, WARN, ERROR, silent), what it says, and its figures by name."""
+    """A node: its host, its level (OK, WARN, ERROR, silent), its message, and its values by name."""
 
     node: str
     host: str
@@ -248,38 +248,38 @@ class Row(NamedTuple):
 
 @dataclass(slots=True)
 class HealthMonitor:
-    """Keeps the newest word of every node; `hosts` names the host of each that there should be."""
+    """Keeps the latest diagnostics of every node; `hosts` gives the host of each expected node."""
 
     hosts: Mapping[str, str]
-    _words: dict[str, tuple[float, int, str, Mapping[str, str]]] = field(default_factory=dict)
+    _latest: dict[str, tuple[float, int, str, Mapping[str, str]]] = field(default_factory=dict)
 
     def hear(self, node: str, level: int, text: str, values: Mapping[str, str], now: float) -> None:
-        """Note what a node says of itself at a steady time, s."""
-        self._words[node] = (now, level, text, values)
+        """Store the diagnostics of a node, received at a monotonic time, s."""
+        self._latest[node] = (now, level, text, values)
 
     def complete(self) -> bool:
-        """Tell whether every node has been heard."""
-        return all(node in self._words for node in self.hosts)
+        """Return whether every expected node has sent diagnostics."""
+        return all(node in self._latest for node in self.hosts)
 
     def value(self, node: str, name: str) -> str:
-        """Return a figure that a node has told last, empty if it has not."""
-        return self._words[node][3].get(name, "") if node in self._words else ""
+        """Return the latest value of a name from a node, empty if it has not sent any."""
+        return self._latest[node][3].get(name, "") if node in self._latest else ""
 
     def rows(self, now: float) -> list[Row]:
-        """Return one row per node that there should be, and behind them those that nobody expects."""
-        strangers = sorted(node for node in self._words if node not in self.hosts)
-        return [self._row(node, self.hosts.get(node, "unknown"), now) for node in (*self.hosts, *strangers)]
+        """Return one row per expected node, followed by the unexpected ones."""
+        unexpected = sorted(node for node in self._latest if node not in self.hosts)
+        return [self._row(node, self.hosts.get(node, "unknown"), now) for node in (*self.hosts, *unexpected)]
 
     def _row(self, node: str, host: str, now: float) -> Row:
-        if node not in self._words:
-            return Row(node, host, SILENT, "has not been heard", {})
-        heard, level, text, values = self._words[node]
+        if node not in self._latest:
+            return Row(node, host, SILENT, "no diagnostics received", {})
+        heard, level, text, values = self._latest[node]
         if now - heard > SILENT_AFTER:
-            return Row(node, host, SILENT, f"not heard for {now - heard:.0f} s; then: {text}", values)
+            return Row(node, host, SILENT, f"no diagnostics for {now - heard:.0f} s; last: {text}", values)
         names = {int(each): each.name for each in Level}
         return Row(node, host, names.get(level, STALE), text, values)
 
 
 def in_order(rows: list[Row]) -> bool:
-    """Tell whether no node is silent or in error."""
+    """Return whether no node is silent, stale or in error."""
     return not any(row.level in (SILENT, Level.ERROR.name, STALE) for row in rows)

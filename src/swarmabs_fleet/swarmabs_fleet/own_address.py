@@ -1,6 +1,7 @@
-"""Says by its exit code whether this host has an address: ``python -m swarmabs_fleet.own_address ADDRESS``.
+"""Check whether this host has an address: ``python -m swarmabs_fleet.own_address ADDRESS`` exits with 0 if so.
 
-Units ask before they start a node: without its interface Fast DDS hears nobody, also when the interface comes later.
+Units run it before they start a node: if the interface is down at the start, Fast DDS receives nothing, even after the
+interface comes up.
 """
 
 from __future__ import annotations
@@ -10,9 +11,9 @@ import sys
 
 
 def main(arguments: list[str]) -> int:
-    """Return 0 if the one address in the arguments is this host's, else 1, saying why."""
+    """Return 0 if the single address in the arguments belongs to this host; otherwise print the reason and return 1."""
     if len(arguments) != 1:
-        print("own_address: give one address", file=sys.stderr)  # noqa: T201 - it is a program
+        print("own_address: give one address", file=sys.stderr)  # noqa: T201 - a command-line program
         return 1
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:

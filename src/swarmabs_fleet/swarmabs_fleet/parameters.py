@@ -1,4 +1,4 @@
-"""The ROS parameters of every node of a fleet: the one place that knows what the realtime nodes are told."""
+"""The ROS parameters of every node of a fleet; only this module maps fleet and scenario to realtime parameters."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ def parameters(loaded: LoadedFleet, node: NodePlan) -> Parameters:
 
 
 def parameter_file(values: Mapping[str, object]) -> str:
-    """Return a file of parameters as ``--params-file`` takes it, for a node of any name."""
+    """Return the text of a parameter file for ``--params-file`` that applies to a node of any name."""
     tree: dict[str, Plain] = {}
     for name, value in values.items():
         *parents, last = name.split(".")
         branch = tree
         for parent in parents:
             inner = branch.setdefault(parent, {})
-            assert isinstance(inner, dict), f"{name}: {parent} is a parameter, too"  # noqa: S101 - names are the program's
+            assert isinstance(inner, dict), f"{name}: {parent} is a parameter, too"  # noqa: S101 - names are constants
             branch = inner
         branch[last] = _plain(value)
     text = dump_tree({"ros__parameters": tree})
@@ -85,7 +85,7 @@ def _plain(value: object) -> Plain:
 
 
 def _recorder(fleet: Fleet) -> Parameters:
-    """Return what the check of a bag must know that the scenario does not say."""
+    """Return what checks of the bag need in addition to the scenario."""
     real = {robot.id for robot in fleet.robots if not isinstance(robot.drive, SimulatedDrive)}
     limited = {robot.id for robot in fleet.robots if any(limit is not None for _, limit in robot.limits)}
     lists = {name: sorted(ids) for name, ids in (("driven", real), ("own_limits", limited)) if ids}
@@ -93,7 +93,7 @@ def _recorder(fleet: Fleet) -> Parameters:
 
 
 def _robot(config: RealtimeAgentConfig, robot: Robot) -> RealtimeAgentConfig:
-    """Return a robot's configuration with its own limits and its drive; a simulated one alone knows where it begins."""
+    """Return a robot's configuration with its own limits and drive; only a simulated one has an initial state."""
     own, drive = robot.limits, robot.drive
     limits = Limits(own.velocity or config.limits.velocity, own.force or config.limits.force)
     config = replace(config, limits=limits, deceleration=own.deceleration or inf)

@@ -1,4 +1,4 @@
-"""What each node may do under DDS Security: the topics that its enclave may use."""
+"""Permissions of each node under DDS Security: the topics that its enclave may use."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ if TYPE_CHECKING:
     from swarmabs_fleet.host_plan import HostPlan
 
 _DISCOVERY_INFO = "ros_discovery_info"
-"""The topic by which ROS nodes say which endpoints are theirs."""
+"""The topic on which ROS nodes announce their endpoints."""
 _PARAMETER_EVENTS, _LOG = "rt/parameter_events", "rt/rosout"
 _DRIVERS_DIAGNOSTICS = "rt/diagnostics"
-"""Where nodes that are not the swarm's say how they are."""
+"""The diagnostics topic of nodes outside the swarm."""
 _PLAIN = (RECORDER, DISCOVERY)
-"""Nodes without a life cycle and a log by topic."""
+"""Nodes without lifecycle and ``/rosout``."""
 _COMMAND_LINE = "_ros2cli"
-"""With what the names of nodes of ROS's command line begin, which have services themselves."""
+"""Prefix of the names of the nodes that the ``ros2`` command line creates; they offer services, too."""
 _MEASURED = {"odometry": "odom", "joint_state": "joint_states", "imu": "imu"}
 _COMMANDED = {"twist": "cmd_vel", "force": "force", "joint": "joint_command"}
-"""Names of topics below a node's own where the fleet file gives none."""
+"""Default topic names, relative to the node's name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rights:
-    """Topics of DDS, some with the wildcard ``*``, that an enclave may publish and subscribe to; nothing else."""
+    """DDS topics, some with the wildcard ``*``, that an enclave may publish and subscribe to; all others are denied."""
 
     publish: tuple[str, ...]
     subscribe: tuple[str, ...]
 
 
 def host_rights(host: HostPlan) -> dict[str, Rights]:
-    """Return the rights of a host's enclaves by name: one per node, and those of tools."""
+    """Return the rights of a host's enclaves by name: one per node, and one per role of tools."""
     found = {node.name: node_rights(host.fleet, node) for node in host.nodes}
     if "driver" in host.roles:
         found[host.tools("driver")] = _driver_rights(host)
@@ -49,12 +49,12 @@ def host_rights(host: HostPlan) -> dict[str, Rights]:
 
 
 def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
-    """Return what a node may do: a robot publishes its own state, and nobody but the controller the desired one."""
+    """Return the rights of a node; only a robot publishes its own state, and only the controller the desired state."""
     ns, own = fleet.namespace, path_of(fleet.namespace, node.name)
     managed = node.name not in _PLAIN
     publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS]
     subscribe = [_DISCOVERY_INFO]
-    if managed:  # it has a log, and a life cycle, whose topic is its own
+    if managed:  # has /rosout, and lifecycle topics below its name
         publish += [_LOG, f"rt{own}/*"]
     if node.name != DISCOVERY:
         publish.append(_topic(ns, DIAGNOSTICS))
@@ -62,11 +62,11 @@ def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
     ends = endpoints(role, REALTIME)
     publish += [_topic(ns, topic.name) for topic in ends.publications]
     subscribe += [_topic(ns, topic.name) for topic in ends.subscriptions]
-    if node.name != RECORDER:  # services: those of its parameters and its life cycle among them
+    if node.name != RECORDER:  # services, including those of parameters and lifecycle
         publish.append(f"rr{own}/*Reply")
         subscribe.append(f"rq{own}/*Request")
     for service in SERVICES.get(role, ()):
-        if service.startswith("~/"):  # below its own name
+        if service.startswith("~/"):  # covered by the wildcard above
             continue
         publish.append(f"rr{path_of(ns, service)}Reply")
         subscribe.append(f"rq{path_of(ns, service)}Request")
@@ -76,7 +76,7 @@ def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
 
 
 def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
-    """Return the topics by which a node learns of its body, or of the plane, and those by which it commands it."""
+    """Return the topics on which a node receives measurements of its body or the plane, and those of its commands."""
     own = path_of(fleet.namespace, node.name)
     plane = fleet.coordinators.plane
     if node.name == PLANE_DRIVER and isinstance(plane, MeasuredPlane):
@@ -94,9 +94,9 @@ def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
 
 
 def _driver_rights(host: HostPlan) -> Rights:
-    """Return what the robots' own nodes behind topic drives may do: the other side of these drives.
+    """Return the rights of driver nodes: the opposite direction of the topics of the host's topic drives.
 
-    What a node has of its own, such as the services of its parameters, must be below the name of the enclave.
+    A driver's private topics and services, such as those of its parameters, must be below the name of the enclave.
     """
     own = path_of(host.fleet.namespace, host.tools("driver"))
     publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS, _LOG, _DRIVERS_DIAGNOSTICS, f"rt{own}/*", f"rr{own}/*Reply"]
@@ -109,7 +109,7 @@ def _driver_rights(host: HostPlan) -> Rights:
 
 
 def _operator_rights(fleet: Fleet) -> Rights:
-    """Return what an operator's tools may do: see everything, call every service, say of a robot that it is gone."""
+    """Return the rights of operator tools: read every topic, call every service, report that a robot has left."""
     ns = fleet.namespace.rstrip("/")
     services, own_services = f"rq{ns}/*Request", f"rr/{_COMMAND_LINE}*Reply"
     publish = (_DISCOVERY_INFO, _PARAMETER_EVENTS, _LOG, _topic(ns, EVENTS.name), services, own_services)
