@@ -62,21 +62,21 @@ def test_processes_are_named_by_their_logs_or_modules(tmp_path: Path) -> None:
 
 def test_progress_is_written_now_and_then(tmp_path: Path) -> None:
     file = run_files.ProgressFile(tmp_path)
-    file.tell("starting", 0, 100, 10.0)
-    assert run_files.read_progress(tmp_path) == run_files.Told("starting", 0, 100, None, 10.0)
-    file.tell("running", 0, 100, 10.1)  # the phase is another one
-    file.tell("running", 30, 100, 10.2)
-    assert run_files.read_progress(tmp_path) == run_files.Told("running", 0, 100, None, 10.1)
-    file.tell("running", 50, 100, 10.1 + run_files.PROGRESS_INTERVAL)
+    file.update("starting", 0, 100, 10.0)
+    assert run_files.read_progress(tmp_path) == run_files.ProgressReport("starting", 0, 100, None, 10.0)
+    file.update("running", 0, 100, 10.1)  # the phase is another one
+    file.update("running", 30, 100, 10.2)
+    assert run_files.read_progress(tmp_path) == run_files.ProgressReport("running", 0, 100, None, 10.1)
+    file.update("running", 50, 100, 10.1 + run_files.PROGRESS_INTERVAL)
     told = run_files.read_progress(tmp_path)
     assert told is not None and told.step_rate == pytest.approx(50 / run_files.PROGRESS_INTERVAL)
-    file.tell("closing", 60, 100, told.told_at)  # no time has passed
-    assert run_files.read_progress(tmp_path) == run_files.Told("closing", 60, 100, None, told.told_at)
+    file.update("closing", 60, 100, told.told_at)  # no time has passed
+    assert run_files.read_progress(tmp_path) == run_files.ProgressReport("closing", 60, 100, None, told.told_at)
     file.over()
     told = run_files.read_progress(tmp_path)
     assert told is not None and told[:4] == ("over", 60, 100, None)
     assert [path.name for path in tmp_path.iterdir()] == ["progress.json"]
-    run_files.ProgressFile(tmp_path / "nowhere").tell("running", 1, 2, 3.0)  # a full disk does not end the run
+    run_files.ProgressFile(tmp_path / "nowhere").update("running", 1, 2, 3.0)  # a full disk does not end the run
 
 
 def test_folders_that_are_damaged_or_without_a_run_are_refused(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_folders_that_are_damaged_or_without_a_run_are_refused(tmp_path: Path) -
     folder = folder_of(tmp_path)
     for content in ("", "[]", "{}", "null", '{"orchestrator": null}', '{"orchestrator": "x"}'):
         (folder / "logs" / "network.json").write_text(content, encoding="utf-8")
-        with pytest.raises(InputError, match=r"network\.json: not what a run writes there"):
+        with pytest.raises(InputError, match=r"network\.json.*not written by a run"):
             RunProcesses(folder)
 
 
@@ -111,8 +111,8 @@ def test_a_run_that_says_that_it_is_over_is_over(tmp_path: Path) -> None:
         pass
     processes = RunProcesses(folder)
     file = run_files.ProgressFile(folder / "logs")
-    file.tell("running", 0, 100, 10.0)
-    file.tell("running", 60, 100, 11.0)
+    file.update("running", 0, 100, 10.0)
+    file.update("running", 60, 100, 11.0)
     assert processes.snapshot(11.5).step_rate == pytest.approx(60.0)
     assert processes.snapshot(20.0).step_rate is None, "the speed of a run that stands still is not known"
     environment = run_files.environment_of_run(folder)

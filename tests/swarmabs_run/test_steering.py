@@ -153,7 +153,7 @@ def test_a_request_that_is_repeated_is_done_once(run: SteeredRun, monkeypatch: p
     request = {"action": "disturbance", "value": 0.1, "request": "a"}
     first = run.ask(request)
     assert run.ask(request) == first
-    assert "request 'a' was something else before" in run.ask({**request, "value": 0.2})["reason"]
+    assert "'a' already names a different request" in run.ask({**request, "value": 0.2})["reason"]
     assert len(run.reports.said) == 1
     for name in ("b", "c"):  # more names than are remembered
         assert run.ask({**request, "request": name})["ok"]
@@ -186,11 +186,11 @@ def test_the_socket_is_its_users_alone_and_holds_so_many_connections(run: Steere
 
 
 def test_a_folder_that_cannot_hold_a_socket_is_named(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match=r"the folder cannot hold the socket of a run that is steered; name another"):
+    with pytest.raises(RunError, match=r"the folder cannot hold the steering socket; choose another"):
         SteeringServer(tmp_path / "nowhere", cast("Any", None))
     with pytest.raises(InputError, match="parameters scenario_file and folder: give the resolved scenario"):
         node.make(settings_from(node.PARAMETERS, folder=str(tmp_path)), cast("Any", None))
-    with pytest.raises(InputError, match=r"is not the folder of a run that goes on .* start one with run --steer"):
+    with pytest.raises(InputError, match=r"not the folder of a running simulation .* start one with run --steer"):
         SteeringClient(tmp_path)
 
 

@@ -111,9 +111,9 @@ def test_a_run_in_real_time_has_no_digest(tmp_path: Path, realtime: dict[str, An
 
 def test_what_is_run_again_says_what_came_of_it(tmp_path: Path) -> None:
     for same, compared, words in (
-        (True, {"compared": "whole"}, "b: the same digest"),
-        (True, {"compared": "prefix", "last_step": 7}, "b: the same up to its last step, 7"),
-        (False, {"compared": "prefix"}, "b: not the same digest"),
+        (True, {"compared": "whole"}, "b: same digest"),
+        (True, {"compared": "prefix", "last_step": 7}, "b: same digest up to its last step, 7"),
+        (False, {"compared": "prefix"}, "b: different digest"),
         (None, {"compared": "whole"}, "b: digests not comparable"),
     ):
         found = {**summary(), "rerun_of": {"bag": "b", "same": same, **compared}}

@@ -26,7 +26,7 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.messages import EventKind
-from swarmabs_run.orchestration.run_files import Told, read_progress
+from swarmabs_run.orchestration.run_files import ProgressReport, read_progress
 from swarmabs_run.run import Progress
 from swarmabs_run.simulation import simulated_steps
 
@@ -99,9 +99,9 @@ def written() -> tuple[bytes, ...]:
     return tuple(payload for _, _, payload in chain.from_iterable(step.stored() for step in steps))
 
 
-def killed(folder: Path, mark: str, whom: str, step: int) -> tuple[float, list[Told]]:
+def killed(folder: Path, mark: str, whom: str, step: int) -> tuple[float, list[ProgressReport]]:
     """Run, kill all or one when so many steps are recorded, and return when, and what was told of the progress."""
-    seen: list[Told] = []
+    seen: list[ProgressReport] = []
 
     def recorded() -> bool:
         told = read_progress(folder / "logs")
@@ -121,7 +121,7 @@ def killed(folder: Path, mark: str, whom: str, step: int) -> tuple[float, list[T
     return moment, seen
 
 
-def checked(folder: Path, moment: float, seen: list[Told]) -> int:
+def checked(folder: Path, moment: float, seen: list[ProgressReport]) -> int:
     """Check what a kill has left behind; return the number of steps."""
     # What was recorded a second before the kill is there, or all but the last 100 steps.
     second_ago = max((told.step for told in seen if told.told_at <= moment - 1.0), default=-1)

@@ -289,7 +289,7 @@ def test_in_real_time_a_robot_may_die_and_the_plane_may_not(folder: Path, mark: 
     assert outcome.status == "failed"
     assert re.match(r"plane_sim \(process \d+\) was killed by SIGKILL", str(outcome.reason))
     assert outcome.figures["realtime"]["died"] == {"agent_003": "was killed by SIGKILL"}
-    assert outcome.warnings == ("agent_003 was killed by SIGKILL; the swarm went on without it",)
+    assert outcome.warnings == ("agent_003 was killed by SIGKILL; the swarm continued without it",)
     assert re.search(r"agent_003 \(process \d+\) was killed by SIGKILL", runs.run_log(folder))
     last = {message.agent_id: message for message in runs.bag_messages(folder) if message.topic == "swarm/agent_state"}
     states = {robot: decode(AgentState, message.payload) for robot, message in last.items()}

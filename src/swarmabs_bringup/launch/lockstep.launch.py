@@ -1,9 +1,9 @@
-"""Start all nodes of a scenario in lockstep with `ros2 launch`, for those who have a complete ROS 2 installation.
+"""Start all nodes of a scenario in lockstep with `ros2 launch`. Requires a complete ROS 2 installation.
 
-The nodes and their parameters are those of ``swarm run``, since they come from the same plan; each node waits until
-it has met its counterparts, then begins. The recorder ends when the run is complete, and that ends the launch. What
-only ``swarm run`` does: a ROS domain and a network of its own, the search for who is silent, ending the processes of
-robots that a scenario kills or freezes (they fall silent here, too), and ``summary.json``.
+The nodes and their parameters come from the same plan as in ``swarm run``. Each node starts when it has discovered its
+counterparts. The recorder exits when the run is complete, which ends the launch. Only ``swarm run`` provides a separate
+ROS domain and network, reports which process does not respond, ends or stops the processes of robots that a scenario
+kills or freezes (here these robots only fall silent), and writes ``summary.json``.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ ARGUMENTS = {
 
 
 def ended(event: Any, context: Any) -> list[Any]:
-    """End the launch when a node has ended; raises `RunError`, so that the launch fails, if the node has failed."""
+    """End the launch when a node has ended; raises `RunError`, so that the launch fails, if the node failed."""
     if event.returncode and not context.is_shutdown:
-        raise RunError(f"{event.process_name} failed with exit code {event.returncode}; its log says why")
+        raise RunError(f"{event.process_name} failed with exit code {event.returncode}; see its log")
     return [Shutdown(reason=f"{event.process_name} has ended")]
 
 
 def actions(context: Any) -> list[Any]:
-    """Return a node for every process of the scenario that was asked for, and what there is to say about it."""
+    """Return messages for the user and one node per process of the requested scenario."""
     asked = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     planned = launch_plan(asked["scenario"], asked["out"], LOCKSTEP)
     nodes = []

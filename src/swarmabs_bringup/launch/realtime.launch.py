@@ -1,9 +1,9 @@
 """Start all nodes of a scenario in real time with `ros2 launch`, with simulated bodies.
 
-The nodes and their parameters are those of ``swarm run --realtime``, since they come from the same plan. They are
-lifecycle nodes that configure and activate themselves. Once all are ready, they are told when step 0 begins. The
-recorder ends after the last step, and that ends the launch. The swarm continues without a robot whose process has
-failed, and the launch fails at its end; without another node it fails at once.
+The nodes and their parameters come from the same plan as in ``swarm run --realtime``. They are lifecycle nodes that
+configure and activate themselves. Once all are ready, they receive the start time of step 0. The recorder exits after
+the last step, which ends the launch. If a robot's process fails, the swarm continues without it and the launch fails
+at the end; if any other node fails, the launch fails at once.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ ARGUMENTS = {
 
 
 class Ends:
-    """Decides what follows from the end of a process of a run, by what is known of its start."""
+    """Decides how the launch reacts when a process of the run ends, depending on whether the run has started."""
 
     def __init__(self, starter: Starter) -> None:
         self._starter = starter
         self._lost: list[str] = []
 
     def of_robot(self, name: str, event: Any, context: Any) -> list[Any]:
-        """Let the swarm continue without a robot that has failed, unless it has not begun."""
+        """Let the swarm continue without a failed robot, provided that the run has started."""
         if not event.returncode or context.is_shutdown:
             return []
         if not self._starter.begun:
@@ -51,7 +51,7 @@ class Ends:
         """End the launch; raises `RunError`, so that it fails, if this node or a robot has failed."""
         self._starter.forget()
         if event.returncode and not context.is_shutdown:
-            raise RunError(f"{name} failed with exit code {event.returncode}; its log says why")
+            raise RunError(f"{name} failed with exit code {event.returncode}; see its log")
         if name == RECORDER and not context.is_shutdown:
             problems = [*self._lost, self._starter.problem()]
             if any(problems):
@@ -60,7 +60,7 @@ class Ends:
 
 
 def actions(context: Any) -> list[Any]:
-    """Return a node for every process of the scenario that was asked for, and what there is to say about it."""
+    """Return messages for the user and one node per process of the requested scenario."""
     asked = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     if asked["markers"] not in {"true", "false"}:
         raise InputError(f"markers:={asked['markers']}: give true or false")

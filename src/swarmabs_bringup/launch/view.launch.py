@@ -1,4 +1,4 @@
-"""Show a bag, or a swarm that runs in this ROS domain, in the browser with `ros2 launch`, until Ctrl-C."""
+"""Show a bag, or a running swarm in this ROS domain, in the browser with `ros2 launch`, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from launch import LaunchDescription
 from swarmabs_core.errors import InputError, RunError
 
 ARGUMENTS = {
-    "bag": ("", "a bag, or the folder of a run; empty: the swarm that runs in this ROS domain"),
+    "bag": ("", "a bag, or the folder of a run; empty: the running swarm in this ROS domain"),
     "namespace": ("/", "ROS namespace of the swarm"),
-    "port": ("0", "port of the page on 127.0.0.1; 0: any free one"),
+    "port": ("0", "port of the page on 127.0.0.1; 0: any free port"),
     "open": ("false", "true: open the browser"),
 }
 """Default and meaning of every launch argument."""
 
 
 def ended(event: Any, context: Any) -> list[Any]:
-    """End the launch; raises `RunError`, so that it fails, if the view has failed."""
+    """End the launch; raises `RunError`, so that it fails, if the view failed."""
     if event.returncode and not context.is_shutdown:
-        raise RunError(f"the view failed with exit code {event.returncode}; its message says why")
+        raise RunError(f"the view failed with exit code {event.returncode}; see its message")
     return [Shutdown(reason="the view has ended")]
 
 
 def actions(context: Any) -> list[Any]:
-    """Return the program that serves the page."""
+    """Return the process that serves the page."""
     asked = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     if asked["open"] not in {"true", "false"}:
         raise InputError(f"open:={asked['open']}: give true or false")
@@ -42,7 +42,7 @@ def actions(context: Any) -> list[Any]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the arguments and the program."""
+    """Return the arguments and the process."""
     arguments = [
         DeclareLaunchArgument(name, default_value=default, description=description)
         for name, (default, description) in ARGUMENTS.items()

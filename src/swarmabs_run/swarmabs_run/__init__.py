@@ -1,1 +1,1 @@
-"""Runs of swarmabs: their processes are started, watched, steered and ended; simulation in one process."""
+"""Runs of swarmabs: start, monitor, steer and end their processes, or simulate them in one process."""

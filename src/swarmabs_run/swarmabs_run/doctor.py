@@ -1,4 +1,4 @@
-"""Checks of the machine: what would keep a run from working, and what is to be done about it."""
+"""Checks of the machine: problems that would prevent a run, and how to fix them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 BUFFERS = Path("/proc/sys/net/core")
-"""Where the kernel says how large buffers of sockets may be."""
+"""Folder with the kernel's limits on socket buffers."""
 _BUFFER = 4 * 2**20
 _AGENT_MEMORY = 15 * 2**20
 _DESCRIPTORS = 1024
@@ -35,7 +35,7 @@ _DESCRIPTORS = 1024
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What one check found: fine, something to know, or something that keeps runs from working."""
+    """Result of one check: fine, a note, or a problem that prevents runs."""
 
     check: str
     verdict: Literal["ok", "note", "bad"]
@@ -43,11 +43,11 @@ class Finding:
 
 
 Verdict: TypeAlias = tuple[Literal["ok", "note", "bad"], str]
-"""What a check finds: the last two fields of its `Finding`."""
+"""Result of a check: the last two fields of its `Finding`."""
 
 
 def examine() -> list[Finding]:
-    """Carry out all checks; none of them changes anything or leaves anything behind."""
+    """Run all checks; none of them changes anything or leaves anything behind."""
     return [Finding(name, *check()) for name, check in CHECKS.items()]
 
 
@@ -63,7 +63,7 @@ def _ros() -> Verdict:
     except ImportError as error:
         return "bad", f"cannot be imported ({error}); run ./scripts/swarm again, or source ROS 2 Jazzy"
     if not direct:
-        return "note", "cannot be waited on directly; nodes need the parameter receive:=executor"
+        return "note", "does not support direct waiting; start nodes with the parameter receive:=executor"
     return "ok", f"imported; middleware {os.environ.get('RMW_IMPLEMENTATION', 'default')}"
 
 
@@ -116,7 +116,7 @@ def _domain() -> Verdict:
 
 def _memory() -> Verdict:
     free = psutil.virtual_memory().available
-    return "ok", f"{free / 2**30:.1f} GiB free, enough for some {free // _AGENT_MEMORY} robots"
+    return "ok", f"{free / 2**30:.1f} GiB free, enough for about {free // _AGENT_MEMORY} robots"
 
 
 def _cores() -> Verdict:

@@ -1,4 +1,4 @@
-"""How a process ends: in order, whatever asks for it, and with its parent, however the parent ends."""
+"""How a process ends: cleanly on every termination signal, and always when its parent ends."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 
 GRACE = "SWARMABS_END_GRACE"
-"""Variable with the time, s, that nodes get to end by themselves, as profilers in them need; without it, none."""
+"""Environment variable with the time, s, that nodes have to exit by themselves, for profilers; default: none."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def end_grace() -> float:
-    """Return the time, s, that nodes get to end by themselves.
+    """Return the time, s, that nodes have to exit by themselves.
 
-    Raises `InputError` if the variable `GRACE` does not say a time.
+    Raises `InputError` if the variable `GRACE` does not hold a time.
     """
     text = os.environ.get(GRACE) or "0"
     with suppress(ValueError):
         if 0.0 <= (seconds := float(text)) < inf:
             return seconds
-    raise InputError(f"{GRACE}: {text!r} is no time in seconds; give a number such as 2.5, or unset the variable")
+    raise InputError(f"{GRACE}: {text!r} not a time in seconds; give a number such as 2.5, or unset the variable")
 
 
 @contextmanager
 def _handled_by(handler: Callable[..., None]) -> Iterator[None]:
-    """Have the signals that ask for an end handled so, where Python allows it: in the main thread."""
+    """Install a handler for the termination signals, if this is the main thread; Python allows it nowhere else."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -51,7 +51,7 @@ def _handled_by(handler: Callable[..., None]) -> Iterator[None]:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Make SIGTERM interrupt as Ctrl-C does."""
+    """Make SIGTERM interrupt the process as Ctrl-C does."""
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
@@ -62,7 +62,7 @@ def terminable() -> Iterator[None]:
 
 @contextmanager
 def end_asked() -> Iterator[Callable[[], bool]]:
-    """Note that an end is asked for instead of raising, for work that must not be cut in two; yield what tells it."""
+    """Record termination signals instead of raising, for work that must not be interrupted; yield a query for them."""
     asked = False
 
     def note(*_: object) -> None:
@@ -74,13 +74,13 @@ def end_asked() -> Iterator[Callable[[], bool]]:
 
 
 def interrupt_once() -> None:
-    """Let the first signal that asks for an end raise `KeyboardInterrupt`, and ignore all others to the last."""
+    """Let the first termination signal raise `KeyboardInterrupt`, and ignore all later ones."""
     for number in _SIGNALS:
         signal.signal(number, _interrupt)
 
 
 def no_more_interrupts() -> None:
-    """Ignore these signals from now on, where `interrupt_once` was called: what is left to do is short."""
+    """Ignore termination signals from now on if `interrupt_once` was called: the remaining work is short."""
     if signal.getsignal(signal.SIGINT) is _interrupt:
         for number in _SIGNALS:
             signal.signal(number, signal.SIG_IGN)
@@ -92,9 +92,9 @@ def _interrupt(*_: object) -> NoReturn:
 
 
 def die_with_parent(parent: int) -> None:
-    """Have the kernel kill this process when its parent ends; to be called first thing in the child.
+    """Have the kernel kill this process when its parent ends; call it first in the child.
 
-    If the parent, given by its process id, has ended before the kernel was told, this process ends at once.
+    If the parent, given by its process id, has already ended, this process ends at once.
     """
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:

@@ -1,7 +1,7 @@
-"""The processes of a run that is going on, as the operating system sees them, and how far the run is.
+"""The processes of a running run, as the operating system sees them, and the progress of the run.
 
-Nothing of this joins the run's network: its folder says who started it, the kernel who descends from that process, and
-a node's output goes to a log in the folder that has its name.
+None of this joins the run's network: the run's folder identifies the process that started it, the kernel lists the
+descendants of that process, and a node is identified by the log to which its output goes.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from swarmabs_run.orchestration.run_files import NETWORK_FILE, RunOverError, is_
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from swarmabs_run.orchestration.run_files import Told
+    from swarmabs_run.orchestration.run_files import ProgressReport
 
 ORCHESTRATOR = "orchestrator"
 SHARES = 16
-"""Processes whose PSS a snapshot asks for, in turn: the kernel adds it up page by page, which blocks the process."""
+"""Processes whose PSS a snapshot reads, in turn: the kernel sums it page by page, which blocks the process."""
 SILENCE = 3.0
-"""Age, s, from which a report of the run's progress no longer tells its speed."""
+"""Age, s, from which the step rate of a progress report is no longer valid."""
 
 
 class Row(NamedTuple):
-    """A process: name, id, share of a core since the snapshot before (%), memory (bytes), what the kernel says it does.
+    """A process: name, id, share of a core since the previous snapshot (%), memory (bytes), state.
 
-    ``pss`` shares what several processes have in common among them, so it adds up; ``rss`` counts it for each. None is
-    what the kernel does not tell.
+    ``pss`` divides shared memory among the processes that share it, so it adds up; ``rss`` counts it in full for each.
+    None marks values that the kernel does not provide.
     """
 
     name: str
@@ -42,23 +42,23 @@ class Row(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """A run at one moment: its processes, the orchestrator first, and how far it is."""
+    """A run at one moment: its processes, the orchestrator first, and its progress."""
 
     rows: tuple[Row, ...]
-    told: Told | None
+    progress: ProgressReport | None
     age: float
-    """Of what is told, s."""
+    """Age of the progress report, s."""
 
     @property
     def step_rate(self) -> float | None:
-        """Steps per second of wall time; None if it is not known, 0 if the run stands still."""
-        if self.told is None or self.told.step_rate is None:
+        """Steps per second of wall time; None if unknown, 0 if the run makes no progress."""
+        if self.progress is None or self.progress.step_rate is None:
             return None
-        return self.told.step_rate if self.age < SILENCE else None
+        return self.progress.step_rate if self.age < SILENCE else None
 
 
 class RunProcesses:
-    """Watches the processes of a run in a folder; raises `InputError` if no run goes on there."""
+    """Monitors the processes of the run in a folder; raises `InputError` if no run is running there."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -70,20 +70,20 @@ class RunProcesses:
             raise RunOverError(folder)
 
     def running(self) -> bool:
-        """Tell whether the run goes on."""
+        """Return whether the run is still running."""
         return is_running(self.folder)
 
     def snapshot(self, now: float, shares: int | None = SHARES) -> Snapshot:
-        """Return how the processes are doing at a time (s, monotonic); CPU time counts since the snapshot before.
+        """Return a snapshot at a time (s, monotonic); CPU time counts from the previous snapshot.
 
-        Of so many processes, those whose turn it is, the PSS is asked for anew; with None of all.
+        Reads the PSS of the next `shares` processes in turn, or of all processes if `shares` is None.
         """
-        told = read_progress(self._logs)
+        progress = read_progress(self._logs)
         found = {process: self._watched.get(process) or self._name(process) for process in self._family()}
-        # The same objects as before: they know the processor time of the snapshot before.
+        # Keep the objects: they hold the processor time of the previous snapshot.
         known = {process: process for process in self._watched}
         self._watched = {known.get(process, process): name for process, name in found.items()}
-        # Those that were asked longest ago stand first.
+        # The processes whose PSS is oldest come first.
         turn = [*(p for p in self._watched if p not in self._pss), *(p for p in self._pss if p in self._watched)]
         asked = set(turn[:shares])
         self._pss = {p: self._pss[p] for p in turn if p in self._pss and p not in asked} | {p: _pss(p) for p in asked}
@@ -91,7 +91,7 @@ class RunProcesses:
         rows = [row for p, name in watched if (row := _row(p, name, self._pss.get(p))) is not None]
         first = [row for row in rows if row.name == ORCHESTRATOR]
         others = sorted((row for row in rows if row.name != ORCHESTRATOR), key=lambda row: row.name)
-        return Snapshot((*first, *others), told, 0.0 if told is None else now - told.told_at)
+        return Snapshot((*first, *others), progress, 0.0 if progress is None else now - progress.told_at)
 
     def _family(self) -> Iterable[psutil.Process]:
         if self._orchestrator is None:
@@ -102,7 +102,7 @@ class RunProcesses:
             return ()
 
     def _name(self, process: psutil.Process) -> str:
-        """Return the name of a process: of a node that of its log, of others what was started."""
+        """Return the name of a process: for a node the name of its log, for others that of the program."""
         if process == self._orchestrator:
             return ORCHESTRATOR
         try:
@@ -118,9 +118,9 @@ class RunProcesses:
 
 
 def newest_run(runs: Path) -> Path:
-    """Return the folder of the run in a folder of runs that was begun last and goes on.
+    """Return the folder of the newest running run in a folder of runs.
 
-    Raises `InputError` if none goes on.
+    Raises `InputError` if no run is running.
     """
     found = sorted(runs.glob(f"*/logs/{NETWORK_FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)
     for path in found:
@@ -130,17 +130,17 @@ def newest_run(runs: Path) -> Path:
         except InputError:
             continue
         return folder
-    raise InputError(f"no run in {runs}/ is running; start one, or name the folder of a run elsewhere")
+    raise InputError(f"no run in {runs}/ is running; start one, or give the folder of a run elsewhere")
 
 
 def document(folder: Path, snapshot: Snapshot) -> dict[str, Any]:
-    """Return a snapshot as JSON takes it."""
-    told = snapshot.told
+    """Return a snapshot as JSON values."""
+    progress = snapshot.progress
     return {
         "run": str(folder),
-        "phase": None if told is None else told.phase,
-        "step": None if told is None else told.step,
-        "steps": None if told is None else told.steps,
+        "phase": None if progress is None else progress.phase,
+        "step": None if progress is None else progress.step,
+        "steps": None if progress is None else progress.steps,
         "step_rate": snapshot.step_rate,
         "processes": [row._asdict() for row in snapshot.rows],
     }

@@ -1,4 +1,4 @@
-"""Files made from templates: how those of runs, fleets and reports are read."""
+"""Templates for the files of runs, fleets and reports."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 @cache
 def templates(package: str) -> Environment:
-    """Return the templates of a package; markup is escaped, and a value that a template names must be given.
+    """Return the templates of a package; markup is escaped, and an undefined variable is an error.
 
-    The filter ``quote`` makes one word for a shell of a text.
+    The filter ``quote`` quotes a text for the shell.
     """
     environment = Environment(
         loader=PackageLoader(package),

@@ -1,4 +1,4 @@
-"""How a run is asked for, how far it is while it goes on, and how it ended: the same for every way of running."""
+"""Options, progress and outcome of a run, common to all ways of running."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ Phase = Literal["starting", "running", "closing"]
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a run is.
+    """Progress of a run.
 
     Parameters
     ----------
     ready, processes : int
-        How many processes are ready, and how many there are.
+        Number of ready processes and of all processes.
     step, steps : int
-        Steps recorded, and steps in all.
+        Number of recorded steps and of all steps.
     step_rate : float
         Steps per second of wall time since the start.
     angle, error : float, optional
-        Of the latest step recorded, rad.
+        Angle and error of the latest recorded step, rad.
     robots : SwarmSummary, optional
-        The robots in that step, and what has happened.
+        The robots in that step, and the latest events.
     """
 
     phase: Phase
@@ -46,9 +46,10 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How a scenario is run.
+    """Options for running a scenario.
 
-    A simulation in one process reads only the first three; a run in real time, those from `agents_per_process` on not.
+    A simulation in one process uses only the first three; a run in real time ignores `agents_per_process` and the
+    options after it.
 
     Parameters
     ----------
@@ -57,17 +58,17 @@ class RunOptions:
     split : Split
         When the bag continues in a new file.
     on_progress : callable, optional
-        Told how the run goes, some ten times a second.
+        Called with the progress of the run, about ten times a second.
     namespace : str
         ROS namespace of the swarm.
     agents_per_process : int
-        How many robots share a process.
+        Number of robots per process.
     packed : bool
-        Whether the robots hear the three broadcasts as one message, which costs less where they are many.
+        Whether the robots receive the three broadcasts as one message, which is cheaper in large swarms.
     steered : bool
-        Whether the run can be steered, by a socket in its folder.
+        Whether the run can be steered through a socket in its folder.
     step_seconds : float
-        Shortest wall time, s, of a step of such a run; 0: as fast as possible.
+        Shortest wall time, s, of a step of a steered run; 0: as fast as possible.
     """
 
     record: bool = True
@@ -82,23 +83,23 @@ class RunOptions:
 
 DEFAULTS = RunOptions()
 SLOWEST_STEP = 1.0
-"""Longest that `RunOptions.step_seconds` may be, s: shorter than any stall."""
+"""Largest `RunOptions.step_seconds`, s: shorter than any stall timeout."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a run ended.
+    """Outcome of a run.
 
     Parameters
     ----------
     reason : str, optional
-        What went wrong; may have several lines, the last ones of logs.
+        What went wrong; further lines show the ends of logs.
     figures : dict
-        Digest and figures, as far as they were recorded.
+        Digest and figures, as far as they are known.
     start_seconds, stepping_seconds : float, optional
-        Wall time until the first step, and from it to the last, s.
+        Wall time to the first step, and from the first to the last step, s.
     warnings : tuple of str
-        What people should know of a run that did not fail.
+        Warnings about a run that did not fail.
     """
 
     status: Literal["ok", "failed", "interrupted"]

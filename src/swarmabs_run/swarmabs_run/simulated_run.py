@@ -1,4 +1,4 @@
-"""A run in one process without DDS, with the same results folder as a run of many."""
+"""A run in one process without DDS, with the same results folder as a run of many processes."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _TELL_EVERY = 0.1
 
 
 def simulate_run(scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> Outcome:
-    """Simulate a scenario, whose generated robots are listed, and record it in an empty folder."""
+    """Simulate a scenario that lists its generated robots, and record it in an empty folder."""
     folder.fill(scenario)
-    with end_asked() as ended:  # from before there is a bag, so that it is completed whenever that is
+    with end_asked() as ended:  # entered before the bag is created, so that an interrupted bag is always completed
         bag = folder.bag if options.record else None
         recording = Recording(scenario, bag, driver="simulate", split=options.split)
         steps = simulated_steps(scenario)
@@ -41,9 +41,9 @@ def record_steps(
     on_progress: Callable[[Progress], None] | None = None,
     ended: Callable[[], bool] = lambda: False,
 ) -> Outcome:
-    """Record steps that are computed in this process while they are iterated over.
+    """Record steps that this process computes during iteration.
 
-    The recording is completed, however they end; `ended` tells whether an end was asked for before.
+    The recording is always completed, however the steps end; `ended` returns whether the end was requested before.
     """
     begun = told = time.monotonic()
 

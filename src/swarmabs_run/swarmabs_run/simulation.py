@@ -1,4 +1,4 @@
-"""The whole system in one process: the same state machines that run as nodes, without ROS."""
+"""The whole system in one process: the state machines of the nodes, without ROS."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class NodeInProcess(NamedTuple):
-    """A node as part of this process: its state machine and the topics that it hears."""
+    """A node as part of this process: its state machine and the topics to which it subscribes."""
 
     behaviour: Behaviour
     hears: Collection[Topic]
@@ -69,10 +69,10 @@ def _node(behaviour: Behaviour, name: str, *options: Option) -> NodeInProcess:
 
 
 class Simulation:
-    """Nodes connected by a queue: those of a scenario, or some of them and what stands in for the others.
+    """Nodes connected by a queue: those of a scenario, or some of them with substitutes for the others.
 
-    The nodes start and answer in their order, by default all of the scenario. Robots may have ends that the scenario
-    does not plan.
+    The nodes start and answer in the given order; the default is all nodes of the scenario. `ends` adds ends of robots
+    that the scenario does not plan.
     """
 
     def __init__(
@@ -89,8 +89,8 @@ class Simulation:
     def steps(self, on_idle: Callable[[], Messages] = tuple, name: str = "run") -> Iterator[RecordedStep]:
         """Run, and yield every step as a bag would hold it.
 
-        When no node has an answer any more, `on_idle` returns what is said; the run ends where that is nothing. Raises
-        `RunError` if the run fails, such as by a plane that turns over, or stalls; that error calls it by a name.
+        When no messages are pending, `on_idle` supplies the next ones; if it returns none, the run ends. Raises
+        `RunError` if the run fails, such as when the plane turns over, or stalls; `name` names the run in that error.
         """
         queue: deque[Message] = deque()
         for node in self._nodes:
@@ -108,9 +108,9 @@ class Simulation:
 
 
 def simulated_steps(scenario: Scenario) -> Iterator[Step]:
-    """Simulate a scenario, on arrays where all robots do the same all the time; the bits do not depend on it.
+    """Simulate a scenario, on arrays if all robots always behave alike; the results are identical bit for bit.
 
-    Raises `RunError` if the run fails, such as by a plane that turns over.
+    Raises `RunError` if the run fails, such as when the plane turns over.
     """
     done = 0
     if vectorisable(scenario):
@@ -131,9 +131,9 @@ def simulate(scenario: Scenario | str | PathLike[str], overrides: Mapping[str, o
     Parameters
     ----------
     scenario : Scenario, str or path
-        A scenario, the name of a built-in one, a YAML file, or a bag whose scenario is meant.
+        A scenario, the name of a built-in one, a YAML file, or a bag whose scenario to simulate.
     overrides : mapping, optional
-        Values by their dotted paths in the scenario, as of ``--set``; lists and mappings replace the old ones.
+        Values by their dotted paths in the scenario, as with ``--set``; lists and mappings replace the existing ones.
 
     Returns
     -------
@@ -144,9 +144,9 @@ def simulate(scenario: Scenario | str | PathLike[str], overrides: Mapping[str, o
     Raises
     ------
     InputError
-        If there is no such scenario, or it is not valid.
+        If the scenario does not exist or is not valid.
     RunError
-        If the run fails, such as by a plane that turns over.
+        If the run fails, such as when the plane turns over.
 
     Examples
     --------

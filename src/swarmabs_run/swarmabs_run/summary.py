@@ -1,4 +1,4 @@
-"""``summary.json``: what a run came to."""
+"""``summary.json``: the results of a run."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from swarmabs_run.run import Outcome
 
 AGES_SHOWN = 3
-"""How many ages of broadcasts the table lists by themselves."""
+"""Number of broadcast ages that the table lists individually."""
 FIGURES = ("settled_at", "final_error", "rms_error", "max_abs_position", "messages", "digest")
 
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """What took how long, s: the whole command, of it the set-up of the checkout, and from there to the first step."""
+    """Durations, s: the whole command, the set-up of the checkout within it, and from there to the first step."""
 
     wall: float
     setup: float = 0.0
@@ -30,7 +30,7 @@ class Times:
 
 
 def summarise(scenario: Scenario, outcome: Outcome, times: Times) -> dict[str, Any]:
-    """Return the content of ``summary.json``; `swarmabs_analysis.rerun` says of what a run is the repetition."""
+    """Return the content of ``summary.json``; `swarmabs_analysis.rerun` adds ``rerun_of``."""
     figures, run = outcome.figures, outcome.stepping_seconds
     complete = outcome.status == "ok" and run
     return {
@@ -53,7 +53,7 @@ def summarise(scenario: Scenario, outcome: Outcome, times: Times) -> dict[str, A
 
 
 def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
-    """Return the summary as a table for people."""
+    """Return the summary as a table for the terminal."""
 
     def number(key: str, unit: str) -> str:
         value = summary[key]
@@ -90,7 +90,7 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
 
 
 def _wall_time(summary: Mapping[str, Any]) -> str:
-    """Return the time of the command without the set-up of the checkout, and of its parts as far as there were any."""
+    """Return the duration of the command without the set-up of the checkout, and of its parts as far as known."""
     parts = {"start": summary["startup_time"], "run": summary["run_time"]}
     known = [f"{name} {seconds:.1f} s" for name, seconds in parts.items() if seconds is not None]
     if summary["real_time_factor"]:
@@ -99,7 +99,7 @@ def _wall_time(summary: Mapping[str, Any]) -> str:
 
 
 def _realtime_rows(realtime: Mapping[str, Any]) -> dict[str, str]:
-    """Return what there is to say of a run in real time only."""
+    """Return the rows that apply only to a run in real time."""
     missed, longest = realtime.get("missed_periods", {}), realtime.get("longest_us", {})
     losses, ages = realtime.get("losses", {}), realtime.get("broadcast_ages", {})
     missing = {topic: found["missing"] for topic, found in losses.items() if found["missing"]}
@@ -116,7 +116,7 @@ def _realtime_rows(realtime: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _ages(ages: Mapping[str, int]) -> str:
-    """Return how many broadcasts were used at which age in steps; ages beyond the first few in one sum."""
+    """Return the number of broadcasts used at each age in steps; ages beyond the first few are summed."""
     counts = [(int(age), count) for age, count in ages.items()]
     shown = [f"{count} after {age} steps" for age, count in counts[:AGES_SHOWN]]
     if rest := counts[AGES_SHOWN:]:
@@ -125,7 +125,7 @@ def _ages(ages: Mapping[str, int]) -> str:
 
 
 def _rerun(rerun: Mapping[str, Any]) -> str:
-    came_of_it = {True: "the same digest", False: "not the same digest", None: "digests not comparable"}[rerun["same"]]
+    result = {True: "same digest", False: "different digest", None: "digests not comparable"}[rerun["same"]]
     if rerun["same"] and rerun["compared"] == "prefix":
-        came_of_it = f"the same up to its last step, {rerun['last_step']}"
-    return f"{rerun['bag']}: {came_of_it}"
+        result = f"same digest up to its last step, {rerun['last_step']}"
+    return f"{rerun['bag']}: {result}"

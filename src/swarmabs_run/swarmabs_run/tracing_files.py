@@ -1,4 +1,4 @@
-"""Shared-memory files of the ROS tracing library, which it makes when rclpy is imported and never removes."""
+"""Shared-memory files that the ROS tracing library creates when rclpy is imported and never removes."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - this is what POSIX shared memory is on Linux
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - the place of POSIX shared memory on Linux
 _PATTERN = "lttng-ust-wait-*"
 
 
 @contextmanager
 def tracing_files_removed(*, if_orphaned: bool = False) -> Iterator[None]:
-    """Remove at the end of the block this user's files that no other process has mapped.
+    """At the end of the block, remove this user's files that no other process has mapped.
 
     The files wake processes when a tracing session starts; without them a process is merely not traced. A process maps
-    them when it loads rclpy and keeps them mapped, so a file that is mapped is in use and one that is not is left over.
+    them when it loads rclpy and keeps them mapped, so a mapped file is in use and any other file is left over.
 
-    With `if_orphaned` that is left to the process that started this one, as long as it lives.
+    With `if_orphaned`, remove them only if the parent process has ended; otherwise the parent removes them.
     """
     before, parent = _files(), os.getppid()
     try:
@@ -31,10 +31,10 @@ def tracing_files_removed(*, if_orphaned: bool = False) -> Iterator[None]:
         if left:
             mapped, hidden = mapped_by_others()
             for path in left - mapped:
-                # A file that serves all users and was there already may be in use where this user cannot look.
+                # A pre-existing file for all users may be in use by processes that this user cannot examine.
                 if path in before and hidden and not path.name.endswith(f"-{os.getuid()}"):
                     continue
-                with suppress(OSError):  # removed by another run meanwhile
+                with suppress(OSError):  # another run has removed it meanwhile
                     path.unlink()
 
 
@@ -60,10 +60,10 @@ def mapped_by_others() -> tuple[set[Path], bool]:
             with suppress(OSError):
                 hidden |= process.stat().st_uid != os.getuid()
             continue
-        except OSError:  # it has ended
+        except OSError:  # the process has ended
             continue
         if prefix in maps:
-            # The path is the sixth field; that of a file that was removed ends differently.
+            # The path is the sixth field; the path of a removed file has a suffix, and so does not match.
             fields = (line.split(maxsplit=5) for line in maps.splitlines() if prefix in line)
             mapped |= {Path(words[5]) for words in fields if len(words) == 6}
     return {path for path in mapped if path.parent == SHARED_MEMORY}, hidden

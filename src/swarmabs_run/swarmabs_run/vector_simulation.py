@@ -1,9 +1,9 @@
-"""The simulation of large swarms: all robots on arrays, bit for bit what the state machines do.
+"""Simulation of large swarms with all robots on arrays, bit for bit identical to the state machines.
 
-Addition, multiplication and division of arrays round element by element exactly as those of numbers do, and every sum
-over the robots is correctly rounded; no other function is applied to arrays. So the same formulas give the same bits,
-which is a test. What concerns single robots (faults, limits, safe stops), imperfect sensors and drives, end stops and
-observers of the plane are left to the state machines.
+Addition, multiplication and division round each array element exactly as they round scalars, and every sum over the
+robots is correctly rounded; no other function is applied to arrays. So the same formulas give the same bits, and tests
+check this. Events of single robots (faults, limits, safe stops), imperfect sensors and drives, end stops and observers
+of the plane are left to the state machines.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ _DIGESTED = np.dtype([("head", f"V{len(_HEAD)}"), ("payload", _PAYLOAD)])
 
 
 class NotVectorisableError(Exception):
-    """From this step on a robot behaves individually; only the state machines can continue."""
+    """A robot behaves individually from this step on; only the state machines can continue."""
 
 
 def vectorisable(scenario: Scenario) -> bool:
-    """Tell whether all robots of a scenario do the same all the time, by the laws that are computed on arrays."""
+    """Return whether all robots of a scenario always behave alike and use laws that support arrays."""
     limits, plane, swarm = scenario.limits, scenario.plane, scenario.swarm
     individual = scenario.faults or limits != Limits() or plane.robot_gravity
     perfect = plane.sensor.perfect and swarm.sensor.perfect
@@ -87,7 +87,7 @@ class ArrayStep(NamedTuple):
     def plane(self) -> PlaneState:
         """State of the plane."""
         plane = self.others[0].message
-        assert isinstance(plane, PlaneState)  # noqa: S101 - the records have the order of a bag
+        assert isinstance(plane, PlaneState)  # noqa: S101 - the records are in the order of a bag
         return plane
 
     @property
@@ -97,7 +97,7 @@ class ArrayStep(NamedTuple):
 
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
-        """What happened in it."""
+        """Events of the step."""
         return tuple(r.message for r in self.others[len(MAIN_TOPICS) - 1 :] if isinstance(r.message, SwarmEvent))
 
     def states(self) -> Iterator[AgentState]:
@@ -106,11 +106,11 @@ class ArrayStep(NamedTuple):
         data = self.agents["payload"].tobytes()
         for start in range(0, len(data), size):
             state = decode(AgentState, data[start : start + size])
-            assert isinstance(state, AgentState)  # noqa: S101 - that is what `decode` reads
+            assert isinstance(state, AgentState)  # noqa: S101 - `decode` returns this type
             yield state
 
     def digest_text(self) -> bytes:
-        """Return what the step contributes to the digest of a run."""
+        """Return the contribution of the step to the digest of a run."""
         parts = {AGENT_STATE.name: self.agents.tobytes()}
         for record in self.others:
             if record.topic is not EVENTS:
@@ -128,7 +128,7 @@ class ArrayStep(NamedTuple):
 
 
 class _Swarm:
-    """The robots, first the single and then the double integrators, so that each kind is a part of every array."""
+    """The robots: single integrators first, then double integrators, so that each kind is a slice of every array."""
 
     def __init__(self, scenario: Scenario) -> None:
         configs = sorted(configure.agent_configs(scenario), key=lambda config: (config.kind, config.agent_id))
@@ -145,7 +145,7 @@ class _Swarm:
         self.si, self.di = slice(single), slice(single, None)
         self.di_damping = np.array([config.damping for config in damped])
         drives = [DoubleIntegratorDrive.of(scenario.period, config.mass, config.damping) for config in damped]
-        # What is arithmetic only takes arrays as it takes numbers: drives, laws, paths.
+        # Drives, laws and paths use arithmetic only, so they accept arrays in place of numbers.
         self.si_drive: Any = SingleIntegratorDrive(scenario.period)
         self.di_drive: Any = DoubleIntegratorDrive(*np.array(drives).reshape(-1, 4).T.copy())
         self.by_id = np.argsort(self.ids)
@@ -180,7 +180,7 @@ class _Swarm:
         return AbstractState(stamp, step, len(m), *abstract), AuxiliaryState(stamp, step, *moments, *damping, q)
 
     def move(self, abstract: AbstractState, sums: AuxiliaryState, desired: DesiredAbstractState) -> SwarmLoad:
-        """Command all robots, move them for a period, and return what the plane feels meanwhile."""
+        """Command all robots, move them for one period, and return their load on the plane over it."""
         si, di = self.si, self.di
         m, p, v = self.mass, self.position.copy(), self.velocity.copy()
         law_si: Any = single_integrator_command
@@ -196,7 +196,7 @@ class _Swarm:
         return self._load(p, v)
 
     def _load(self, p0: Floats, v0: Floats) -> SwarmLoad:
-        """Return torque and inertia over the period."""
+        """Return the torque and the inertia over the period."""
         m, di = self.mass, self.di
         path: Any = hermite
         terms: Any = linear_terms, cubic_terms
@@ -207,7 +207,7 @@ class _Swarm:
 
 
 class VectorSimulation:
-    """Simulates a scenario whose robots all do the same: one for which `vectorisable` holds."""
+    """Simulates a scenario whose robots all behave alike: one for which `vectorisable` holds."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -221,8 +221,8 @@ class VectorSimulation:
     def steps(self) -> Iterator[ArrayStep]:
         """Run, and yield every step.
 
-        Raises `NotVectorisableError` if a robot has to behave individually; the steps before it are right. Raises
-        `RunError` if the run fails, such as by a plane that turns over.
+        Raises `NotVectorisableError` if a robot has to behave individually; the steps before it are valid. Raises
+        `RunError` if the run fails, such as when the plane turns over.
         """
         scenario, swarm = self._scenario, self._swarm
         angle, angular_velocity = scenario.plane.angle, scenario.plane.angular_velocity
@@ -234,7 +234,7 @@ class VectorSimulation:
             plane = PlaneState(stamp, step, angle, angular_velocity)
             answers = self._controller.handle(plane)
             desired = answers[-1]
-            assert isinstance(desired, DesiredAbstractState)  # noqa: S101 - it is what the controller answers last
+            assert isinstance(desired, DesiredAbstractState)  # noqa: S101 - the last message of the controller
             events: list[Message] = [*self._limits(step, stamp), *answers[:-1]]
             yield ArrayStep(step, stamp, rows, _records(plane, abstract, sums, desired, events))
             if step == scenario.steps:
@@ -246,7 +246,7 @@ class VectorSimulation:
             angle, angular_velocity = self._dynamics.advance(angle, angular_velocity, time, load)
 
     def _limits(self, step: int, stamp: int) -> list[SwarmEvent]:
-        """Say which robots have just crossed the end of the plane."""
+        """Return an event for each robot that has just crossed the end of the plane."""
         position, half = self._swarm.position, 0.5 * self._scenario.plane.length
         if not self._outside and np.abs(position).max() <= half:
             return []

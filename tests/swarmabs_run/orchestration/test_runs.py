@@ -143,9 +143,9 @@ class FakeMachine:
         else:
             self.expect(report(self.ready_after.get(name, READY), name, "ready"))
 
-    def start_all(self, told: bytes = b"") -> None:
-        self.told.append(told)
-        self.first_step = self.clock + ((int(told[:20]) - EPOCH) / 1e9 if told else 0.0)
+    def start_all(self, data: bytes = b"") -> None:
+        self.told.append(data)
+        self.first_step = self.clock + ((int(data[:20]) - EPOCH) / 1e9 if data else 0.0)
         self.expect(*self.happens, since=self.first_step)
 
     def signal(self, name: str, number: int) -> None:
@@ -252,7 +252,7 @@ LOCKSTEP = {
     ),
 }
 LATE = "the recorder has not ended 10 s after the last step" + log_of(RECORDER)
-HUNG = "plane_sim (process 101 is 101 stopped) did not end when it was told to; what it did before is not known"
+HUNG = "plane_sim (process 101 is 101 stopped) did not exit on SIGTERM, so its state before is unknown"
 AGES = ("realtime={broadcast_age_limit: 0.1, state_age_limit: 0.6, plane_age_limit: 0.2}",)
 REALTIME = {
     "a robot is killed": Ending(1.25, "", (KILLED, *A_SECOND)),
@@ -287,7 +287,7 @@ def test_how_a_run_ends(tmp_path: Path, kind: type[ProcessRun], name: str) -> No
 @pytest.mark.parametrize("text", ["soon", "-1", "nan", "inf"])
 def test_a_bad_time_to_end_is_refused(tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(TO_END, text)
-    refusal = f"{TO_END}: '{text}' is no time in seconds; give a number such as 2.5, or unset the variable"
+    refusal = f"{TO_END}: '{text}' not a time in seconds; give a number such as 2.5, or unset the variable"
     with pytest.raises(InputError, match=re.escape(refusal)):
         drive(FakeMachine(), tmp_path)
     assert swarm(["run", "pd_het_4"], tmp_path) == (2, "", f"error: {refusal}\n")
@@ -317,16 +317,16 @@ def test_a_late_robot_is_restarted(tmp_path: Path, machine: FakeMachine, spawned
         (FakeMachine(crashes=Counter(recorder=9)), r"recorder \(process 104\) was killed by SIGSEGV", 0.2),
         (
             FakeMachine(hangs=Counter(agent_001=9)),
-            r"met within 30 s without news: agent_001\nlast lines of agent_001",
+            r"agent_001: counterparts not found; no progress for 30 s\nlast lines of agent_001",
             READY + 3 * START_SILENCE + 0.1,
         ),
-        (FakeMachine(hangs=Counter(recorder=9)), "without news: recorder\nlast", READY + START_SILENCE),
+        (FakeMachine(hangs=Counter(recorder=9)), "recorder: counterparts not found; .*\nlast", READY + START_SILENCE),
         (
             FakeMachine(hangs=Counter(NAMES)),
-            f"news: {', '.join(NAMES[:5])} and 3 more{log_of(PLANE)}{log_of(OBSERVER)}$",
+            f"{', '.join(NAMES[:5])} and 3 more: counterparts not found; .*{log_of(PLANE)}{log_of(OBSERVER)}$",
             START_SILENCE,
         ),
-        (FakeMachine(hangs=Counter(NAMES[:5] * 9)), "recorder, agent_001\nlast", READY + 3 * START_SILENCE + 0.1),
+        (FakeMachine(hangs=Counter(NAMES[:5] * 9)), "recorder, agent_001: .*\nlast", READY + 3 * START_SILENCE + 0.1),
         (FakeMachine(due=[(BEGUN + 0.2, end_asked(0.0)[1])]), "interrupted", 0.3),
     ],
 )
@@ -375,7 +375,7 @@ def test_a_run_in_real_time_is_told_when_it_begins_and_tells_its_timing(tmp_path
     assert machine.told == [b"%020d" % (EPOCH + round(lead * 1e9)) * len(NAMES)]
     assert outcome.start_seconds == pytest.approx(2.0 + READY + lead, abs=1e-3)
     died = {"agent_003": "was killed by SIGKILL", "agent_004": "did not end (it is 108 stopped)"}
-    assert outcome.warnings == tuple(f"{name} {how}; the swarm went on without it" for name, how in died.items())
+    assert outcome.warnings == tuple(f"{name} {how}; the swarm continued without it" for name, how in died.items())
     told = sorted({*NAMES} - died.keys())
     timing = {"missed_periods": 1, "lateness_us": (1, 2), "longest_us": 3, "clock_jumps": 4}
     figures = {name: dict.fromkeys(told, value) for name, value in timing.items()}

@@ -86,11 +86,11 @@ def test_many_silent_robots_are_counted_and_named_by_the_process_that_they_share
 
 def test_where_everybody_waits_the_waits_are_told() -> None:
     state = started()
-    assert state.diagnose({}) == Failure("nothing has moved at step 0 for 0 s: ")
+    assert state.diagnose({}) == Failure("no progress at step 0 for 0 s: ")
     state.take(waits(OBSERVER, "agent 1", step=9))
     state.take(waits("agent_001", "swarm/abstract_state", step=8))
     assert state.diagnose({}) == Failure(
-        "nothing has moved at step 8 for 5 s: abstraction_observer waits for agent 1;"
+        "no progress at step 8 for 5 s: abstraction_observer waits for agent 1;"
         " agent_001 waits for swarm/abstract_state"
     )
 

@@ -27,7 +27,7 @@ from websockets.typing import Subprotocol
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import PlaneState
 from swarmabs_ros.endpoints import profile, unheard
-from swarmabs_run.orchestration.run_files import RunOverError, Told
+from swarmabs_run.orchestration.run_files import ProgressReport, RunOverError
 from swarmabs_view.ports import bound
 from swarmabs_view.viewers import MARKERS_LOG
 from swarmabs_view.visualization import node, run_markers
@@ -186,8 +186,8 @@ def test_what_cannot_be_shown_is_refused(tmp_path: Path, capfd: pytest.CaptureFi
     assert f"error: cannot serve Foxglove on 127.0.0.1:{port}: " in capfd.readouterr().err
 
 
-def told(phase: str) -> Told:
-    return Told(phase, 0, 100, None, 0.0)
+def told(phase: str) -> ProgressReport:
+    return ProgressReport(phase, 0, 100, None, 0.0)
 
 
 @pytest.fixture
@@ -217,8 +217,8 @@ def test_markers_wait_until_a_run_has_started_and_end_with_their_standard_input(
 ) -> None:
     calls: list[Any] = []
 
-    def read(_: Path) -> Told | None:
-        found: Told | None = course.pop(0)
+    def read(_: Path) -> ProgressReport | None:
+        found: ProgressReport | None = course.pop(0)
         if not course and not shown:
             os.close(stdin)
         return found

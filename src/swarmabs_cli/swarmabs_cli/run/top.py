@@ -92,11 +92,11 @@ def _table(folder: Path, snapshot: Snapshot) -> Group:
 
 
 def _title(folder: Path, snapshot: Snapshot) -> str:
-    told = snapshot.told
-    if told is None:
+    progress = snapshot.progress
+    if progress is None:
         return f"{folder}: starting"
     rate = "" if snapshot.step_rate is None else f", {snapshot.step_rate:.0f} steps/s"
-    return f"{folder}: {told.phase}, step {told.step} of {told.steps}{rate}"
+    return f"{folder}: {progress.phase}, step {progress.step} of {progress.steps}{rate}"
 
 
 def _megabytes(number: int | None) -> str:

@@ -1,4 +1,4 @@
-"""What the launch files of `swarmabs_bringup` start: the processes of a run, by package and executable."""
+"""The processes of a run that the launch files of `swarmabs_bringup` start, by package and executable."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from swarmabs_run.orchestration.plan import ProcessPlan
 
 REPORTED_WITHIN = 2.0
-"""Time, s, that the last report of a process that has ended may take."""
+"""Longest time, s, to wait for the last report of a process that has ended."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaunchPlan:
-    """A run that a launch file starts; its folder is filled."""
+    """A run that a launch file starts; its folder already holds the input files."""
 
     folder: RunFolder
     processes: tuple[ProcessPlan, ...]
@@ -42,16 +42,16 @@ class LaunchPlan:
 
 
 class Starter(threading.Thread):
-    """Starts a run in real time whose processes a launch file starts: once all are ready, it tells them the epoch.
+    """Starts step 0 of a real-time run under `ros2 launch`: once all processes are ready, it sends them the epoch.
 
-    It reads their reports as long as this process lives.
+    It reads their reports for as long as this process lives.
 
     Attributes
     ----------
     environment : dict
-        What the processes find in their environment.
+        Environment variables to add for the processes.
     begun : bool
-        Whether all are ready, and have been told the epoch.
+        Whether all processes are ready and have received the epoch.
     """
 
     def __init__(self, processes: Collection[ProcessPlan]) -> None:
@@ -63,14 +63,14 @@ class Starter(threading.Thread):
         self.environment = {name: str(self._pipes / name) for name in (REPORT_FD, START_FD)}
         for path in self.environment.values():
             os.mkfifo(path, 0o600)
-        # Opened for both directions: neither opening nor writing waits for the processes.
+        # Opening in both directions means that neither opening nor writing waits for the processes.
         self._reports, self._start = (os.open(path, os.O_RDWR | os.O_CLOEXEC) for path in self.environment.values())
         self.begun = False
         self._over = threading.Event()
         self._problem = ""
 
     def run(self) -> None:
-        """Take reports."""
+        """Process reports."""
         with os.fdopen(self._reports, encoding="utf-8") as reports:
             for line in reports:
                 report = json.loads(line)
@@ -89,22 +89,22 @@ class Starter(threading.Thread):
         self.forget()
 
     def forget(self) -> None:
-        """Remove the pipes from the file system; who has opened them keeps them."""
+        """Remove the pipes from the file system; processes that have opened them can still use them."""
         shutil.rmtree(self._pipes, ignore_errors=True)
 
     def problem(self) -> str:
-        """Return why the recorder, which has ended, reported the run as failed; empty if it did not."""
+        """Return the reason for which the recorder, which has ended, reported a failed run; empty if it did not."""
         self._over.wait(REPORTED_WITHIN)
         return self._problem
 
 
 def launch_plan(named: str, out: str, driver: Driver, overrides: Sequence[str] = ()) -> LaunchPlan:
-    """Return the processes of the scenario that a user has named, and fill the folder ``out``; empty: the next of runs.
+    """Plan the named scenario and fill the folder ``out``; if it is empty, the next free folder in ``runs``.
 
     Raises
     ------
     InputError
-        If there is no such scenario, or it is not for this driver, or the folder is in use.
+        If the scenario does not exist or does not support this driver, or if the folder is in use.
     """
     scenario = scenario_of(named, overrides)
     warnings = tuple(scenario.warnings())
@@ -123,6 +123,6 @@ def launch_plan(named: str, out: str, driver: Driver, overrides: Sequence[str] =
 
 
 def executable(process: ProcessPlan) -> tuple[str, str]:
-    """Return package and executable of a process: ``recorder`` of ``swarmabs_bag.recorder.node``, for example."""
+    """Return package and executable of a process, such as ``recorder`` for ``swarmabs_bag.recorder.node``."""
     *_, name, kind = process.module.split(".")
     return process.module.partition(".")[0], name if kind == "node" else f"{name}_{kind}"

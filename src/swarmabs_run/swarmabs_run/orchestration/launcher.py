@@ -1,9 +1,9 @@
 """The process from which a run's nodes are forked.
 
-It imports what the nodes need once and starts no thread; each node is then a fork of it, which takes milliseconds
-instead of the second that a fresh Python with rclpy takes, and shares its memory. Commands come as lines of JSON on
-standard input, the fate of the children goes to the report pipe. When standard input ends, however the orchestrator
-ended, every child is killed and reaped; when this process itself is killed, the kernel kills the children.
+It imports everything that the nodes need and starts no threads. Each node is a fork of it: forking takes milliseconds,
+where a fresh Python with rclpy takes a second, and the children share its memory. Commands arrive as lines of JSON on
+standard input; the exits of the children go to the report pipe. When standard input closes, however the orchestrator
+ended, every child is killed and reaped. If this process itself is killed, the kernel kills the children.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from swarmabs_run.ending import die_with_parent, end_grace
 from swarmabs_run.tracing_files import tracing_files_removed
 
 LOADED_BY_SERVICES = ("numpy", "service_msgs.msg", "type_description_interfaces.msg")
-"""What rclpy loads when a node offers services, as nodes in real time do; loaded here it is shared by all of them."""
+"""Modules that rclpy loads when a node offers services, as real-time nodes do; loaded here, all nodes share them."""
 CROWD = 8
-"""More nodes per core than this share the cores in turn, without interrupting each other for every message."""
+"""With more nodes per core than this, nodes do not preempt each other for every message."""
 _PR_SET_NAME = 15
 
 
 class Launcher:
-    """Forks nodes on request and reports their ends."""
+    """Forks nodes on request and reports their exits."""
 
     def __init__(self, report_fd: int) -> None:
         self._report_fd = report_fd
@@ -73,7 +73,7 @@ class Launcher:
             self._spawn(command)
         else:
             pid = self._pids.get(command["name"])
-            if pid is not None:  # not reaped yet, so the id is still that of the child
+            if pid is not None:  # not reaped yet, so the id still belongs to the child
                 os.kill(pid, command["signal"])
 
     def _spawn(self, command: dict[str, Any]) -> None:
@@ -103,7 +103,7 @@ class Launcher:
             os.close(null)
             os.environ.update(command["environment"])
             code = importlib.import_module(command["module"]).main(command["arguments"])
-        except BaseException:  # noqa: BLE001 - whatever it is belongs into the node's log, and must end here
+        except BaseException:  # noqa: BLE001 - every exception goes to the node's log and ends the child
             traceback.print_exc()
         finally:
             sys.stdout.flush()
@@ -135,13 +135,13 @@ class Launcher:
         line = json.dumps({"node": "launcher", "pid": os.getpid(), "event": event, **details}) + "\n"
         try:
             os.write(self._report_fd, line.encode())
-        except BrokenPipeError:  # the orchestrator has gone; standard input will tell the same
+        except BrokenPipeError:  # the orchestrator has ended; so will standard input
             return
 
 
 def main() -> int:
-    """Import everything once, then serve."""
-    # The ROS tracing library keeps two idle listeners of its own, which a fork may leave behind.
+    """Import all modules, then serve."""
+    # The ROS tracing library runs two idle listener threads, which a fork may safely lose.
     warnings.filterwarnings("ignore", message=".*multi-threaded, use of fork", category=DeprecationWarning)
     controller, law, driving, processes = sys.argv[1:]
     driver = Driver(driving)
@@ -150,15 +150,15 @@ def main() -> int:
             importlib.import_module(NODES[node].modules[driver])
         for name in LOADED_BY_SERVICES if driver is Driver.REALTIME else ():
             importlib.import_module(name)
-        CONTROLLERS.find(controller)  # what a package brings is looked for once, and not in every node
+        CONTROLLERS.find(controller)  # entry points are resolved once, not in every node
         LAWS.find(law)
         for topic in TOPICS:
             ros_type(topic).__class__.__import_type_support__()
         gc.collect()
-        gc.freeze()  # memory that no collection touches stays shared with the children
+        gc.freeze()  # memory that the garbage collector does not touch stays shared with the children
         if int(processes) > CROWD * len(os.sched_getaffinity(0)):
-            # A message that arrives does not push the running process off its core: it is handled when that one waits
-            # itself, together with what has come meanwhile. That halves the switches between processes.
+            # An arriving message does not preempt the running process: the receiver runs when that process waits, and
+            # handles all messages that have arrived meanwhile. This halves the number of context switches.
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
         launcher = Launcher(int(os.environ[REPORT_FD]))
         launcher.run()

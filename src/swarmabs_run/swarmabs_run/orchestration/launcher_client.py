@@ -25,27 +25,27 @@ if TYPE_CHECKING:
     from swarmabs_run.orchestration.plan import ProcessPlan
 
 END_SECONDS = 10.0
-"""Longest time, s, that the launcher may take to end its children; then it is killed, and the kernel ends them."""
+"""Longest time, s, for the launcher to end its children; then it is killed, and the kernel kills them."""
 
 
 class LauncherClient:
-    """Starts the launcher, speaks with it, and makes sure that nothing of it is left.
+    """Starts the launcher, exchanges messages with it, and cleans up after it.
 
     Parameters
     ----------
     environment : mapping
-        Environment variables to add for launcher and nodes.
+        Environment variables to add for the launcher and the nodes.
     log : Path
-        File for what the launcher itself prints.
+        File for the output of the launcher itself.
     processes : int
-        How many nodes there will be.
+        Number of nodes.
     controller, law : str
         Names of the parent controller and of the swarm law, which the launcher loads before it forks.
 
     Attributes
     ----------
     reports : int
-        File descriptor from which the reports of launcher and nodes are read.
+        File descriptor from which to read the reports of the launcher and the nodes.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class LauncherClient:
                     START_FD: str(start_read),
                     "OPENBLAS_NUM_THREADS": "1",  # a process with threads must not be forked
                 },
-                start_new_session=True,  # Ctrl-C in a terminal is for the orchestrator alone
+                start_new_session=True,  # Ctrl-C in a terminal reaches the orchestrator only
             )
         os.close(report_write)
         os.close(start_read)
@@ -110,14 +110,14 @@ class LauncherClient:
         )
 
     def signal(self, name: str, number: int) -> None:
-        """Send a signal to a node; nothing happens if it has ended."""
+        """Send a signal to a node; does nothing if the node has ended."""
         self._command(command="signal", name=name, signal=int(number))
 
-    def start_all(self, told: bytes = b"") -> None:
-        """Give all nodes the start signal, and before it what they may read from it."""
+    def start_all(self, data: bytes = b"") -> None:
+        """Send all nodes the start signal, preceded by `data` for them to read."""
         if self._start >= 0:
-            with suppress(BrokenPipeError):  # a dead launcher is noticed by `alive`
-                os.write(self._start, told)
+            with suppress(BrokenPipeError):  # `alive` detects a dead launcher
+                os.write(self._start, data)
             os.close(self._start)
             self._start = -1
 
@@ -131,11 +131,11 @@ class LauncherClient:
         return [json.loads(line) for line in lines]
 
     def alive(self) -> bool:
-        """Tell whether the launcher is running."""
+        """Return whether the launcher is running."""
         return self._process.poll() is None
 
     def close(self) -> None:
-        """End launcher and nodes, and wait until they are gone."""
+        """End the launcher and the nodes, and wait until they are gone."""
         stdin = self._process.stdin
         if stdin is not None:
             with suppress(BrokenPipeError):
@@ -154,6 +154,6 @@ class LauncherClient:
         stdin = self._process.stdin
         if stdin is None or stdin.closed:
             return
-        with suppress(BrokenPipeError):  # a dead launcher is noticed by `alive`
+        with suppress(BrokenPipeError):  # `alive` detects a dead launcher
             stdin.write(json.dumps(command).encode() + b"\n")
             stdin.flush()

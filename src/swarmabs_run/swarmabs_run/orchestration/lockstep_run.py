@@ -1,4 +1,4 @@
-"""One run in lockstep, from the first process to the last."""
+"""One run in lockstep, from starting its processes to ending them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from swarmabs_run.run import Outcome
 
 STALL_GRACE = 1.0
-"""Time, s, for which reports of a stall are gathered before they are judged."""
+"""Time, s, for which reports of a stall are collected before they are evaluated."""
 
 _SIGNALS = {
     ChangeKind.KILL: signal.SIGKILL,
@@ -31,7 +31,7 @@ _SIGNALS = {
 
 
 class LockstepRun(ProcessRun):
-    """A run in lockstep: its processes step by messages alone, and end or stop where the scenario has faults."""
+    """A run in lockstep: messages alone advance its steps; processes end or stop where the scenario has faults."""
 
     def __init__(
         self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
@@ -43,7 +43,7 @@ class LockstepRun(ProcessRun):
         self._stalled_at = -1
 
     def drive(self, machine: Machine, domain: int, begun: float) -> Outcome:
-        """See the processes to their end; afterwards the run cannot be steered any more."""
+        """Drive the processes to their end; afterwards the run can no longer be steered."""
         try:
             return super().drive(machine, domain, begun)
         finally:
@@ -58,42 +58,42 @@ class LockstepRun(ProcessRun):
         self._inject_faults()
         return self._check_stalls(now)
 
-    def _take_orders(self) -> None:
-        """Note what was done from outside, and plan the ends of processes that follow from it."""
-        for order in self._supervision.orders:
-            self._note(f"steered: {order['text']}")
-            if order["change"]:
-                change = Change.parse(order["change"])
+    def _apply_steering(self) -> None:
+        """Log the steering that was applied, and schedule the ends of processes that follow from it."""
+        for report in self._supervision.steered:
+            self._note(f"steered: {report['text']}")
+            if report["change"]:
+                change = Change.parse(report["change"])
                 later = (fault for fault in self._faults if fault.agent_id != change.agent_id)
                 self._faults = sorted((change, *later))
-        self._supervision.orders.clear()
+        self._supervision.steered.clear()
 
     def _inject_faults(self) -> None:
-        """End or stop the processes whose last state is recorded; from then on nobody listens to them any more."""
-        self._take_orders()
+        """End or stop the processes of faulty robots once their last state is recorded and no node needs them."""
+        self._apply_steering()
         while self._faults and self._faults[0].step <= self._recorded():
             fault = self._faults.pop(0)
             name = self._own_process.get(fault.agent_id)
-            if name is None:  # its state machine is silent, its neighbours go on
+            if name is None:  # its state machine falls silent; the others in the process continue
                 continue
             self._supervision.expect_end(name)
             self._note(f"fault '{fault}': {_SIGNALS[fault.kind].name} to process {self._supervision.pids[name]}")
             self._machine.signal(name, _SIGNALS[fault.kind])
 
     def _recorded(self) -> int:
-        """Return the last step that is known to be recorded, -1 for none."""
+        """Return the last step known to be recorded, -1 for none."""
         return -1 if self._supervision.progress is None else int(self._supervision.progress["step"])
 
     def _check_stalls(self, now: float) -> Failure | None:
         state, lockstep = self._supervision, self._scenario.lockstep
         recorded = self._recorded()
-        # A robot that says it waits, and is stopped before it says that it waits no more, does not hold up the run.
+        # A robot that reports a stall, and is stopped before it reports its recovery, does not stall the run.
         if not state.stalls or self._finished is not None or recorded > self._stalled_at:
             self._stalled_at, self._stalled_since = recorded, None
             return None
         if self._stalled_since is None:
             self._stalled_since = now
-        # Where robots are dropped, the run gets the time that this takes, and fails only if it does not help.
+        # Where silent robots are dropped, allow the time that this takes, and fail only if the run still stalls.
         grace = STALL_GRACE if lockstep.on_stall == "fail" else STALL_GRACE + 2.0 * lockstep.stall_timeout
         if now - self._stalled_since < grace:
             return None

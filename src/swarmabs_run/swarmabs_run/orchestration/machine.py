@@ -1,4 +1,4 @@
-"""What a run of processes needs of the machine: processes, their reports, clocks, and whether an end was asked for."""
+"""The interface of a run to the machine: processes, their reports, clocks, and termination requests."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ POLL = 0.1
 
 
 class Machine(Protocol):
-    """What a run does with processes; the nodes are named, and forked by a launcher."""
+    """Operations of a run on its processes; a launcher forks the nodes, which are identified by name."""
 
     @property
     def launcher(self) -> int:
         """Process id of the launcher."""
 
     def alive(self) -> bool:
-        """Tell whether the launcher is running."""
+        """Return whether the launcher is running."""
 
     def spawn(self, process: ProcessPlan, arguments: list[str], log: Path) -> None:
-        """Start a node with a command line and a file for what it prints."""
+        """Start a node with a command line and a file for its output."""
 
     def signal(self, name: str, number: int) -> None:
-        """Send a signal to a node; nothing happens if it has ended."""
+        """Send a signal to a node; does nothing if the node has ended."""
 
-    def start_all(self, told: bytes = b"") -> None:
-        """Give all nodes the start signal, and before it what they may read from it."""
+    def start_all(self, data: bytes = b"") -> None:
+        """Send all nodes the start signal, preceded by `data` for them to read."""
 
     def listen(self) -> list[dict[str, Any]]:
-        """Return the reports that have arrived; wait a little if there is none."""
+        """Return the reports that have arrived; wait briefly if there are none."""
 
     def end_asked(self) -> bool:
-        """Tell whether somebody wants the run to end."""
+        """Return whether the end of the run has been requested."""
 
     def now(self) -> float:
         """Return the time of the steady clock, s."""
@@ -55,11 +55,11 @@ class Machine(Protocol):
         """Return the time since 1970, ns."""
 
     def state_of(self, pid: int) -> str:
-        """Return what a process does, such as ``stopped``; ``dead`` if there is none."""
+        """Return the state of a process, such as ``stopped``; ``dead`` if it does not exist."""
 
 
 class ThisMachine:
-    """The real machine, with a launcher that runs and the read end of a pipe to which every signal writes a byte."""
+    """The real machine, with a running launcher and the read end of a pipe to which every signal writes a byte."""
 
     now = staticmethod(time.monotonic)
     time_ns = staticmethod(time.time_ns)
@@ -75,7 +75,7 @@ class ThisMachine:
         self.end_asked = end_asked
 
     def listen(self) -> list[dict[str, Any]]:
-        """Return the reports that have arrived; wait a little if there is none and no signal comes."""
+        """Return the reports that have arrived; if there are none, wait briefly for reports or a signal."""
         ready, _, _ = select.select([self._launcher.reports, self._wake], [], [], POLL)
         if self._wake in ready:
             os.read(self._wake, 4096)
@@ -83,7 +83,7 @@ class ThisMachine:
 
     @staticmethod
     def state_of(pid: int) -> str:
-        """Return what the kernel says that a process does."""
+        """Return the state of a process according to the kernel."""
         try:
             return str(psutil.Process(pid).status())
         except psutil.Error:

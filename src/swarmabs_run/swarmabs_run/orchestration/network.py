@@ -1,14 +1,14 @@
 """The network of a run on this machine: its ROS domain, its Fast DDS profile and the environment of its processes.
 
-The profile is loopback only, with fixed participant ids, and robots that never discover each other.
+The profile uses loopback only and fixed participant ids; robots never discover each other.
 
-Every participant announces itself to the coordinators alone, so discovery grows with the number of robots and not
-with its square: that is what lets 200 processes find each other in seconds. Only UDP is used: a process that is
-killed leaves no file of shared memory behind.
+Every participant announces itself to the coordinators only, so discovery grows linearly with the number of robots, not
+quadratically: 200 processes discover each other in seconds. The only transport is UDP, so a killed process leaves no
+shared-memory files behind.
 
-Where the machine can multicast on loopback, a broadcast is sent once for all robots, and a robot's state once for all
-who gather the states. These are groups of their own, and so is the parent controller: nobody is woken by the many
-messages that are not for it.
+Where the machine supports multicast on loopback, a broadcast is sent once to all robots, and a robot's state once to
+all coordinators that use it. Robots, coordinators and the parent controller form separate groups, so no process is
+woken by messages that are not addressed to it.
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 PARTICIPANT_VARIABLE = "SWARMABS_PARTICIPANT"
-"""Environment variable that holds a process's participant id: one profile serves all processes of a run."""
+"""Environment variable with a process's participant id, so that one profile serves all processes of a run."""
 GROUP_VARIABLE = "SWARMABS_GROUP"
-"""Environment variable that holds the address of a process's multicast group."""
+"""Environment variable with the address of a process's multicast group."""
 _ROBOTS_GROUP, _CONTROLLER_GROUP, _GATHERERS_GROUP = "239.255.83.1", "239.255.83.2", "239.255.83.3"
 
 FROM_ENVIRONMENT = PARTICIPANT_VARIABLE
-"""The process finds its participant id in its environment."""
+"""The process reads its participant id from its environment."""
 FIRST_FREE = ""
-"""The process takes the first participant id that nobody has."""
+"""The process takes the first free participant id."""
 
 REALTIME_LEASE = 5
-"""Silence, s, after which a participant in real time is forgotten: it may have been restarted as another one."""
+"""Silence, s, after which a real-time participant is forgotten: it may have restarted as a new one."""
 
 _LOOPBACK = "127.0.0.1"
 _SERVER_PREFIX = "44.53.00.5f.45.50.52.4f.53.49.4d.41"
-"""GUID prefix of the discovery server: the one that Fast DDS gives to the discovery server of id 0."""
+"""GUID prefix that Fast DDS gives to the discovery server with id 0."""
 
 
 @contextmanager
 def claimed_domain(spacing: int = ports.SPACING) -> Iterator[int]:
-    """Hold a free ROS domain, and yield its id, for the time of the block; no other run gets it meanwhile.
+    """Claim a free ROS domain for the duration of the block, and yield its id; no other run can claim it meanwhile.
 
-    The claim is a bound TCP port on loopback: the kernel gives it up however this process ends. The run's ports reach
-    over `spacing` domains. Raises `RunError` if there is none left.
+    The claim is a bound TCP port on loopback, which the kernel releases however this process ends. The run's ports
+    span `spacing` domains. Raises `RunError` if no domain is free.
     """
     held: list[socket.socket] = []
     try:
@@ -64,7 +64,7 @@ def claimed_domain(spacing: int = ports.SPACING) -> Iterator[int]:
                 return
         raise RunError(
             "no ROS domain is free on this machine: the guard ports of all "
-            f"{ports.LARGEST_DOMAIN // ports.SPACING} are held; end other runs"
+            f"{ports.LARGEST_DOMAIN // ports.SPACING} are taken; end other runs"
         )
     finally:
         for guard in held:
@@ -72,7 +72,7 @@ def claimed_domain(spacing: int = ports.SPACING) -> Iterator[int]:
 
 
 def _claim(domains: range) -> list[socket.socket]:
-    """Bind the guard ports of all these domains, or of none."""
+    """Bind the guard ports of all these domains, or of none of them."""
     held: list[socket.socket] = []
     for domain in domains:
         guard = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -90,7 +90,7 @@ def dds_environment(domain: int, profile_path: str) -> dict[str, str]:
     """Return the environment variables that put a process into a run's domain."""
     return {
         "ROS_DOMAIN_ID": str(domain),
-        # LOCALHOST and SUBNET would make the middleware add transports of its own to those of the profile.
+        # With LOCALHOST or SUBNET the middleware would add transports to those of the profile.
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
         "RMW_FASTRTPS_PUBLICATION_MODE": "SYNCHRONOUS",
@@ -103,7 +103,7 @@ def multicast_group(participant: int) -> str:
     """Return the address of the group to which a participant listens."""
     if participant >= COORDINATORS:
         return _ROBOTS_GROUP
-    # The parent controller is the one coordinator that does not hear the robots.
+    # The parent controller is the only coordinator that does not receive the robots' states.
     return _CONTROLLER_GROUP if participant == NODES[CONTROLLER].participant else _GATHERERS_GROUP
 
 
@@ -114,10 +114,10 @@ class Discovery:
     Parameters
     ----------
     protocol : str
-        Without help, as the discovery server, or as one of its clients.
+        Simple discovery, discovery server, or client of the server.
     peers : tuple, optional
-        Address and UDP port of those to whom a participant announces itself; it then hears of others on its own
-        address only. None: by multicast, or by the server.
+        Address and UDP port of the participants to which this one announces itself; it then receives announcements on
+        its own address only. None: discovery by multicast or through the server.
     server : tuple, optional
         Address and UDP port of the server.
     """
@@ -128,7 +128,7 @@ class Discovery:
 
 
 def multicast_works(timeout: float = 0.5) -> bool:
-    """Try whether this machine carries multicast on loopback, by sending itself a datagram; `timeout` in s."""
+    """Return whether multicast works on loopback, by sending a datagram to this process; `timeout` in s."""
     loopback = socket.inet_aton(_LOOPBACK)
     group = _ROBOTS_GROUP
     try:
@@ -159,15 +159,15 @@ def profile_xml(
     Parameters
     ----------
     peers : iterable of int
-        Ids of the participants to which this one announces itself. The coordinators suffice for a member of the swarm;
-        a tool that wants to see everybody needs everybody.
+        Ids of the participants to which this one announces itself: the coordinators for a node of the swarm, all
+        participants for a tool that observes the whole run.
     participant : str
-        How the participant id is found: `FROM_ENVIRONMENT` or `FIRST_FREE`.
+        Source of the participant id: `FROM_ENVIRONMENT` or `FIRST_FREE`.
     multicast : bool
-        Whether to listen to the group whose address is in the environment variable `GROUP_VARIABLE`.
+        Whether to join the group whose address is in the environment variable `GROUP_VARIABLE`.
     realtime : bool
-        Whether participants that fall silent are forgotten soon, and writers assert that they live. Nodes in real time
-        need it: Fast DDS crashes when a writer without this protocol asserts anything.
+        Whether silent participants are forgotten quickly and writers assert their liveliness. Real-time nodes need it:
+        Fast DDS crashes when a writer without this protocol asserts its liveliness.
     """
     announced = tuple((_LOOPBACK, ports.metatraffic_port(domain, peer)) for peer in peers)
     return _template().render(
@@ -181,7 +181,7 @@ def profile_xml(
 
 
 def network_profile_xml(address: str, discovery: Discovery, participant: str = FROM_ENVIRONMENT) -> str:
-    """Return the profile of nodes in real time on one address of a network; for the others see `profile_xml`."""
+    """Return the profile of real-time nodes on one address of a network; for a single machine see `profile_xml`."""
     return _template().render(
         transport="swarm",
         address=address,

@@ -1,4 +1,4 @@
-"""Which processes a scenario needs, and with which parameters each is started."""
+"""The processes that a scenario needs, with their parameters."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 Parameters = dict[str, object]
 
 PATIENCE = 1e-4
-"""Time, s, per robot that a node waits at least for an answer before it repeats itself."""
+"""Shortest time, s, per robot that a node waits for an answer before it sends its message again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +58,9 @@ class ProcessPlan:
     parameters : dict
         Its ROS parameters.
     publications, subscriptions : tuple of Topic
-        Its endpoints, from which follows whom each must have met before the run starts.
+        Its endpoints; they determine the counterparts that it must discover before the run starts.
     agents : tuple of int
-        Ids of the robots that live in it.
+        Ids of the robots that it hosts.
     """
 
     name: str
@@ -76,7 +76,7 @@ class ProcessPlan:
         given = [f"{name}:={_yaml(value)}" for name, value in self.parameters.items() if value not in ((), [])]
         return [
             "--ros-args",
-            # What a node logs goes to its standard error, and from there to its file in the run's folder.
+            # A node logs to standard error, which goes to its file in the run's folder.
             "--disable-external-lib-logs",
             *("-r", f"__node:={self.name}"),
             *("-r", f"__ns:={namespace}"),
@@ -85,7 +85,7 @@ class ProcessPlan:
 
 
 Arrange = Callable[[Sequence[ProcessPlan]], Sequence[ProcessPlan]]
-"""Changes the processes of a run before any is started, such as their order or parameters."""
+"""Changes the planned processes before they are started, such as their order or parameters."""
 
 
 def _yaml(value: object) -> str:
@@ -96,7 +96,7 @@ def _yaml(value: object) -> str:
     if isinstance(value, str):
         return "'" + value.replace("'", "''") + "'"
     if isinstance(value, float) and 0.0 < abs(value) < sys.float_info.min:
-        return value.hex()  # a decimal as small as this counts as a text
+        return value.hex()  # the parameter parser reads a decimal number this small as a string
     return repr(value)
 
 
@@ -110,8 +110,8 @@ def plan(
 ) -> tuple[ProcessPlan, ...]:
     """Return the processes of a scenario: the coordinators first, then the robots by id.
 
-    The folder holds the resolved scenario when they are started. In lockstep each is told how many counterparts its
-    endpoints will meet, in real time that it is told when step 0 begins.
+    By the time they start, the folder holds the resolved scenario. In lockstep, parameters give each process the number
+    of counterparts of its endpoints; in real time, they tell it to wait for the start time of step 0.
     """
     recorder: Parameters = {
         "scenario_file": str(folder.scenario),
@@ -138,7 +138,7 @@ def _lockstep_plan(
         "repeat_after": max(FIRST, PATIENCE * len(scenario.agents)),
         "repeat_steps": min(WINDOW, 2 * window),
     }
-    # Who begins each step with what is ordered for it.
+    # These nodes begin each step by applying the steering requests for it.
     obeying = common | ({"steered": True} if options.steered else {})
     coordinators = {
         PLANE: obeying | values_of(configure.plane_config(scenario)),
@@ -184,14 +184,14 @@ def _realtime_plan(scenario: Scenario, recorder: Parameters) -> tuple[ProcessPla
 
 
 def _without_epoch(config: object) -> Parameters:
-    """Return the parameters of a node that is told the epoch when all are there."""
+    """Return the parameters of a node that receives the epoch once all nodes are ready."""
     values: Parameters = {**values_of(config)}
     del values["epoch_ns"]
     return values | {"await_epoch": True}
 
 
 def _coordinator(node: str, driver: Driver, parameters: Parameters, scenario: Scenario) -> ProcessPlan:
-    """Return the process of a node that there is once."""
+    """Return the process of a node that exists once per run."""
     kind = NODES[node]
     ends = endpoints(node, driver, options_of(parameters), robots=len(scenario.agents))
     return ProcessPlan(
@@ -204,7 +204,7 @@ def _agent_processes(
 ) -> Iterator[ProcessPlan]:
     configs = configure.agent_configs(scenario)
     absent = {config.agent_id for config in configs if config.life.first_step == UNPLANNED}
-    if not options.steered:  # who is there only when it is added has no process where nobody can be added
+    if not options.steered:  # a robot that exists only if added needs no process in a run that cannot be steered
         configs = tuple(config for config in configs if config.agent_id not in absent)
     for index, first in enumerate(range(0, len(configs), options.agents_per_process)):
         hosted = configs[first : first + options.agents_per_process]
@@ -227,7 +227,7 @@ def _agent_processes(
 
 
 def expect_counterparts(processes: Collection[ProcessPlan]) -> None:
-    """Tell every process how many counterparts each of its endpoints will meet."""
+    """Set in every process the number of counterparts of each of its endpoints."""
     publishers = Counter(topic for process in processes for topic in process.publications)
     subscribers = Counter(topic for process in processes for topic in process.subscriptions)
     for process in processes:

@@ -1,4 +1,4 @@
-"""What every run of processes has in common: their start, the reports of all, the end, and that nothing remains."""
+"""The common part of all runs of processes: start, reports, end and cleanup."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
     from swarmabs_run.run import Phase
 
 START_SILENCE = 30.0
-"""Time, s, in which at least one more process must be forked or become ready."""
+"""Time, s, within which at least one more process must be forked or become ready."""
 CLOSING_SECONDS = 20.0
-"""Time, s, that the recorder has to complete the bag."""
+"""Longest time, s, for the recorder to complete the bag."""
 STARTED_AGAIN = "did not come up: again"
-"""What the orchestrator's log says of a process that it starts once more."""
+"""Entry in the orchestrator's log for a process that it starts again."""
 
 
 class ProcessRun:
-    """Starts a scenario's processes, waits until all are ready, lets them run as a subclass says, and ends them all.
+    """Starts a scenario's processes, waits until all are ready, runs them as the subclass defines, and ends them all.
 
-    The scenario's generated robots are listed, and the folder is empty. Raises `InputError` as of `end_grace`.
+    The scenario lists its generated robots, and the folder is empty. Raises `InputError` as `end_grace` does.
     """
 
     _driver: ClassVar[Driver] = LOCKSTEP
@@ -48,12 +48,12 @@ class ProcessRun:
     def __init__(
         self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
     ) -> None:
-        end_grace()  # the launcher reads it when the run has begun
+        end_grace()  # checked here, because the launcher reads it only after the run has started
         self._scenario = scenario
         self._folder = folder
         self._options = options
         self._plan = tuple(arrange(plan(scenario, folder, options, self._driver)))
-        self._told = ProgressFile(folder.logs)
+        self._progress_file = ProgressFile(folder.logs)
         hosts = {agent_id: process.name for process in self._plan for agent_id in process.agents}
         survives = self._driver is REALTIME or scenario.lockstep.on_stall == "drop"
         self._supervision = Supervision(
@@ -67,9 +67,9 @@ class ProcessRun:
         self._finished: float | None = None
 
     def run(self) -> Outcome:
-        """Run to the end, whatever it is; afterwards no process, port or shared memory of the run is left.
+        """Run until completion, failure or interruption; no process, port or shared memory of the run remains.
 
-        Raises `RunError` if the run cannot even be begun, such as when no ROS domain is free.
+        Raises `RunError` if the run cannot be started, such as when no ROS domain is free.
         """
         begun = time.monotonic()
         participants = 1 + max(process.participant for process in self._plan)
@@ -80,7 +80,7 @@ class ProcessRun:
             domain = stack.enter_context(claimed_domain(domains_spanned(participants)))
             profile.write_text(profile_xml(domain, multicast=multicast_works(), realtime=realtime), encoding="utf-8")
             write_network(self._folder.logs, domain, participants, realtime=realtime)
-            stack.callback(self._told.over)
+            stack.callback(self._progress_file.over)
             asked = stack.enter_context(end_asked())
             wake = stack.enter_context(woken_by_signals())
             client = LauncherClient(
@@ -94,9 +94,10 @@ class ProcessRun:
             return self.drive(ThisMachine(stack.enter_context(client), wake, asked), domain, begun)
 
     def drive(self, machine: Machine, domain: int, begun: float) -> Outcome:
-        """Start the processes on a machine, in a ROS domain, and see them to their end.
+        """Start the processes on a machine, in a ROS domain, and drive them to their end.
 
-        The run's folder is filled; the time (s, steady clock) at which it was asked for has begun its log.
+        The run's folder already holds the input files; `begun` is the time of the request, s on the steady clock, from
+        which the log counts.
         """
         self._machine, self._begun = machine, begun
         self._note(f"{self._scenario.name}: {len(self._plan)} processes in ROS domain {domain}")
@@ -140,19 +141,19 @@ class ProcessRun:
         return None
 
     def _start(self, now: float) -> float:
-        """Let all processes begin, which are ready; return the time, s of the steady clock, of the first step."""
+        """Start the processes, all of which are ready; return the time of the first step, s on the steady clock."""
         raise NotImplementedError
 
     def _watch(self, now: float) -> Failure | None:
-        """Look after the run while it goes on, some ten times a second; return why it has failed, if it has."""
+        """Supervise the run, about ten times a second; return the failure, if any."""
         raise NotImplementedError
 
-    def _failure(self, now: float) -> Failure | None:  # noqa: ARG002 - for those who wait a little
+    def _failure(self, now: float) -> Failure | None:  # noqa: ARG002 - for subclasses that delay the failure
         """Return the failure that ends the run."""
         return self._supervision.failure
 
     def _end(self) -> Failure | None:
-        """Do what remains when the recording is complete and the processes still run; return what went wrong."""
+        """Finish after the recording is complete, while the processes are still running; return the failure, if any."""
         return None
 
     def _spawn(self, processes: Iterable[ProcessPlan]) -> None:
@@ -161,7 +162,7 @@ class ProcessRun:
             self._machine.spawn(process, process.arguments(self._options.namespace), log)
 
     def _restart_lost(self) -> bool:
-        """Start again the robots' processes that have ended before the run began; tell whether there were any."""
+        """Restart the robots' processes that ended before the run started; return whether there were any."""
         names = self._supervision.to_restart()
         for name in names:
             self._note(f"{name} (process {self._supervision.pids[name]}) {STARTED_AGAIN}")
@@ -176,7 +177,7 @@ class ProcessRun:
             self._finished = self._machine.now()
 
     def _listen_until(self, enough: Callable[[], bool], seconds: float) -> None:
-        """Listen while the run is closing, until that is enough, but not for longer than this."""
+        """Listen while the run is closing until `enough` holds, but no longer than `seconds`."""
         deadline = self._machine.now() + seconds
         while not enough() and self._machine.alive() and self._machine.now() < deadline:
             self._listen()
@@ -185,10 +186,10 @@ class ProcessRun:
     def _not_started(self) -> Failure:
         missing = self._supervision.not_ready()
         shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
-        return Failure(f"not all processes have met within {START_SILENCE:g} s without news: {shown}", missing[:2])
+        return Failure(f"{shown}: counterparts not found; no progress for {START_SILENCE:g} s", missing[:2])
 
     def _conclude(self, failure: Failure | None) -> Outcome:
-        """Let the recorder complete the bag of a run that did not finish, and sum up."""
+        """Let the recorder complete the bag if the run did not finish, and return the outcome."""
         state, interrupted = self._supervision, failure is None and self._machine.end_asked()
         reason = self._describe(failure)
         if interrupted:
@@ -196,7 +197,7 @@ class ProcessRun:
         if reason is not None:
             self._note(reason)
         if RECORDER in state.pids and not (failure is not None and RECORDER in failure.culprits):
-            # By the signal it knows what to write into the bag as the reason.
+            # The signal tells the recorder which reason to write into the bag.
             self._machine.signal(RECORDER, signal.SIGINT if interrupted else signal.SIGTERM)
             self._listen_until(lambda: state.done is not None or RECORDER in state.exited, CLOSING_SECONDS)
         ended_badly = self._end()
@@ -218,17 +219,17 @@ class ProcessRun:
         )
 
     def _figures(self, recorded: Mapping[str, Any]) -> dict[str, Any]:
-        """Return digest and figures."""
+        """Return the digest and the figures."""
         return dict(recorded)
 
     def _warnings(self) -> tuple[str, ...]:
-        """Return what people should know of a run that did not fail."""
+        """Return the warnings of a run that did not fail."""
         return ()
 
     def _note(self, text: str) -> None:
-        """Write a line to the orchestrator's log, which becomes a part of the bag."""
+        """Write a line to the orchestrator's log, which becomes part of the bag."""
         path = self._folder.logs / "orchestrator.log"
-        with suppress(OSError), path.open("a", encoding="utf-8") as stream:  # a full disk is the recorder's to report
+        with suppress(OSError), path.open("a", encoding="utf-8") as stream:  # the recorder reports a full disk
             stream.write(f"[{self._machine.now() - self._begun:9.3f}] {text}\n")
 
     def _describe(self, failure: Failure | None) -> str | None:
@@ -244,7 +245,7 @@ class ProcessRun:
         state = self._supervision
         progress = state.progress or {}
         step, seen = progress.get("step", 0), progress.get("robots")
-        self._told.tell(phase, step, self._scenario.steps, self._machine.now())
+        self._progress_file.update(phase, step, self._scenario.steps, self._machine.now())
         if self._options.on_progress is None:
             return
         elapsed = 0.0 if self._started is None else (self._finished or self._machine.now()) - self._started

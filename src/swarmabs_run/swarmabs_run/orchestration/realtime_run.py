@@ -1,4 +1,4 @@
-"""One run in real time on this machine, for demonstrations: the processes of a fleet, with simulated bodies."""
+"""One run in real time on this machine, for demonstrations: the processes of a fleet with simulated bodies."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario
 
 LEAD, LEAD_PER_PROCESS = 1.0, 0.02
-"""Time, s, from the start signal to step 0, in which the nodes make their endpoints and discover each other."""
+"""Time, s, from the start signal to step 0, for the nodes to create their endpoints and discover each other."""
 OVERTIME = 10.0
-"""Time, s, by which the recorder may be late at the end before the run is taken to hang."""
+"""Longest delay, s, of the recorder at the end before the run counts as hung."""
 GRACE = 1.0
-"""Time, s, beyond the age limits for which a run that has failed goes on: its bag shall show how the robots stop."""
+"""Time, s, beyond the age limits for which a failed run continues, so that its bag shows how the robots stop."""
 ENDING_SECONDS = 10.0
-"""Time, s, that the nodes have to end in order, and to report their timing."""
+"""Longest time, s, for the nodes to report their timing and exit."""
 
 
 class RealtimeRun(ProcessRun):
-    """A run in real time: its processes are told when step 0 begins, and are ended when the last step is over.
+    """A run in real time: its processes receive the start time of step 0, and are ended after the last step.
 
-    A robot's process that dies is not started again: the swarm goes on without it, as a fleet does. Without one of its
-    coordinators, or if it loses the plane, the swarm stops, and the run fails a little later. Without its recorder it
-    fails at once. Raises `InputError` if the scenario asks for what there is in lockstep only.
+    A robot's process that dies is not restarted: the swarm continues without it, as a fleet does. If a coordinator dies
+    or the swarm loses the plane, the swarm stops, and the run fails shortly afterwards. If the recorder dies, the run
+    fails at once. Raises `InputError` if the scenario uses features that only lockstep supports.
     """
 
     _driver = REALTIME
@@ -72,7 +72,7 @@ class RealtimeRun(ProcessRun):
         return failure if now - self._failed_at >= grace else None
 
     def _end(self) -> Failure | None:
-        """Let the nodes end in order, so that they report their timing. One that does not was no part of the swarm."""
+        """Ask the nodes to exit, so that they report their timing; a robot that does not exit counts as dead."""
         state = self._supervision
         running = [name for name in state.pids if name not in state.exited]
         for name in running:
@@ -85,7 +85,7 @@ class RealtimeRun(ProcessRun):
         if not culprits or not self._machine.alive():
             return None
         shown = ", ".join(f"{name} (process {state.pids[name]} is {hung[name]})" for name in culprits)
-        return Failure(f"{shown} did not end when it was told to; what it did before is not known", culprits[:2])
+        return Failure(f"{shown} did not exit on SIGTERM, so its state before is unknown", culprits[:2])
 
     def _figures(self, recorded: Mapping[str, Any]) -> dict[str, Any]:
         timing = self._supervision.timing
@@ -99,4 +99,4 @@ class RealtimeRun(ProcessRun):
         return {**recorded, "realtime": {**recorded.get("realtime", {}), **realtime}}
 
     def _warnings(self) -> tuple[str, ...]:
-        return tuple(f"{name} {how}; the swarm went on without it" for name, how in sorted(self._died.items()))
+        return tuple(f"{name} {how}; the swarm continued without it" for name, how in sorted(self._died.items()))

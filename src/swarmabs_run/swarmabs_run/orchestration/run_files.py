@@ -1,8 +1,8 @@
-"""What a run writes beside its logs for those who look in from outside, and how it is read.
+"""Files that a run writes next to its logs for external tools, and their readers.
 
-Stock ROS tools and late joiners need the file of the network, which the ordinary settings do not show them. The network
-of a run is for as long as the run lasts. Then another run may get the same ROS domain, so nobody may speak into it by
-the files of the one before. How far a run is stands in a file that is read without joining the network.
+Stock ROS tools and late joiners need the network file: with default settings they cannot see the run. The file is valid
+only while the run lasts. Afterwards another run may use the same ROS domain, and no tool may join it with the files of
+an earlier run. The progress of a run is in a file, so that it can be read without joining the network.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ PROCESSES_FILE = "processes.json"
 TOOL_PROFILE = "fastdds_tool.xml"
 PROGRESS_FILE = "progress.json"
 PROGRESS_INTERVAL = 0.5
-"""Time, s, between two versions of the file."""
+"""Shortest time, s, between two updates of the file within a phase."""
 OVER = "over"
-"""The phase of a run that has ended, however."""
+"""The phase of a run that has ended, for whatever reason."""
 _START = 19
-"""Place of the start in /proc/PID/stat behind the name (proc_pid_stat(5): field 22)."""
+"""Index of the start time in /proc/PID/stat, counted after the name (proc_pid_stat(5): field 22)."""
 
 
 class RunOverError(InputError):
-    """The run whose folder is named does not go on any more."""
+    """The run in the given folder has ended."""
 
     def __init__(self, run: Path) -> None:
         super().__init__(f"{run}: this run is over")
 
 
 def write_network(logs: Path, domain: int, participants: int, *, realtime: bool = False) -> None:
-    """Write down, beside the logs, in which domain a run lives, and a profile for those who want to look in."""
+    """Write the ROS domain of a run and a profile for external tools next to the logs."""
     profile = logs / TOOL_PROFILE
-    # Without a participant id of its own a tool takes the first free one: a spare coordinator's.
+    # A tool has no assigned participant id and takes the first free one: a spare coordinator's.
     profile.write_text(profile_xml(domain, peers=range(participants), participant=FIRST_FREE), encoding="utf-8")
     pid = os.getpid()
     network = {
@@ -59,11 +59,11 @@ def write_network(logs: Path, domain: int, participants: int, *, realtime: bool 
     (logs / NETWORK_FILE).write_text(json.dumps(network) + "\n", encoding="utf-8")
 
 
-class Told(NamedTuple):
-    """What the file of a run's progress says: the phase is that of `Progress`, or `OVER`.
+class ProgressReport(NamedTuple):
+    """Content of the progress file: the phase is that of `Progress`, or `OVER`.
 
-    The step rate counts per second of wall time since the version before; None if there was no other. It was told at a
-    time, s, on the machine's monotonic clock.
+    The step rate is per second of wall time since the previous update; None if there was none. `told_at` is the time of
+    the update, s on the machine's monotonic clock.
     """
 
     phase: str
@@ -74,47 +74,47 @@ class Told(NamedTuple):
 
 
 class ProgressFile:
-    """Keeps the file that says how far a run is."""
+    """Keeps the progress file of a run up to date."""
 
     def __init__(self, logs: Path) -> None:
         self._path = logs / PROGRESS_FILE
-        self._last: Told | None = None
+        self._last: ProgressReport | None = None
 
-    def tell(self, phase: Phase, step: int, steps: int, now: float) -> None:
-        """Note how far the run is at a time (s, monotonic); the file is written when it is old or the phase changes."""
+    def update(self, phase: Phase, step: int, steps: int, now: float) -> None:
+        """Update the progress at a time (s, monotonic); the file is written if it is old or the phase has changed."""
         last = self._last
         if last is not None and last.phase == phase and now - last.told_at < PROGRESS_INTERVAL:
             return
         going = last is not None and last.phase == "running" and now > last.told_at
         rate = (step - last.step) / (now - last.told_at) if last is not None and going else None
-        self._write(Told(phase, step, steps, rate, now))
+        self._write(ProgressReport(phase, step, steps, rate, now))
 
     def over(self) -> None:
-        """Note that the run has ended."""
+        """Write that the run has ended."""
         step, steps = (0, 0) if self._last is None else self._last[1:3]
-        self._write(Told(OVER, step, steps, None, time.monotonic()))
+        self._write(ProgressReport(OVER, step, steps, None, time.monotonic()))
 
-    def _write(self, told: Told) -> None:
-        self._last = told
-        with suppress(OSError):  # a full disk is the recorder's to report
-            _replace(self._path, told._asdict())
+    def _write(self, report: ProgressReport) -> None:
+        self._last = report
+        with suppress(OSError):  # the recorder reports a full disk
+            _replace(self._path, report._asdict())
 
 
-def read_progress(logs: Path) -> Told | None:
-    """Return what the file of a run says, None if there is none."""
+def read_progress(logs: Path) -> ProgressReport | None:
+    """Return the content of a run's progress file, None if there is no valid one."""
     try:
-        return Told(**json.loads((logs / PROGRESS_FILE).read_text(encoding="utf-8")))
+        return ProgressReport(**json.loads((logs / PROGRESS_FILE).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
         return None
 
 
 def write_processes(logs: Path, processes: Mapping[str, int]) -> None:
-    """Write down the ids of a run's processes by name when all have met: whoever finds them finds the run going on."""
+    """Write the ids of a run's processes by name once all are ready; from then on the run is known to be running."""
     _replace(logs / PROCESSES_FILE, {"orchestrator": os.getpid(), **processes})
 
 
 def read_processes(run: Path) -> dict[str, int] | None:
-    """Return the ids of a run's processes by name, that of the command first; None before all have met."""
+    """Return the ids of a run's processes by name, the command's first; None before all are ready."""
     try:
         found = json.loads((run / "logs" / PROCESSES_FILE).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -123,21 +123,21 @@ def read_processes(run: Path) -> dict[str, int] | None:
 
 
 def start_of(pid: int) -> int | None:
-    """Return when a process has started, in clock ticks since boot, which no setting of the clock changes.
+    """Return the start time of a process in clock ticks since boot, which setting the clock does not change.
 
-    None if there is no such process. With the id it names one process, also when the id is given to another later.
+    None if there is no such process. Together with the id it identifies the process even if the id is reused later.
     """
     try:
-        told = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+        stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return None
-    return int(told.rpartition(")")[2].split()[_START])
+    return int(stat.rpartition(")")[2].split()[_START])
 
 
 def orchestrator_of(run: Path) -> psutil.Process | None:
-    """Return the process that has started a run, None if it is gone.
+    """Return the process that started a run, None if it has ended.
 
-    Raises `InputError` if this is not the folder of a run with processes, as do all functions that follow.
+    Like the functions below, raises `InputError` if this is not the folder of a run with processes.
     """
     network = _network(run)
     pid = network["orchestrator"]
@@ -150,32 +150,32 @@ def orchestrator_of(run: Path) -> psutil.Process | None:
 
 
 def is_running(run: Path) -> bool:
-    """Tell whether a run goes on: the process that has started it lives, and does not say that it is over."""
-    told = read_progress(run / "logs")
-    return (told is None or told.phase != OVER) and orchestrator_of(run) is not None
+    """Return whether a run is running: the process that started it lives and has not reported its end."""
+    last = read_progress(run / "logs")
+    return (last is None or last.phase != OVER) and orchestrator_of(run) is not None
 
 
 def is_realtime(run: Path) -> bool:
-    """Tell whether a run is one in real time."""
+    """Return whether a run is in real time."""
     return bool(_network(run)["realtime"])
 
 
 def environment_of_run(run: Path) -> dict[str, str]:
-    """Return the environment variables with which a tool sees the nodes of a run; a `RunOverError` if it is over."""
+    """Return the environment variables for tools to see a run's nodes; raises `RunOverError` if the run is over."""
     if not is_running(run):
         raise RunOverError(run)
     return dds_environment(_network(run)["domain"], str((run / "logs" / TOOL_PROFILE).resolve()))
 
 
 def _replace(file: Path, document: Mapping[str, object]) -> None:
-    """Write a file atomically, so that readers never see a part of it."""
+    """Write a file atomically, so that readers never see a partial one."""
     part = file.with_suffix(".json.part")
     part.write_text(json.dumps(document) + "\n", encoding="utf-8")
     part.replace(file)
 
 
 def _network(run: Path) -> dict[str, int]:
-    """Return what a run has written about its network."""
+    """Return the content of a run's network file."""
     file = run / "logs" / NETWORK_FILE
     try:
         network = json.loads(file.read_text(encoding="utf-8"))
@@ -185,4 +185,4 @@ def _network(run: Path) -> dict[str, int]:
             f"{run} is not the folder of a run with processes ({error.strerror}: logs/{NETWORK_FILE})"
         ) from None
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{file}: not what a run writes there ({error!r})") from None
+        raise InputError(f"{file}: damaged, or not written by a run ({error!r}); name another folder") from None

@@ -1,4 +1,4 @@
-"""What the orchestrator knows of its processes, and what it concludes: a state machine without clock and processes."""
+"""The orchestrator's knowledge of its processes and its conclusions: a state machine without clock or processes."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 RESTARTS = 2
-"""How often a robot's process that does not come up is started again."""
+"""How often a robot's process that fails to start is restarted."""
 
 PUBLISHER_OF = {topic.name: writers(topic)[0] for topic in (PLANE_STATE, *BROADCASTS)}
 
 
 @dataclass(frozen=True, slots=True)
 class Stall:
-    """What a node waits for."""
+    """The messages that a node waits for."""
 
     step: int
     missing: tuple[str, ...]
@@ -30,7 +30,7 @@ class Stall:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why a run has failed, and the processes whose logs tell more."""
+    """Reason for which a run has failed, and the processes whose logs give details."""
 
     reason: str
     culprits: tuple[str, ...] = ()
@@ -38,14 +38,14 @@ class Failure:
 
 @dataclass(slots=True)
 class Supervision:
-    """Keeps the books on a run's processes.
+    """Keeps track of a run's processes.
 
     Parameters
     ----------
     dispensable : frozenset of str
-        Names of those whose end the run survives: the robots, where the scenario says that silent ones are dropped.
+        Names of the processes whose end the run survives: the robots, if the scenario drops silent ones.
     hosts : mapping
-        Process by robot: these may be started again as long as the run has not started.
+        Process by robot: these may be restarted until the run has started.
     """
 
     names: tuple[str, ...]
@@ -63,10 +63,10 @@ class Supervision:
     done: Mapping[str, Any] | None = None
     failure: Failure | None = None
     timing: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    orders: list[Mapping[str, Any]] = field(default_factory=list)
+    steered: list[Mapping[str, Any]] = field(default_factory=list)
 
     def take(self, report: Mapping[str, Any]) -> None:
-        """Take a report of a node or of the launcher."""
+        """Process a report of a node or of the launcher."""
         event, node = report["event"], report["node"]
         if event == "spawned":
             self.pids[report["name"]] = report["child"]
@@ -85,22 +85,22 @@ class Supervision:
         elif event == "timing":
             self.timing[node] = {name: value for name, value in report.items() if name not in {"node", "pid", "event"}}
         elif event == "steered":
-            self.orders.append(report)
+            self.steered.append(report)
         elif event == "done":
             self.done = report
             if report["problem"]:
                 self._fail(Failure(f"{node}: {report['problem']}"))
 
     def all_ready(self) -> bool:
-        """Tell whether every process has met its counterparts."""
+        """Return whether every process has discovered its counterparts."""
         return len(self.ready) == len(self.names)
 
     def not_ready(self) -> tuple[str, ...]:
-        """Return the processes that have not met all their counterparts."""
+        """Return the processes that have not discovered all their counterparts."""
         return tuple(name for name in self.names if name not in self.ready)
 
     def expect_end(self, name: str) -> None:
-        """Note that a process is about to end by plan."""
+        """Mark the end of a process as planned."""
         self.expected_ends.add(name)
 
     def _exited(self, name: str, code: int) -> None:
@@ -118,7 +118,7 @@ class Supervision:
         return not self.started and name in self.hosts.values() and self.restarts[name] < RESTARTS
 
     def to_restart(self) -> tuple[str, ...]:
-        """Return the processes that have ended before the start and are to be started again, and forget that."""
+        """Return the processes that ended before the start and must be restarted; each is returned once per end."""
         names = tuple(self.lost)
         self.lost.clear()
         for name in names:
@@ -128,21 +128,21 @@ class Supervision:
         return names
 
     def hanging(self) -> tuple[str, ...]:
-        """Return the robots' processes that have not come up where the others have, and may be started again."""
+        """Return the robots' processes that hang while most others are ready, if they may be restarted."""
         robots = set(self.hosts.values())
         missing = tuple(name for name in self.not_ready() if name in robots)
         few = 2 * len(missing) < len(robots)
         return missing if few and all(self._may_restart(name) for name in missing) else ()
 
     def _fail(self, failure: Failure) -> None:
-        # What a node says of itself comes before the news of its end, and the first failure causes the others.
+        # A node reports its failure before its end is reported, and the first failure causes the others.
         if self.failure is None:
             self.failure = failure
 
     def diagnose(self, states: Mapping[str, str]) -> Failure:
-        """Conclude from the nodes' reports of stalls who does not answer.
+        """Conclude from the nodes' reports of stalls which processes do not answer.
 
-        What the operating system says of each process, such as ``stopped``, is in `states`.
+        `states` holds the state of each process according to the operating system, such as ``stopped``.
         """
         culprits = self._silent()
         silence = max((stall.silence for stall in self.stalls.values()), default=0.0)
@@ -151,7 +151,7 @@ class Supervision:
             waits = "; ".join(
                 f"{name} waits for {', '.join(s.missing[:5])}" for name, s in sorted(self.stalls.items())[:4]
             )
-            return Failure(f"nothing has moved at step {step} for {silence:g} s: {waits}")
+            return Failure(f"no progress at step {step} for {silence:g} s: {waits}")
         shown = ", ".join(
             f"{name.replace('agent_', 'agent ')} (process {self.pids.get(name)} is {states.get(name, 'gone')})"
             for name in culprits[:5]
@@ -161,12 +161,12 @@ class Supervision:
         return Failure(f"{shown}{more} {verb} not answered step {step} for {silence:g} s", culprits)
 
     def _silent(self) -> tuple[str, ...]:
-        """Return those who are waited for and do not wait themselves."""
+        """Return the processes that others wait for and that do not wait themselves."""
         wanted = {self._process_of(item) for stall in self.stalls.values() for item in stall.missing}
         return tuple(name for name in self.names if name in wanted and name not in self.stalls)
 
     def _process_of(self, item: str) -> str:
-        """Return the process that a node means when it says what it misses."""
+        """Return the process that has to send a missing item."""
         if item.startswith("agent "):
             agent_id = int(item.removeprefix("agent "))
             return self.hosts.get(agent_id, agent_name(agent_id))
@@ -174,7 +174,7 @@ class Supervision:
 
 
 def how_it_ended(code: int) -> str:
-    """Say in words how a process with this exit code (negative: signal) ended."""
+    """Describe how a process with this exit code (negative: signal) ended."""
     if code >= 0:
         return f"ended with exit code {code}"
     try:

@@ -1,1 +1,1 @@
-"""Steering of a run from outside: the node that orders, its socket, and what speaks to it."""
+"""Steering of a running simulation: the steering node, its socket and the client."""

@@ -1,4 +1,4 @@
-"""Speaking to a run that is steered."""
+"""Client for a run that can be steered."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ SOCKET = "steer.sock"
 """Name of the socket in the folder of a run."""
 LONGEST_ANSWER = 1 << 20
 STATUS = "status"
-"""The action that only asks."""
+"""The action that only returns the status."""
 
 
 @contextmanager
 def short_path(folder: Path) -> Iterator[Path]:
-    """Give a path of a folder that is short, for as long as the block lasts; raises `OSError` if it cannot be opened.
+    """Yield a short path to a folder for the duration of the block; raises `OSError` if it cannot be opened.
 
-    The path of a socket has 107 characters at most, and that of a folder has not; so the folder is named by a
-    descriptor.
+    The path of a socket is limited to 107 characters, and the folder's path may be longer; so the short path refers to
+    the folder by a file descriptor.
     """
     directory = os.open(folder, os.O_PATH | os.O_DIRECTORY)
     try:
@@ -39,9 +39,9 @@ def short_path(folder: Path) -> Iterator[Path]:
 
 
 class SteeringClient:
-    """A connection to the run in a folder; `timeout` is the longest time for an answer, s.
+    """A connection to the run in a folder; `timeout` is the longest time to wait for an answer, s.
 
-    Raises `InputError` if there is no run there that can be steered.
+    Raises `InputError` if the folder holds no run that can be steered.
     """
 
     def __init__(self, run: Path, timeout: float = 30.0) -> None:
@@ -68,12 +68,12 @@ class SteeringClient:
         self.close()
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._lines.close()
         self._socket.close()
 
     def ask(self, asked: Mapping[str, object]) -> dict[str, Any]:
-        """Ask for something, and return the answer (docs/how-to/steering.md).
+        """Send a request and return the answer (docs/how-to/steering.md).
 
         Raises `RunError` if the run ends before it answers, or does not answer in time.
         """
@@ -81,11 +81,11 @@ class SteeringClient:
             self._socket.sendall(json.dumps(asked).encode() + b"\n")
             line = self._lines.readline(LONGEST_ANSWER)
         except TimeoutError:
-            raise RunError(f"{self._run}: the run does not answer; look at its processes") from None
+            raise RunError(f"{self._run}: the run does not answer; check its processes with swarm top") from None
         except ConnectionError:
             line = b""
         if not line.endswith(b"\n"):
             raise RunError(f"{self._run}: the run has ended before it answered")
         answer = json.loads(line)
-        assert isinstance(answer, dict)  # noqa: S101 - the other end is ours
+        assert isinstance(answer, dict)  # noqa: S101 - the server sends only objects
         return answer

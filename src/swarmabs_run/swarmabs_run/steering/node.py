@@ -1,4 +1,4 @@
-"""Node ``steering``: takes requests from a socket, and orders for each step of a run what is changed from it on."""
+"""Node ``steering``: takes requests from a socket and publishes the changes that take effect at each step of a run."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ PARAMETERS = (
 )
 
 LARGEST_OFFSET = 1.0
-"""Largest offset of the reference that may be asked for, rad: a run ends at 1.5 rad."""
+"""Largest offset of the reference that can be requested, rad: a run ends at a plane angle of 1.5 rad."""
 
 _NAMES = {action: name for name, action in (*VALUED.items(), *ROBOTS.items()) if name != "leave"}
 
 
 class Pace:
-    """Holds orders back until their steps are due, so that a step takes so many s of wall time at least.
+    """Delays the steering messages so that each step takes at least `seconds` of wall time.
 
-    A run that is late does not catch up: the next step is due its time after this one. No bit of the run changes.
+    A run that is late does not catch up: the next step is due `seconds` after this one. The digest does not change.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Pace:
         self._due = 0.0
 
     def hear(self, topic: Topic, data: bytes) -> Messages:
-        """Hand a message to the controller; the plane's state of a new step not before the next step is due."""
+        """Pass a message to the controller; the plane's state of a new step only when the next step is due."""
         message = decode(topic.message, data)
         if isinstance(message, PlaneState) and message.step == self._controller.step:
             now = self._now()
@@ -74,7 +74,7 @@ class Pace:
 
 
 def steering_config(scenario: Scenario) -> SteeringConfig:
-    """Return the configuration of what steers a run: no more torque disturbs the plane than the swarm may exert."""
+    """Return the steering configuration; a disturbance is limited to the largest torque that the swarm may exert."""
     steerable = isinstance(configure.parent_controller(scenario), OffsetController)
     return SteeringConfig(
         members=configure.members(scenario),
@@ -88,16 +88,16 @@ def steering_config(scenario: Scenario) -> SteeringConfig:
     )
 
 
-def in_words(decision: Decision) -> str:
-    """Say in one line what was granted."""
+def describe(decision: Decision) -> str:
+    """Describe a granted request in one line."""
     action, agent_id, value = decision.request
     return f"{_NAMES[action]} {agent_id or f'{value:g}'} from step {decision.step} on"
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:
-    """Return the behaviour, and what it does when it is idle.
+    """Return the behaviour and its work while idle.
 
-    Raises `InputError` if there is no scenario, or no folder, and `RunError` if the folder cannot hold a socket.
+    Raises `InputError` if the scenario or the folder is not given, and `RunError` if the folder cannot hold a socket.
     """
     if not settings.text("scenario_file") or not settings.text("folder"):
         raise InputError("parameters scenario_file and folder: give the resolved scenario and the folder of the run")
@@ -108,7 +108,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         request, step = decision.request, decision.step
         kind = ENDS.get(Action(request.action))
         change = "" if kind is None or step is None else str(Change(step - 1, request.agent_id, kind))
-        status.send("steered", text=in_words(decision), change=change)
+        status.send("steered", text=describe(decision), change=change)
 
     controller = SteeringController(config)
     facts = {

@@ -1,7 +1,7 @@
-"""The socket of a run that is steered: a Unix socket in the folder of the run, for its user alone.
+"""The steering socket: a Unix socket in the folder of the run that only its user can access.
 
-Clients send JSON objects in lines and get an answer to each (docs/how-to/steering.md). Threads read them; the node's
-loop, which alone uses the steering controller, decides.
+Clients send one JSON object per line and receive an answer to each (docs/how-to/steering.md). Threads read the lines;
+only the node's loop uses the steering controller and decides on requests.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 Answer = dict[str, Any]
 
 LONGEST = 4096
-"""Longest line, bytes."""
+"""Largest length of a line, bytes."""
 
 VALUED = {"reference": Action.REFERENCE, "disturbance": Action.DISTURBANCE}
 """The actions that set a number."""
@@ -43,28 +43,28 @@ ROBOTS = {
     "leave": Action.REMOVE,
     "add": Action.ADD,
 }
-"""The actions that concern a robot; from outside a robot can only be removed, so that is what `leave` is."""
+"""The actions that concern a robot; `leave` means removal, the only way for a client to make a robot leave."""
 
 MOST_NAMED = 10_000
-"""How many named requests are remembered; the oldest are forgotten first."""
+"""Number of named requests to remember; the oldest are forgotten first."""
 MOST_CONNECTIONS = 32
 _PART = f"{SOCKET}.part"
 _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 
 class SteeringRequest(BaseModel):
-    """One line: what somebody asks for.
+    """A request: one line from a client.
 
     Attributes
     ----------
     action : str
-        What is to be done; ``status`` only asks.
+        What to do; ``status`` changes nothing.
     value : float, optional
-        Of ``reference`` in rad, of ``disturbance`` in N m.
+        For ``reference`` in rad, for ``disturbance`` in N m.
     agent : int, optional
-        The robot, for the others.
+        Id of the robot, for the other actions.
     request : str, optional
-        What the client calls it. Who asks again under the same name gets the same answer, and nothing is done twice.
+        Name that the client chooses. A repeated request with the same name gets the same answer and has no effect.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -82,14 +82,14 @@ class SteeringRequest(BaseModel):
         return self
 
     def wanted(self) -> Request:
-        """Return it as what steers the run takes it."""
+        """Return the request for the steering controller."""
         if self.action in VALUED:
             return Request(VALUED[self.action], 0, (self.value or 0.0) + 0.0)
         return Request(ROBOTS[self.action], self.agent or 0)
 
 
 def read_request(line: bytes) -> SteeringRequest:
-    """Read a line; an `InputError` says why it is not a valid one."""
+    """Parse a line; raises `InputError` if it is not a valid request."""
     if len(line) > LONGEST:
         raise InputError(f"the line is longer than {LONGEST} bytes")
     try:
@@ -101,15 +101,15 @@ def read_request(line: bytes) -> SteeringRequest:
 
 
 def refusal(reason: str) -> dict[str, Any]:
-    """Return the answer to what is not done."""
+    """Return the answer to a refused request."""
     return {"ok": False, "reason": reason}
 
 
 class RequestQueue:
-    """Takes lines from any thread, and answers them when the node's loop has the time.
+    """Accepts lines from any thread; the node's loop answers them.
 
-    The control period is in ns; `facts` are what does not change, for those who ask for the status. Every request that
-    was granted is told to `on_decision`.
+    The control period is in ns; `facts` are the constant part of the status. `on_decision` is called with every granted
+    request.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class RequestQueue:
         self._named: dict[str, tuple[SteeringRequest, Future[Answer]]] = {}
 
     def ask(self, line: bytes) -> Answer:
-        """Answer a line; waits until the loop has done so."""
+        """Return the answer to a line; blocks until the loop has answered it."""
         try:
             asked = read_request(line)
         except InputError as error:
@@ -134,7 +134,7 @@ class RequestQueue:
         return answer.result()
 
     def work(self) -> None:
-        """Hand what was asked for to the controller, and answer earlier requests; for the loop alone."""
+        """Pass new requests to the controller and answer decided ones; only the loop may call this."""
         while not self._inbox.empty():
             asked, answer = self._inbox.get()
             self._take(asked, answer)
@@ -168,7 +168,7 @@ class RequestQueue:
         self, asked: SteeringRequest, answer: Future[Answer], first: SteeringRequest, given: Future[Answer]
     ) -> None:
         if asked != first:
-            answer.set_result(refusal(f"request {asked.request!r} was something else before; choose another name"))
+            answer.set_result(refusal(f"{asked.request!r} already names a different request; choose another name"))
         else:
             given.add_done_callback(lambda done: answer.set_result(done.result()))
 
@@ -185,20 +185,20 @@ class RequestQueue:
 
 
 class _Connection(socketserver.StreamRequestHandler):
-    """Answers line by line, as long as the client speaks."""
+    """Answers line by line until the client closes the connection."""
 
     def handle(self) -> None:
         server = self.server
-        assert isinstance(server, SteeringServer)  # noqa: S101 - nobody else makes one
+        assert isinstance(server, SteeringServer)  # noqa: S101 - only the server creates connections
         with suppress(ConnectionError):
             while line := self.rfile.readline(LONGEST + 1):
                 self.wfile.write(json.dumps(server.requests.ask(line), allow_nan=False).encode() + b"\n")
-                if len(line) > LONGEST:  # what follows is the rest of it
+                if len(line) > LONGEST:  # the rest of this line follows
                     return
 
 
 class SteeringServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
-    """Listens in the folder of a run, in threads of its own; raises `RunError` if the folder cannot hold a socket."""
+    """Listens on a socket in the folder of a run, in threads; raises `RunError` if the folder cannot hold a socket."""
 
     daemon_threads = True
     block_on_close = False
@@ -209,25 +209,25 @@ class SteeringServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer)
         try:
             with short_path(folder) as place:
                 super().__init__(str(place / _PART), _Connection)
-                # It has its name when it listens, and not before: whoever finds it can connect.
+                # The socket gets its final name only once it listens, so a client that finds it can connect.
                 (place / _PART).rename(place / SOCKET)
         except OSError as error:
             raise RunError(
-                f"{folder / SOCKET}: {error.strerror}: the folder cannot hold the socket of a run that is steered; "
-                "name another with -o"
+                f"{folder / SOCKET}: {error.strerror}: the folder cannot hold the steering socket; "
+                "choose another with -o"
             ) from error
 
     def server_bind(self) -> None:
-        """Bind; Linux gives the file the permissions that the socket has, so it never has others."""
+        """Bind; Linux gives the file the permissions of the socket, so they are restricted from the start."""
         os.fchmod(self.socket.fileno(), 0o600)
         super().server_bind()
 
     def start(self) -> None:
-        """Begin to listen."""
+        """Start to listen."""
         threading.Thread(target=self.serve_forever, name="steering", daemon=True).start()
 
     def verify_request(self, _request: Any, _client: Any) -> bool:
-        """Refuse more connections than there is room for."""
+        """Refuse connections beyond the limit."""
         return self._free.acquire(blocking=False)
 
     def process_request_thread(self, request: socket.socket | Any, client_address: Any) -> None:
