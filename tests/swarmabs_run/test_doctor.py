@@ -70,9 +70,9 @@ def test_what_is_found_comes_with_its_remedy(
 
 def test_small_buffers_are_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "BUFFERS", tmp_path)
-    assert CHECKS["socket buffers"]() == ("ok", "4 MiB and more")
+    assert CHECKS["socket buffers"]() == ("ok", "at least 4 MiB")
     larger = "sysctl -w net.core.rmem_max=4194304 net.core.wmem_max=419"
-    for received, sent, verdict, told in (("4194303", "1", "note", larger), ("4194304", "?", "ok", "4 MiB and more")):
+    for received, sent, verdict, told in (("4194303", "1", "note", larger), ("4194304", "?", "ok", "at least 4 MiB")):
         (tmp_path / "rmem_max").write_text(received)
         (tmp_path / "wmem_max").write_text(sent)
         found, text = CHECKS["socket buffers"]()

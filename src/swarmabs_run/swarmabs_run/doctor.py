@@ -103,7 +103,7 @@ def _buffers() -> Verdict:
     small = [f"net.core.{name}={_BUFFER}" for name, size in sizes.items() if size < _BUFFER]
     if small:
         return "note", f"large swarms start and run faster with: sudo sysctl -w {' '.join(small)}"
-    return "ok", "4 MiB and more"
+    return "ok", "at least 4 MiB"
 
 
 def _domain() -> Verdict:
@@ -133,7 +133,7 @@ def _descriptors() -> Verdict:
 def _disk() -> Verdict:
     free = shutil.disk_usage(Path.cwd()).free
     if free < 2**30:
-        return "note", f"only {free / 2**20:.0f} MiB free here; a bag takes 1 MB and more"
+        return "note", f"only {free / 2**20:.0f} MiB free here; a bag needs at least 1 MB"
     return "ok", f"{free / 2**30:.1f} GiB free here"
 
 

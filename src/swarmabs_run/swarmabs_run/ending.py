@@ -32,7 +32,7 @@ def end_grace() -> float:
     with suppress(ValueError):
         if 0.0 <= (seconds := float(text)) < inf:
             return seconds
-    raise InputError(f"{GRACE}: {text!r} not a time in seconds; give a number such as 2.5, or unset the variable")
+    raise InputError(f"{GRACE}: {text!r} is not a time in seconds; give a number such as 2.5, or unset the variable")
 
 
 @contextmanager

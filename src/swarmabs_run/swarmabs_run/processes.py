@@ -1,4 +1,4 @@
-"""The processes of a running run, as the operating system sees them, and the progress of the run.
+"""The processes of a run in progress, as the operating system sees them, and its progress.
 
 None of this joins the run's network: the run's folder identifies the process that started it, the kernel lists the
 descendants of that process, and a node is identified by the log to which its output goes.
@@ -58,7 +58,7 @@ class Snapshot(NamedTuple):
 
 
 class RunProcesses:
-    """Monitors the processes of the run in a folder; raises `InputError` if no run is running there."""
+    """Monitors the processes of the run in a folder; raises `InputError` if the run is not in progress."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -70,7 +70,7 @@ class RunProcesses:
             raise RunOverError(folder)
 
     def running(self) -> bool:
-        """Return whether the run is still running."""
+        """Return whether the run is still in progress."""
         return is_running(self.folder)
 
     def snapshot(self, now: float, shares: int | None = SHARES) -> Snapshot:
@@ -118,9 +118,9 @@ class RunProcesses:
 
 
 def newest_run(runs: Path) -> Path:
-    """Return the folder of the newest running run in a folder of runs.
+    """Return the folder of the newest run in progress in a folder of runs.
 
-    Raises `InputError` if no run is running.
+    Raises `InputError` if no run is in progress.
     """
     found = sorted(runs.glob(f"*/logs/{NETWORK_FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)
     for path in found:

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario
     from swarmabs_run.run import Phase
 
-_TELL_EVERY = 0.1
+_PROGRESS_INTERVAL = 0.1
+"""Time, s, between two reports of progress."""
 
 
 def simulate_run(scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> Outcome:
@@ -45,9 +46,9 @@ def record_steps(
 
     The recording is always completed, however the steps end; `ended` returns whether the end was requested before.
     """
-    begun = told = time.monotonic()
+    begun = reported = time.monotonic()
 
-    def tell(phase: Phase, now: float) -> None:
+    def report(phase: Phase, now: float) -> None:
         latest = recording.run.latest
         if on_progress is not None and latest is not None:
             rate = latest.step / (now - begun) if now > begun else 0.0
@@ -61,11 +62,11 @@ def record_steps(
                 if asked() or ended():
                     return Outcome("interrupted", "interrupted", recording.abort("interrupted"))
                 now = time.monotonic()
-                if now - told >= _TELL_EVERY:
-                    told = now
-                    tell("running", now)
+                if now - reported >= _PROGRESS_INTERVAL:
+                    reported = now
+                    report("running", now)
             stepping = time.monotonic() - begun
-            tell("closing", begun + stepping)
+            report("closing", begun + stepping)
             figures = recording.close()
     except RunError as error:
         return Outcome("failed", str(error), recording.abort(str(error)))

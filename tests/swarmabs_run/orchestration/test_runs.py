@@ -252,7 +252,7 @@ LOCKSTEP = {
     ),
 }
 LATE = "the recorder has not ended 10 s after the last step" + log_of(RECORDER)
-HUNG = "plane_sim (process 101 is 101 stopped) did not exit on SIGTERM, so its state before is unknown"
+HUNG = "plane_sim (process 101 is 101 stopped) did not exit on SIGTERM and sent no timing report"
 AGES = ("realtime={broadcast_age_limit: 0.1, state_age_limit: 0.6, plane_age_limit: 0.2}",)
 REALTIME = {
     "a robot is killed": Ending(1.25, "", (KILLED, *A_SECOND)),
@@ -287,7 +287,7 @@ def test_how_a_run_ends(tmp_path: Path, kind: type[ProcessRun], name: str) -> No
 @pytest.mark.parametrize("text", ["soon", "-1", "nan", "inf"])
 def test_a_bad_time_to_end_is_refused(tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(TO_END, text)
-    refusal = f"{TO_END}: '{text}' not a time in seconds; give a number such as 2.5, or unset the variable"
+    refusal = f"{TO_END}: '{text}' is not a time in seconds; give a number such as 2.5, or unset the variable"
     with pytest.raises(InputError, match=re.escape(refusal)):
         drive(FakeMachine(), tmp_path)
     assert swarm(["run", "pd_het_4"], tmp_path) == (2, "", f"error: {refusal}\n")

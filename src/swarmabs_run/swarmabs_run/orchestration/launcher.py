@@ -1,7 +1,7 @@
 """The process from which a run's nodes are forked.
 
-It imports everything that the nodes need and starts no threads. Each node is a fork of it: forking takes milliseconds,
-where a fresh Python with rclpy takes a second, and the children share its memory. Commands arrive as lines of JSON on
+It imports everything that the nodes need and starts no threads. Each node is a fork of it: forking takes milliseconds
+and shares memory; starting a Python interpreter with rclpy takes a second. Commands arrive as lines of JSON on
 standard input; the exits of the children go to the report pipe. When standard input closes, however the orchestrator
 ended, every child is killed and reaped. If this process itself is killed, the kernel kills the children.
 """
@@ -135,7 +135,7 @@ class Launcher:
         line = json.dumps({"node": "launcher", "pid": os.getpid(), "event": event, **details}) + "\n"
         try:
             os.write(self._report_fd, line.encode())
-        except BrokenPipeError:  # the orchestrator has ended; so will standard input
+        except BrokenPipeError:  # the orchestrator has ended, so standard input closes too
             return
 
 

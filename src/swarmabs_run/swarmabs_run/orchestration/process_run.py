@@ -137,7 +137,7 @@ class ProcessRun:
                 failure = self._watch(now)
                 if failure is not None:
                     return failure
-            self._tell("starting" if self._started is None else "running")
+            self._report_progress("starting" if self._started is None else "running")
         return None
 
     def _start(self, now: float) -> float:
@@ -181,7 +181,7 @@ class ProcessRun:
         deadline = self._machine.now() + seconds
         while not enough() and self._machine.alive() and self._machine.now() < deadline:
             self._listen()
-            self._tell("closing")
+            self._report_progress("closing")
 
     def _not_started(self) -> Failure:
         missing = self._supervision.not_ready()
@@ -241,7 +241,7 @@ class ProcessRun:
                 texts.append((name, (self._folder.logs / f"{name}.log").read_text(encoding="utf-8", errors="replace")))
         return "\n".join(part for part in (failure.reason, last_lines(texts)) if part)
 
-    def _tell(self, phase: Phase) -> None:
+    def _report_progress(self, phase: Phase) -> None:
         state = self._supervision
         progress = state.progress or {}
         step, seen = progress.get("step", 0), progress.get("robots")

@@ -85,7 +85,7 @@ class RealtimeRun(ProcessRun):
         if not culprits or not self._machine.alive():
             return None
         shown = ", ".join(f"{name} (process {state.pids[name]} is {hung[name]})" for name in culprits)
-        return Failure(f"{shown} did not exit on SIGTERM, so its state before is unknown", culprits[:2])
+        return Failure(f"{shown} did not exit on SIGTERM and sent no timing report", culprits[:2])
 
     def _figures(self, recorded: Mapping[str, Any]) -> dict[str, Any]:
         timing = self._supervision.timing

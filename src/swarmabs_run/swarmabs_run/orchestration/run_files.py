@@ -109,7 +109,7 @@ def read_progress(logs: Path) -> ProgressReport | None:
 
 
 def write_processes(logs: Path, processes: Mapping[str, int]) -> None:
-    """Write the ids of a run's processes by name once all are ready; from then on the run is known to be running."""
+    """Write the ids of a run's processes by name once all are ready; the file shows that the run has started."""
     _replace(logs / PROCESSES_FILE, {"orchestrator": os.getpid(), **processes})
 
 
@@ -150,7 +150,7 @@ def orchestrator_of(run: Path) -> psutil.Process | None:
 
 
 def is_running(run: Path) -> bool:
-    """Return whether a run is running: the process that started it lives and has not reported its end."""
+    """Return whether a run is in progress: the process that started it is alive and has not reported its end."""
     last = read_progress(run / "logs")
     return (last is None or last.phase != OVER) and orchestrator_of(run) is not None
 

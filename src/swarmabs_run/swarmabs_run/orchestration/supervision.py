@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 RESTARTS = 2
-"""How often a robot's process that fails to start is restarted."""
+"""Largest number of restarts of a robot's process that fails to start."""
 
 PUBLISHER_OF = {topic.name: writers(topic)[0] for topic in (PLANE_STATE, *BROADCASTS)}
 

@@ -104,7 +104,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     scenario = load_scenario(Path(settings.text("scenario_file")))
     config = steering_config(scenario)
 
-    def tell(decision: Decision) -> None:
+    def report(decision: Decision) -> None:
         request, step = decision.request, decision.step
         kind = ENDS.get(Action(request.action))
         change = "" if kind is None or step is None else str(Change(step - 1, request.agent_id, kind))
@@ -117,7 +117,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         "largest_reference": config.largest_offset,
         "largest_disturbance": config.largest_torque,
     }
-    requests = RequestQueue(controller, scenario.step_ns, facts, tell)
+    requests = RequestQueue(controller, scenario.step_ns, facts, report)
     SteeringServer(Path(settings.text("folder")), requests).start()
     seconds = settings.number("step_seconds")
     hear = Pace(controller, seconds).hear if seconds else None
