@@ -62,7 +62,7 @@ def terminable() -> Iterator[None]:
 
 @contextmanager
 def end_asked() -> Iterator[Callable[[], bool]]:
-    """Record termination signals instead of raising, for work that must not be interrupted; yield a query for them."""
+    """Only record termination signals, for work that must not be interrupted; yield a function that reports them."""
     asked = False
 
     def note(*_: object) -> None:

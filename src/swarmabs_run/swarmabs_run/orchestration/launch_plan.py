@@ -63,7 +63,7 @@ class Starter(threading.Thread):
         self.environment = {name: str(self._pipes / name) for name in (REPORT_FD, START_FD)}
         for path in self.environment.values():
             os.mkfifo(path, 0o600)
-        # Opening in both directions means that neither opening nor writing waits for the processes.
+        # Opened in both directions, so that neither opening nor writing waits for the processes.
         self._reports, self._start = (os.open(path, os.O_RDWR | os.O_CLOEXEC) for path in self.environment.values())
         self.begun = False
         self._over = threading.Event()

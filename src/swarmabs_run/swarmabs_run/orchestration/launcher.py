@@ -48,7 +48,7 @@ class Launcher:
         self._grace = end_grace()
 
     def run(self) -> None:
-        """Serve until standard input ends."""
+        """Serve until standard input closes."""
         wake_read, wake_write = self._wake
         os.set_blocking(wake_write, False)
         signal.signal(signal.SIGCHLD, lambda *_: None)

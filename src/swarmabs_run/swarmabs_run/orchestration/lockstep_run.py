@@ -69,7 +69,7 @@ class LockstepRun(ProcessRun):
         self._supervision.steered.clear()
 
     def _inject_faults(self) -> None:
-        """End or stop the processes of faulty robots once their last state is recorded and no node needs them."""
+        """End or stop the processes of faulty robots once their last state is recorded; no node uses them later."""
         self._apply_steering()
         while self._faults and self._faults[0].step <= self._recorded():
             fault = self._faults.pop(0)

@@ -109,7 +109,7 @@ def multicast_group(participant: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Discovery:
-    """How participants find each other.
+    """How participants discover each other.
 
     Parameters
     ----------
