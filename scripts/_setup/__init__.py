@@ -1,1 +1,1 @@
-"""How scripts/swarm prepares .venv and install/; standard library only, Python 3.8 and later."""
+"""The set-up of .venv and install/ by scripts/swarm; standard library only, Python 3.8 or later."""

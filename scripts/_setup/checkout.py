@@ -1,4 +1,4 @@
-"""Where everything is in one checkout."""
+"""The paths of one checkout."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from _setup import state
 
 
 class Checkout(NamedTuple):
-    """The folders of one checkout."""
+    """The folders and files of one checkout."""
 
     root: str
 
     @property
     def source(self) -> str:
-        """Where the ROS packages are."""
+        """The folder of the ROS packages."""
         return os.path.join(self.root, "src")
 
     @property
     def venv(self) -> str:
-        """The virtual environment, which is a ROS prefix too."""
+        """The virtual environment, which is also a ROS prefix."""
         return os.path.join(self.root, ".venv")
 
     @property
@@ -35,25 +35,25 @@ class Checkout(NamedTuple):
 
     @property
     def install(self) -> str:
-        """What colcon installs: a second ROS prefix."""
+        """The install folder of colcon: a second ROS prefix."""
         return os.path.join(self.root, "install")
 
     @property
     def environment_stamp(self) -> str:
-        """Stamp of the virtual environment with its packages."""
+        """Stamp of the virtual environment and its packages."""
         return os.path.join(self.venv, state.STAMPS, "environment")
 
     @property
     def snapshot(self) -> str:
-        """Stamp of the whole set-up, for a quick second start."""
+        """Stamp of the whole set-up, which makes later starts fast."""
         return os.path.join(self.install, state.STAMPS, "snapshot")
 
     def lock(self, name: str) -> str:
-        """Path of a file of pinned requirements."""
+        """Path of a lock file."""
         return os.path.join(self.root, "scripts", "requirements", name)
 
     def extra_stamp(self, lock: str) -> str:
-        """Stamp of the packages that only one command needs, by the name of their lock."""
+        """Stamp of the packages that only some commands need, by the name of their lock file."""
         return os.path.join(self.venv, state.STAMPS, lock)
 
     def log(self, name: str) -> str:

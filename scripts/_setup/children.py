@@ -1,4 +1,4 @@
-"""Running installers and compilers: output in a log, nothing left behind, failures explained."""
+"""Run installers and compilers: log their output, stop them when interrupted, explain failures."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from _setup.report import SetupError
 
 LAST_LINES = 12
 LINE_WIDTH = 200  # pip writes lines of thousands of characters
-# (what a log says, what it means to the user)
+# (pattern in a log, message for the user)
 CAUSES = (
     (r"No space left on device|Disk quota exceeded", "the disk is full"),
     (
         r"name resolution|Connection refused|NewConnectionError|timed out|ProxyError",
-        "no package index is reachable",
+        "the package index is unreachable",
     ),
-    (r"DO NOT MATCH THE HASHES", "a fetched package is not the one that was locked"),
+    (r"DO NOT MATCH THE HASHES", "a downloaded package does not match its hash in the lock file"),
 )
 
 
@@ -31,18 +31,18 @@ def run_logged(
     lock: int,
     watch: Optional[Callable[[str], None]] = None,
 ) -> None:
-    """Run a command with its output in a log file; whatever ends the wait ends the command's whole group.
+    """Run a command with its output in a log file; an exception meanwhile stops its whole process group.
 
     Raises
     ------
     SetupError
-        The command did not end with 0: its last lines, and where the others are.
+        If the command fails; the message has the last lines of the log and its path.
     """
     os.makedirs(os.path.dirname(log), exist_ok=True)
     with open(log, "w", encoding="utf-8") as output:
         child = subprocess.Popen(
             command,
-            cwd=os.path.dirname(log),  # no module there can stand in for one that the command imports
+            cwd=os.path.dirname(log),  # has no modules that could shadow those that the command imports
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
@@ -64,7 +64,7 @@ def run_logged(
 
 
 def end_group(child: subprocess.Popen[bytes]) -> None:
-    """End a command and everything it has started."""
+    """Stop a command and all processes in its group."""
     os.killpg(child.pid, signal.SIGTERM)
     with contextlib.suppress(subprocess.TimeoutExpired):
         child.wait(timeout=5)
@@ -74,16 +74,16 @@ def end_group(child: subprocess.Popen[bytes]) -> None:
 
 
 def read_log(path: str) -> str:
-    """Text of a log, whatever bytes are in it."""
+    """Text of a log; invalid bytes are replaced."""
     with open(path, encoding="utf-8", errors="replace") as file:
         return file.read()
 
 
 def failure_text(status: int, log: str) -> str:
-    """Say what failed, with the cause if it can be read from the log, and show the end of the log."""
+    """Describe a failure: the cause, if the log shows it, and the end of the log."""
     text = read_log(log)
     step = os.path.splitext(os.path.basename(log))[0]
     known = (meaning for sign, meaning in CAUSES if re.search(sign, text))
     cause = next(known, f"{step} failed with exit code {status}")
     last = [line.rstrip()[:LINE_WIDTH] for line in text.splitlines() if line.strip()][-LAST_LINES:]
-    return "\n".join([f"{cause}; start again to go on. Last lines of {log}:", *(f"    {line}" for line in last)])
+    return "\n".join([f"{cause}; start again to continue. Last lines of {log}:", *(f"    {line}" for line in last)])

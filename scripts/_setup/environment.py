@@ -1,4 +1,4 @@
-"""Environment variables of what the set-up starts: nothing of a foreign ROS or Python gets in."""
+"""Environment variables of child processes, without those of another ROS or Python installation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import glob
 import os
 from typing import Dict, List, Mapping
 
-# Which other ROS installation was sourced, and how its middleware is configured.
+# Variables of another sourced ROS installation and its middleware.
 FOREIGN_PREFIXES = ("AMENT_", "COLCON_", "CYCLONEDDS_", "FASTDDS_", "FASTRTPS_", "RMW_", "ROS_", "SWARMABS_SOURCED_")
 FOREIGN = (
     "CMAKE_PREFIX_PATH",
@@ -18,22 +18,20 @@ FOREIGN = (
     "PYTHONPATH",
 )
 KEPT = ("ROS_DOMAIN_ID", "ROS_LOG_DIR")
-SYSTEM_FOLDERS = ("", "/usr", "/usr/local")  # a ROS may live there, but so does everything else
+SYSTEM_FOLDERS = ("", "/usr", "/usr/local")  # may contain ROS, but also everything else
 SEARCH_PATHS = ("PATH", "LD_LIBRARY_PATH")
-SOURCED = (
-    "SWARMABS_SOURCED_"  # before the names of variables with which a ROS that was sourced finds this workspace too
-)
+SOURCED = "SWARMABS_SOURCED_"  # prefix of variables with which a sourced ROS also finds this workspace
 
 
 def foreign_folders(environ: Mapping[str, str]) -> List[str]:
-    """Prefixes of ROS installations that were sourced, each ending in a slash."""
+    """Prefixes of sourced ROS installations, each ending in a slash."""
     listed = (environ.get(name, "").split(os.pathsep) for name in ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH"))
     folders = {folder.rstrip("/") for folders in listed for folder in folders} - set(SYSTEM_FOLDERS)
     return [f"{folder}/" for folder in sorted(folders | {"/opt/ros"})]
 
 
 def clean(environ: Mapping[str, str], venv: str) -> Dict[str, str]:
-    """Keep what is the user's own, leave out what belongs to another ROS or Python, and enter the venv."""
+    """Return the user's environment without variables of another ROS or Python, and with the venv active."""
     kept = {
         name: value
         for name, value in environ.items()
@@ -47,13 +45,13 @@ def clean(environ: Mapping[str, str], venv: str) -> Dict[str, str]:
     kept["VIRTUAL_ENV"] = venv
     kept["PYTHONNOUSERSITE"] = "1"
     kept["PIP_ROOT_USER_ACTION"] = "ignore"
-    # The ROS wheels start Python a second time, to set the library path that is set here, unless told so.
+    # Without this, the ROS wheels restart Python to set the library path, which is already set here.
     kept["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
     return kept
 
 
 def site_packages(prefix: str, series: str) -> str:
-    """Where Python modules are installed below a prefix."""
+    """Folder of Python modules below a prefix."""
     return os.path.join(prefix, "lib", f"python{series}", "site-packages")
 
 
@@ -89,10 +87,10 @@ def run_environment(environ: Mapping[str, str], venv: str, install: str, series:
 
 
 def sourced_environment(environ: Mapping[str, str], venv: str, install: str, series: str) -> Dict[str, str]:
-    """Variables, named after `SOURCED`, with which a shell's own ROS installation finds the packages in install too.
+    """Variables, prefixed with `SOURCED`, with which a sourced ROS installation also finds the packages in install.
 
-    They are for tools that look into a run. That installation stays first and the venv out of it, for its libraries
-    are not to be mixed with those of the wheels. None if no ROS was sourced.
+    Tools that inspect a run use them. The sourced installation comes first, and the venv is left out, because its
+    libraries must not be mixed with those of the wheels. Empty if no ROS is sourced.
     """
     if not set(environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)) - {"", install, venv}:
         return {}

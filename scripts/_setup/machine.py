@@ -1,4 +1,4 @@
-"""What this machine offers: platform, Python interpreters, compilers."""
+"""Checks of this machine: platform, Python interpreters, compilers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ INSTALL_FOLDERS = (
     "/opt/python*/bin",
     "/opt/python/{version}*/bin",
 )
-# Runs in the interpreter under trial. A shim that leads nowhere and a Python stripped of a part fail here.
+# Runs in the candidate interpreter. A broken shim or an incomplete Python installation fails here.
 PROBE = """
 import json, os, sys, sysconfig
 missing = []
@@ -45,7 +45,7 @@ print(json.dumps({
 }))
 """
 DEBIAN_SUFFIX = {"venv": "venv", "ensurepip": "venv", "Python.h": "dev"}
-# (commands of which one is needed, Debian package that brings it)
+# (commands of which one is needed, Debian package that provides it)
 BUILD_TOOLS = (
     (("{CC}", "cc", "gcc"), "gcc"),
     (("{CXX}", "c++", "g++"), "g++"),
@@ -68,16 +68,16 @@ class Interpreter(NamedTuple):
         return self.version.rsplit(".", 1)[0]
 
     def fits(self) -> bool:
-        """Whether the wheels in the locks exist for it and a venv can be made from it."""
+        """Whether the locked wheels support it and it can create a venv."""
         return self.implementation == "cpython" and self.series in PREFERRED and not self.missing
 
 
 def check_platform() -> None:
-    """Refuse machines for which the ROS wheels do not exist."""
+    """Reject machines without ROS wheels."""
     system, machine = platform.system(), platform.machine()
     if (system, machine) != ("Linux", "x86_64"):
         raise SetupError(
-            f"the ROS wheels exist for x86-64 Linux only, this is {machine} {system}; "
+            f"the ROS wheels exist only for x86-64 Linux, not for {machine} {system}; "
             "source a ROS 2 Jazzy installation and set SWARMABS_USE_SOURCED_ROS=1",
             UNSUITABLE,
         )
@@ -88,7 +88,7 @@ def check_platform() -> None:
 
 
 def try_interpreter(command: str) -> Optional[Interpreter]:
-    """Start the interpreter and ask what it is; None if it does not run."""
+    """Run the probe in an interpreter; None if it does not run."""
     probe = [command, "-I", "-S", "-c", PROBE]
     try:
         answer = subprocess.run(probe, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=20, check=True)
@@ -117,13 +117,15 @@ def choose_interpreter(environ: Mapping[str, str]) -> Interpreter:
     Raises
     ------
     SetupError
-        None can be used; names what is missing and the Debian package that brings it.
+        If none is usable; the message names what is missing and the Debian package that provides it.
     """
     wanted = environ.get("SWARMABS_PYTHON")
     if wanted:
         found = try_interpreter(wanted)
         if found is None:
-            raise SetupError(f"SWARMABS_PYTHON={wanted} does not start as a Python", UNSUITABLE)
+            raise SetupError(
+                f"SWARMABS_PYTHON={wanted} does not start as Python; set it to an interpreter or unset it", UNSUITABLE
+            )
         if not found.fits():
             raise SetupError(f"SWARMABS_PYTHON={wanted}: {unfit_reason(found)}", UNSUITABLE)
         return found
@@ -138,27 +140,27 @@ def choose_interpreter(environ: Mapping[str, str]) -> Interpreter:
     if unfit:
         raise SetupError(unfit_reason(unfit[0]), UNSUITABLE)
     raise SetupError(
-        "no CPython 3.10 to 3.13 found: sudo apt-get install python3 python3-venv python3-dev, "
-        "or name one in SWARMABS_PYTHON",
+        "no CPython 3.10 to 3.13 found; run sudo apt-get install python3 python3-venv python3-dev, "
+        "or set SWARMABS_PYTHON",
         UNSUITABLE,
     )
 
 
 def unfit_reason(found: Interpreter) -> str:
-    """Say why an interpreter cannot be used and, if there is one, the remedy."""
+    """Explain why an interpreter cannot be used, with the remedy if there is one."""
     name = f"{found.implementation} {found.version} ({found.path})"
     if found.implementation != "cpython" or found.series not in PREFERRED:
-        return f"{name} found, but CPython 3.10 to 3.13 is needed"
+        return f"{name} is not supported; CPython 3.10 to 3.13 is needed"
     reason = f"{name} lacks {' and '.join(found.missing)}"
     suffixes = dict.fromkeys(DEBIAN_SUFFIX[part] for part in found.missing if part in DEBIAN_SUFFIX)
     if found.path.startswith("/usr/bin/") and suffixes:
         packages = " ".join(f"python{found.series}-{suffix}" for suffix in suffixes)
         return f"{reason}: sudo apt-get install {packages}"
-    return f"{reason}: name another one in SWARMABS_PYTHON"
+    return f"{reason}; set SWARMABS_PYTHON to another interpreter"
 
 
 def check_build_tools(environ: Mapping[str, str]) -> None:
-    """Refuse to begin a build for which a compiler or a tool is missing, and name its Debian package."""
+    """Raise `SetupError` if a compiler or build tool is missing; the message names its Debian package."""
     packages = list(missing_packages(environ))
     if packages:
         names = " ".join(packages)
@@ -169,7 +171,7 @@ def check_build_tools(environ: Mapping[str, str]) -> None:
 
 
 def check_colcon(environ: Mapping[str, str]) -> None:
-    """Refuse a sourced ROS without colcon, which is not part of it."""
+    """Raise `SetupError` if colcon, which ROS does not include, is missing."""
     if not shutil.which("colcon", path=environ.get("PATH")):
         raise SetupError("colcon is missing: sudo apt-get install python3-colcon-common-extensions", UNSUITABLE)
 

@@ -1,4 +1,4 @@
-"""What the set-up says while it works, and how it fails."""
+"""Messages and errors of the set-up."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import time
 
 FAILED = 1
 UNSUITABLE = 2
-CLEAR_LINE = "\r\033[K"  # takes progress off the terminal
+CLEAR_LINE = "\r\033[K"  # removes the progress line from the terminal
 
 
 class SetupError(Exception):
-    """The set-up cannot go on; the text is for the user, `status` is the exit code.
+    """The set-up cannot continue; the text is for the user, `status` is the exit code.
 
-    `FAILED` when something that was started failed, `UNSUITABLE` when this machine or
-    checkout cannot be used as it is and nothing was started.
+    `FAILED` means that a command failed, `UNSUITABLE` that this machine or checkout cannot be used as it is and nothing
+    was started.
     """
 
     def __init__(self, text: str, status: int = FAILED) -> None:
@@ -23,12 +23,12 @@ class SetupError(Exception):
 
 
 def say(text: str) -> None:
-    """Print a line for the user; stdout belongs to the command that follows."""
+    """Print a line to stderr; stdout is reserved for the command."""
     print(f"{CLEAR_LINE if sys.stderr.isatty() else ''}swarm: {text}", file=sys.stderr, flush=True)
 
 
 class Stage:
-    """Announce a stage, show its progress on a terminal, and say how long it took."""
+    """Prints the start, the progress (on a terminal) and the duration of a stage."""
 
     def __init__(self, title: str) -> None:
         self._title = title
@@ -44,5 +44,5 @@ class Stage:
             print(f"{CLEAR_LINE}  {text}", end="", file=sys.stderr, flush=True)
 
     def done(self) -> None:
-        """Say that the stage is complete, and after how long."""
+        """Print that the stage is complete, with its duration."""
         say(f"{self._title}: {time.monotonic() - self._started:.1f} s")

@@ -1,4 +1,4 @@
-"""The work itself: virtual environment, packages, CMake files of the ROS wheels, colcon."""
+"""The stages of the set-up: virtual environment, packages, CMake files of the ROS wheels, colcon."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from _setup.checkout import Checkout
 from _setup.children import run_logged
 from _setup.report import UNSUITABLE, SetupError, Stage
 
-# Part of every key: raise it when a stage does something else than before, so that it is done again.
+# Part of every key; increase it when a stage changes, so that it runs again.
 STAGE_VERSION = 1
 LOCKS = ("run.lock", "build.lock")
-# Commands and options that need more packages than the others, which their first start installs.
+# Commands and options that need extra packages, which their first start installs.
 EXTRA_LOCKS = {
     "bench": "bench.lock",
     "deploy": "deploy.lock",
@@ -30,7 +30,7 @@ EXTRA_LOCKS = {
     "view": "view.lock",
 }
 NEEDED_BYTES = 1_200_000_000
-MANY = 4  # packages, up to which the message names them
+MANY = 4  # the message names up to this number of packages
 PIP_INSTALL = (
     *(
         "-m",
@@ -48,11 +48,11 @@ NOT_COMPILED = r"/(tests?|testing|colcon_[a-z_]+|docutils|pip)/"
 
 
 def make_environment(checkout: Checkout, python: machine.Interpreter, environ: Mapping[str, str], lock: int) -> None:
-    """Make .venv anew and install the locked packages of the run and the build into it."""
+    """Recreate .venv and install the locked packages for runs and builds."""
     free = shutil.disk_usage(checkout.root).free
     if free < NEEDED_BYTES:
         raise SetupError(
-            f"{checkout.root} has {free / 1e6:.0f} MB free, the set-up needs {NEEDED_BYTES / 1e6:.0f} MB",
+            f"{checkout.root} has {free / 1e6:.0f} MB free; the set-up needs {NEEDED_BYTES / 1e6:.0f} MB",
             UNSUITABLE,
         )
     state.remove_stamp(checkout.environment_stamp)
@@ -61,7 +61,7 @@ def make_environment(checkout: Checkout, python: machine.Interpreter, environ: M
     clean = environment.clean(environ, checkout.venv)
     run_logged([python.path, "-I", "-m", "venv", checkout.venv], checkout.log("setup-venv.log"), clean, lock)
     stage.done()
-    stage = Stage("packages of the run and the build (about 200 MB to fetch)")
+    stage = Stage("packages for runs and builds (downloads about 200 MB)")
     install_setuptools(checkout, checkout.log("setup-setuptools.log"), clean, lock)
     install_locked(checkout, LOCKS, checkout.log("setup-packages.log"), clean, lock, stage)
     point_cmake_files(checkout, clean)
@@ -75,13 +75,13 @@ def make_environment(checkout: Checkout, python: machine.Interpreter, environ: M
 
 
 def environment_key(checkout: Checkout, python: str, version: str) -> str:
-    """Key of the virtual environment; which holds absolute paths: the place is part of it."""
+    """Key of the virtual environment, including its location, since it contains absolute paths."""
     locks = [state.file_key(checkout.lock(name)) for name in LOCKS]
     return state.text_key(STAGE_VERSION, checkout.root, python, version, locks)
 
 
 def current_environment(checkout: Checkout, wanted: Optional[machine.Interpreter]) -> Dict[str, str]:
-    """Stamp of the virtual environment if it is complete, up to date and of the wanted Python; else empty."""
+    """Stamp of the virtual environment if it is complete, up to date and has the wanted Python; else empty."""
     stamp = state.read_stamp(checkout.environment_stamp)
     if not stamp or not os.access(checkout.python, os.X_OK):
         return {}
@@ -92,7 +92,7 @@ def current_environment(checkout: Checkout, wanted: Optional[machine.Interpreter
 
 
 def forget_outdated_extras(checkout: Checkout) -> None:
-    """Let the next command that needs them install packages again whose lock has changed."""
+    """Remove stamps of extra packages whose lock has changed, so that the next command reinstalls them."""
     for extra in EXTRA_LOCKS.values():
         stamp = checkout.extra_stamp(extra)
         if state.read_stamp(stamp).get("key") != state.file_key(checkout.lock(extra)):
@@ -100,15 +100,15 @@ def forget_outdated_extras(checkout: Checkout) -> None:
 
 
 def install_extra(checkout: Checkout, command: str, environ: Mapping[str, str], lock: int) -> None:
-    """Add the locked packages of a command to a virtual environment that is complete without them.
+    """Add the locked packages of a command to a complete virtual environment.
 
-    Nothing that is installed is touched, so swarms may run meanwhile, and what is interrupted is done again.
+    Installed packages do not change, so swarms can run meanwhile. An interrupted installation is repeated.
     """
     extra = EXTRA_LOCKS[command]
     key = state.file_key(checkout.lock(extra))
     if state.read_stamp(checkout.extra_stamp(extra)).get("key") == key:
         return
-    stage = Stage(f"packages of swarm {command}")
+    stage = Stage(f"packages for swarm {command}")
     forget_unfinished(checkout)
     clean = environment.clean(environ, checkout.venv)
     install_locked(checkout, (extra,), checkout.log(f"setup-{command}.log"), clean, lock, stage)
@@ -117,9 +117,9 @@ def install_extra(checkout: Checkout, command: str, environ: Mapping[str, str], 
 
 
 def forget_unfinished(checkout: Checkout) -> None:
-    """Make pip install again, over the files that are there, what an interrupted pip has left unfinished.
+    """Make pip reinstall packages that an interrupted pip has left incomplete.
 
-    That is what has no RECORD, which pip writes last.
+    These have no RECORD, which pip writes last.
     """
     packages = os.path.join(glob.escape(checkout.venv), "lib", "python3.*", "site-packages", "*.dist-info")
     for described in glob.glob(packages):
@@ -128,7 +128,7 @@ def forget_unfinished(checkout: Checkout) -> None:
 
 
 def install_setuptools(checkout: Checkout, log: str, environ: Mapping[str, str], lock: int) -> None:
-    """Install the locked setuptools, with which the packages that come as source are built."""
+    """Install the locked setuptools, which builds source packages."""
     with open(checkout.lock("run.lock"), encoding="utf-8") as file:
         entry = locked_entry(file.read(), "setuptools")
     requirements = os.path.join(checkout.venv, "setuptools.lock")
@@ -140,11 +140,11 @@ def install_setuptools(checkout: Checkout, log: str, environ: Mapping[str, str],
 def install_locked(
     checkout: Checkout, names: Sequence[str], log: str, environ: Mapping[str, str], lock: int, stage: Stage
 ) -> None:
-    """Install every requirement of the lock files, each checked by its hash, and nothing else."""
+    """Install exactly the requirements of the lock files, each verified by its hash."""
     requirements = [part for name in names for part in ("-r", checkout.lock(name))]
     pip = [checkout.python, *PIP_INSTALL, *requirements]
     run_logged(pip, log, environ, lock, lambda text: stage.progress(pip_progress(text)))
-    # Now and in parallel: hundreds of nodes that start at once would each compile what they import.
+    # Compile now: otherwise hundreds of nodes that start together would each compile their imports.
     stage.progress("compiling")
     modules = glob.glob(os.path.join(checkout.venv, "lib", "python3.*", "site-packages"))
     compiler = [checkout.python, "-m", "compileall", "-q", "-j", "0", "-x", NOT_COMPILED, *modules]
@@ -152,22 +152,22 @@ def install_locked(
 
 
 def locked_entry(text: str, name: str) -> str:
-    """One requirement of a lock file with its hashes, without the backslash that leads to the next."""
+    """One requirement of a lock file with its hashes."""
     found = re.search(rf"^{re.escape(name)}==(?:[^\n]*\\\n)*[^\n]*\n", text, re.MULTILINE)
     if not found:
-        raise SetupError(f"run.lock does not pin {name}", UNSUITABLE)
+        raise SetupError(f"run.lock does not pin {name}; restore it from the repository", UNSUITABLE)
     return found.group()
 
 
 def pip_progress(text: str) -> str:
-    """How far pip is, read from its log."""
+    """Progress of pip according to its log."""
     if "\nInstalling collected packages" in text:
         return "unpacking"
-    return f"{text.count('Collecting ')} fetched"
+    return f"{text.count('Collecting ')} downloaded"
 
 
 def point_cmake_files(checkout: Checkout, environ: Mapping[str, str]) -> None:
-    """Replace the Python and numpy include folders of the machine that built the wheels by this machine's."""
+    """Set the Python and numpy include folders in the CMake files of the wheels to those of this machine."""
     asked = "import json, numpy, sysconfig as s; print(json.dumps([s.get_path('include'), numpy.get_include()]))"
     answer = subprocess.run([checkout.python, "-c", asked], env=dict(environ), stdout=subprocess.PIPE, check=True)
     python_include, numpy_include = json.loads(answer.stdout)
@@ -181,14 +181,14 @@ def point_cmake_files(checkout: Checkout, environ: Mapping[str, str]) -> None:
 
 
 def point_includes(text: str, python_include: str, numpy_include: str) -> str:
-    """Replace the include folders of the machine that built the wheels; other texts stay as they are."""
+    """Return CMake code with the include folders of the build machine replaced."""
     text = re.sub(r"/opt/python/[^/;\"]+/include/python3\.\d+", lambda _: python_include, text)
     built_numpy = r"/opt/python/[^/;\"]+/lib/python3\.\d+/site-packages/numpy/_?core/include"
     return re.sub(built_numpy, lambda _: numpy_include, text)
 
 
 def changed_packages(checkout: Checkout, owner: str) -> Dict[str, str]:
-    """Names and keys of the packages that are not installed, or with another content."""
+    """Names and keys of the packages that are not installed or have changed since."""
     keys = {
         name: state.content_key(os.path.join(checkout.source, name), STAGE_VERSION, owner)
         for name in state.packages_in(checkout.source)
@@ -204,10 +204,9 @@ def install_changed(
     lock: int,
     cmake_arguments: Sequence[str] = (),
 ) -> None:
-    """Bring install/ in line with src/: build from nothing what has changed, remove what is gone.
+    """Update install/ from src/: rebuild changed packages from scratch, remove deleted ones.
 
-    No package needs another one to be built, only to run, so those that depend on a changed
-    package stay as they are.
+    Packages depend on each other only at run time, so dependents of a changed package are not rebuilt.
     """
     owner = os.path.join(checkout.install, state.STAMPS, "owner")
     if state.read_stamp(owner).get("key") != key:
@@ -232,7 +231,7 @@ def install_changed(
     command += ["--event-handlers", "console_cohesion+", "desktop_notification-", "terminal_title-"]
     command += ["--packages-select", *changed, "--cmake-args", "-DBUILD_TESTING=OFF", "--no-warn-unused-cli"]
     command += cmake_arguments
-    environ = dict(environ, COLCON_HOME=os.path.join(checkout.build, ".colcon"))  # not the user's defaults
+    environ = dict(environ, COLCON_HOME=os.path.join(checkout.build, ".colcon"))  # ignores the user's defaults
 
     def watch(log: str) -> None:
         stage.progress(f"{log.count('Finished <<<')} of {len(changed)} packages")
@@ -244,7 +243,7 @@ def install_changed(
 
 
 def uninstall(checkout: Checkout, package: str) -> None:
-    """Remove everything that a package has installed or left in build, its stamp first."""
+    """Remove everything that a package has installed or left in build, starting with its stamp."""
     state.remove_stamp(checkout.package_stamp(package))
     remove_tree(os.path.join(checkout.build, package))
     installed = (
@@ -263,13 +262,13 @@ def uninstall(checkout: Checkout, package: str) -> None:
 
 
 def forget_install(checkout: Checkout) -> None:
-    """Remove what was built for another environment: the stamps first."""
+    """Remove everything built for another environment, starting with the stamps."""
     for folder in (os.path.join(checkout.install, state.STAMPS), checkout.install, checkout.build):
         remove_tree(folder)
 
 
 def remove_tree(path: str) -> None:
-    """Remove a folder with everything in it, or a file, if it exists."""
+    """Remove a file or a folder with its contents, if it exists."""
     if os.path.isdir(path) and not os.path.islink(path):
         shutil.rmtree(path)
     else:

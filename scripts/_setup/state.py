@@ -1,7 +1,7 @@
-"""What has been done already: content keys, stamps, the quick look at file times, and the lock.
+"""The state of the set-up: content keys, stamps, the hash of file metadata, and the lock.
 
-A stamp is written last and at once, and removed before its subject is touched: whatever is
-interrupted, and however, a stamp that exists tells the truth.
+A stamp is written atomically after its stage and removed before its stage begins, so an existing stamp is valid even
+after an interruption.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from _setup.report import UNSUITABLE, SetupError, say
 
 LOCK_FILE = ".setup.lock"
 STAMPS = ".swarmabs"  # a folder of stamps in .venv, another in install
-# Beside the sources, made by running and testing them; a change of these is no change of the package.
+# Generated among the sources by running and testing them; changes to these do not change the package.
 BY_PRODUCTS = ("__pycache__", ".pytest_cache", ".mypy_cache", ".ruff_cache", ".hypothesis")
 
 
@@ -38,23 +38,23 @@ def packages_in(source: str) -> List[str]:
     return sorted(described)
 
 
-def look_at(paths: List[str], *facts: object) -> str:
-    """Hash of facts, and of name, size and times of files, without reading them.
+def metadata_hash(paths: List[str], *facts: object) -> str:
+    """Hash of facts and of name, size and times of files, without reading them.
 
-    The time of the last status change is part of it, since it cannot be set back by hand.
+    It includes the time of the last status change, which users cannot set.
     """
     digest = hashlib.sha256(repr(facts).encode())
     for path in paths:
         try:
             stat = os.stat(path)
-        except FileNotFoundError:  # removed between listing and looking: differs from what it was
+        except FileNotFoundError:  # removed since it was listed; the hash differs, as it must
             continue
         digest.update(f"{path}\0{stat.st_size}\0{stat.st_mtime_ns}\0{stat.st_ctime_ns}\n".encode())
     return digest.hexdigest()
 
 
 def content_key(folder: str, *facts: object) -> str:
-    """Hash of facts, and of the names, permissions to execute and contents of all files below a folder."""
+    """Hash of facts and of names, execute permissions and contents of all files below a folder."""
     digest = hashlib.sha256(repr(facts).encode())
     for path in files_below(folder):
         name = os.path.relpath(path, folder)
@@ -62,14 +62,14 @@ def content_key(folder: str, *facts: object) -> str:
             executable = os.access(path, os.X_OK)
             with open(path, "rb") as file:
                 content = hashlib.sha256(file.read()).hexdigest()
-        except FileNotFoundError:  # removed between listing and reading, or a link that leads nowhere
+        except FileNotFoundError:  # removed since it was listed, or a broken link
             continue
         digest.update(f"{name}\0{executable}\0{content}\n".encode())
     return digest.hexdigest()
 
 
 def file_key(path: str) -> str:
-    """Hash of one file's content."""
+    """Hash of the content of a file."""
     with open(path, "rb") as file:
         return hashlib.sha256(file.read()).hexdigest()
 
@@ -80,7 +80,7 @@ def text_key(*facts: object) -> str:
 
 
 def read_stamp(path: str) -> Dict[str, str]:
-    """Facts of a stamp; none if it does not exist or cannot be read as one."""
+    """Facts of a stamp, empty if it does not exist or is invalid."""
     try:
         with open(path, encoding="utf-8") as file:
             facts = json.load(file)
@@ -90,7 +90,7 @@ def read_stamp(path: str) -> Dict[str, str]:
 
 
 def write_stamp(path: str, **facts: str) -> None:
-    """Write a stamp so that it appears whole or not at all."""
+    """Write a stamp atomically."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
     unfinished = f"{path}.{os.getpid()}"
     with open(unfinished, "w", encoding="utf-8") as file:
@@ -106,10 +106,10 @@ def remove_stamp(path: str) -> None:
 
 @contextlib.contextmanager
 def only_one(root: str) -> Iterator[int]:
-    """Hold the checkout's set-up lock, waiting for another set-up if need be; yields its file descriptor.
+    """Hold the set-up lock of the checkout, waiting for another set-up if necessary; yield its file descriptor.
 
-    Children that inherit the descriptor keep the lock: when a set-up is killed, the next one
-    waits for the installer or compiler that it left behind instead of working against it.
+    Children that inherit the descriptor keep the lock: after a set-up is killed, the next one waits for any installer
+    or compiler that is still running.
     """
     try:
         lock = os.open(os.path.join(root, LOCK_FILE), os.O_RDWR | os.O_CREAT, 0o666)
@@ -129,13 +129,15 @@ def only_one(root: str) -> Iterator[int]:
 
 
 def holder(lock: int) -> str:
-    """Name the process that took the lock, as far as it can be told."""
+    """Describe the process that holds the lock."""
     pid = os.pread(lock, 20, 0).decode(errors="replace")
     if not pid.isdigit():
         return "another process"
-    return f"process {pid}" if os.path.exists(f"/proc/{pid}") else f"what process {pid} left running"
+    return f"process {pid}" if os.path.exists(f"/proc/{pid}") else f"children of process {pid}"
 
 
 def raise_unwritable(root: str, error: OSError) -> NoReturn:
-    """Turn a refusal of the file system into a refusal of the set-up."""
-    raise SetupError(f"cannot write in {root}: {error.strerror}", UNSUITABLE) from error
+    """Raise `SetupError` for an error of the file system."""
+    raise SetupError(
+        f"cannot write in {root}: {error.strerror}; check its owner and permissions", UNSUITABLE
+    ) from error

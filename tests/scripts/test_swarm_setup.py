@@ -101,7 +101,7 @@ class TestInterpreter:
             ("cpython 3.9.4", "SWARMABS_PYTHON", "CPython 3.10 to 3.13 is needed"),
             ("pypy 3.11.4", "SWARMABS_PYTHON", "pypy 3.11.4"),
             ("cpython 3.11.4 ensurepip", "", "lacks ensurepip"),
-            ("", "SWARMABS_PYTHON", "does not start as a Python"),
+            ("", "SWARMABS_PYTHON", "does not start as Python"),
             ("", "", "apt-get install python3 python3-venv python3-dev"),
         ],
     )
@@ -118,8 +118,8 @@ class TestInterpreter:
     def test_incomplete_python_of_the_system_names_debian_packages(self) -> None:
         for path, missing, text in (
             ("/usr/bin", ("venv", "ensurepip", "Python.h"), "sudo apt-get install python3.11-venv python3.11-dev"),
-            ("/usr/bin", ("the GIL",), "lacks the GIL: name another one in SWARMABS_PYTHON"),
-            ("/home/me/bin", ("venv",), "cpython 3.11.2 (/home/me/bin/python3.11) lacks venv: name another one in "),
+            ("/usr/bin", ("the GIL",), "lacks the GIL; set SWARMABS_PYTHON to another"),
+            ("/home/me/bin", ("venv",), "cpython 3.11.2 (/home/me/bin/python3.11) lacks venv; set SWARMABS_"),
         ):
             found = machine.Interpreter(f"{path}/python3.11", "3.11.2", "cpython", missing)
             assert text in machine.unfit_reason(found)
@@ -223,13 +223,13 @@ class TestState:
     def test_look_sees_a_change_behind_a_restored_time(self, tmp_path: Path) -> None:
         file = tmp_path / "a.py"
         file.write_text("1")
-        before, times = state.look_at([str(file)]), file.stat()
-        assert state.look_at([str(file)]) == before
+        before, times = state.metadata_hash([str(file)]), file.stat()
+        assert state.metadata_hash([str(file)]) == before
 
         def differs() -> bool:
             file.write_text("2")
             os.utime(file, ns=(times.st_atime_ns, times.st_mtime_ns))
-            return state.look_at([str(file)]) != before
+            return state.metadata_hash([str(file)]) != before
 
         until(differs, "the clock of the file system has moved on")
 
@@ -268,7 +268,7 @@ with state.only_one(sys.argv[2]) as lock:
             if how == "leave":
                 first.kill()
                 first.wait()
-                whom = f"what process {first.pid} left running"
+                whom = f"children of process {first.pid}"
             with self.start(tmp_path, "hold") as second:
                 assert second.stderr and second.stdout
                 assert whom in second.stderr.readline()
@@ -281,10 +281,10 @@ class TestRunLogged:
     @pytest.mark.parametrize(
         ("printed", "cause"),
         [
-            ("no reason", "step failed with exit code 3; start again to go on. Last lines of {log}:"),
+            ("no reason", "step failed with exit code 3; start again to continue. Last lines of {log}:"),
             ("OSError: [Errno 28] No space left on device", "the disk is full"),
-            ("Temporary failure in name resolution", "no package index is reachable"),
-            ("THESE PACKAGES DO NOT MATCH THE HASHES", "not the one that was locked"),
+            ("Temporary failure in name resolution", "the package index is unreachable"),
+            ("THESE PACKAGES DO NOT MATCH THE HASHES", "does not match its hash in the lock file"),
         ],
     )
     def test_failure_names_a_known_cause_and_the_end_of_the_log(self, tmp_path: Path, printed: str, cause: str) -> None:
@@ -479,7 +479,7 @@ class TestVirtualEnvironment:
     def test_full_disk_is_refused_at_the_beginning(self, checkout: Checkout, monkeypatch: pytest.MonkeyPatch) -> None:
         usage = shutil.disk_usage(checkout.root)._replace(free=5_000_000)
         monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
-        with pytest.raises(SetupError, match="has 5 MB free, the set-up needs") as caught:
+        with pytest.raises(SetupError, match="has 5 MB free; the set-up needs") as caught:
             self.make(checkout)
         assert caught.value.status == UNSUITABLE
         assert not Path(checkout.venv).exists()
@@ -511,7 +511,7 @@ def test_include_folders_are_replaced_once_and_progress_of_pip_is_counted() -> N
     once = stages.point_includes(text, "/usr/include/python3.12", "/co/numpy/_core/include")
     assert once == '"/usr/include/python3.12;/co/numpy/_core/include"'
     assert stages.point_includes(once, "/other", "/other") == once
-    assert stages.pip_progress("Collecting a\nCollecting b\n") == "2 fetched"
+    assert stages.pip_progress("Collecting a\nCollecting b\n") == "2 downloaded"
     assert stages.pip_progress("Collecting a\nInstalling collected packages: a\n") == "unpacking"
 
 
@@ -525,7 +525,7 @@ class TestScript:
         told = '[ "${SWARMABS_SETUP%:*}" = $$ ] && echo "set up"'
         write_command(root / ".venv" / "bin" / "python", f'echo "$*"; echo "$PYTHONPATH"; {told}')
         state.write_stamp(checkout.environment_stamp, key="key", version="3.12.1")
-        state.write_stamp(checkout.snapshot, looks=swarm.look(checkout, {}), key="key")
+        state.write_stamp(checkout.snapshot, snapshot=swarm.snapshot_of(checkout, {}), key="key")
         return root
 
     def start(self, root: Path, *arguments: str, **environ: str) -> subprocess.CompletedProcess[str]:
@@ -553,27 +553,27 @@ class TestScript:
     def test_any_change_is_seen(
         self, prepared: Path, swarm: ModuleType, checkout: Checkout, change: Callable[[Path], object], path: str
     ) -> None:
-        assert swarm.ready(checkout, swarm.look(checkout, {}), "run") == "3.12"
+        assert swarm.ready(checkout, swarm.snapshot_of(checkout, {}), "run") == "3.12"
         change(prepared / path)
-        assert not swarm.ready(checkout, swarm.look(checkout, {}), "run")
+        assert not swarm.ready(checkout, swarm.snapshot_of(checkout, {}), "run")
 
     @pytest.mark.parametrize(("command", "lock"), stages.EXTRA_LOCKS.items())
     def test_command_with_a_lock_of_its_own_is_ready_once_that_is_installed(
         self, prepared: Path, swarm: ModuleType, checkout: Checkout, command: str, lock: str
     ) -> None:
-        looks = swarm.look(checkout, {})
-        assert not swarm.ready(checkout, looks, command)
+        snapshot = swarm.snapshot_of(checkout, {})
+        assert not swarm.ready(checkout, snapshot, command)
         state.write_stamp(checkout.extra_stamp(lock), key="key")
-        assert swarm.ready(checkout, looks, command) == "3.12"
+        assert swarm.ready(checkout, snapshot, command) == "3.12"
         for other, its_lock in stages.EXTRA_LOCKS.items():
-            assert bool(swarm.ready(checkout, looks, other)) == (its_lock == lock)
+            assert bool(swarm.ready(checkout, snapshot, other)) == (its_lock == lock)
 
     def test_other_commands_stay_ready_while_one_gets_its_packages(
         self, prepared: Path, swarm: ModuleType, checkout: Checkout, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        looks, seen = swarm.look(checkout, {}), []
+        snapshot, seen = swarm.snapshot_of(checkout, {}), []
         monkeypatch.setattr(
-            stages, "install_extra", lambda *_: seen.append(swarm.ready(checkout, looks, "run")) or None
+            stages, "install_extra", lambda *_: seen.append(swarm.ready(checkout, snapshot, "run")) or None
         )
         assert swarm.prepare(checkout, {}, "view") == "3.12"
         assert seen == ["3.12"]
@@ -613,7 +613,7 @@ class TestScript:
     def test_refusal_is_one_line_and_leaves_no_environment(self, prepared: Path) -> None:
         shutil.rmtree(prepared / ".venv")
         ended = self.start(prepared, "run", SWARMABS_PYTHON="/nowhere/python3")
-        assert ended.stderr == "swarm: SWARMABS_PYTHON=/nowhere/python3 does not start as a Python\n"
+        assert ended.stderr.startswith("swarm: SWARMABS_PYTHON=/nowhere/python3 does not start as Python")
         assert ended.returncode == UNSUITABLE
         assert not (prepared / ".venv").exists()
 
@@ -637,5 +637,5 @@ class TestScript:
                 assert waiting.stderr
                 assert f"waiting for process {os.getpid()}" in waiting.stderr.readline()
                 waiting.send_signal(signal.SIGTERM)
-                assert waiting.stderr.read() == "swarm: interrupted; the next start goes on from here\n"
+                assert waiting.stderr.read() == "swarm: interrupted; the next start continues from here\n"
         assert waiting.returncode == FAILED
