@@ -1,4 +1,4 @@
-"""What ``swarm bench`` starts: the programs of the chosen suites, one after the other, and the result of all."""
+"""The entry point of ``swarm bench``: runs the programs of the selected suites in turn and combines their results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from swarmabs_run.ending import die_with_parent, terminable
 
 RUNS = Path("runs")
 SCHEMA = 1
-"""Version of the document."""
+"""Version of the result format."""
 PROGRAMS = {
     "product": "product",
     "start": "start",
@@ -44,23 +44,23 @@ PROGRAMS = {
     "recorder": "recorder",
     "reading": "reading",
 }
-"""The program that measures a suite."""
+"""The program that measures each suite."""
 WIDTH = 160
-"""Of what is printed into a file or pipe, characters."""
+"""Width, characters, of tables printed to a file or pipe."""
 
 
 def bench(settings: Settings, output: Path | None, *, as_json: bool) -> None:
-    """Measure what is set, and leave and print the result.
+    """Run the selected suites, and store and print the result.
 
     Raises
     ------
     InputError
-        If the folder of the result is not empty, or a package is missing.
+        If the output folder is not empty, or a package is missing.
     RunError
-        If something that was measured failed.
+        If a measured program fails.
     """
     if "product" in settings.suites and find_spec("zmq") is None:
-        raise InputError("pyzmq is missing, with which the product is compared; start with ./scripts/swarm bench")
+        raise InputError("pyzmq is missing, which the ZeroMQ baseline needs; start with ./scripts/swarm bench")
     folder = new_run_folder(output) if output is not None else next_run_folder(RUNS, "bench")
     document: dict[str, Any] = {
         "schema": SCHEMA,
@@ -74,7 +74,7 @@ def bench(settings: Settings, output: Path | None, *, as_json: bool) -> None:
                 document |= _measured(program, settings)
         write_result(document, folder.path)
     finally:
-        with suppress(OSError):  # not empty: that is the result
+        with suppress(OSError):  # not empty: it contains the result
             folder.path.rmdir()
     if as_json:
         print_json(document)
@@ -85,7 +85,7 @@ def bench(settings: Settings, output: Path | None, *, as_json: bool) -> None:
 
 
 def compare(paths: Sequence[str], *, as_json: bool) -> None:
-    """Print what two results have in common."""
+    """Print a comparison of what two results both measured."""
     table = comparison(*(read_result(Path(path)) for path in paths))
     if as_json:
         print_json([dict(zip(table.headings, row, strict=True)) for row in table.rows])
@@ -94,12 +94,12 @@ def compare(paths: Sequence[str], *, as_json: bool) -> None:
 
 
 def _measured(program: str, settings: Settings) -> dict[str, Any]:
-    """Start a program and return its part of the document; it ends with this process, and in order if interrupted."""
+    """Run a program and return its part of the result; it ends with this process, cleanly if interrupted."""
     with subprocess.Popen(
         [sys.executable, "-m", f"benchmarks.{program}", json.dumps(asdict(settings))],
         stdout=subprocess.PIPE,
-        start_new_session=True,  # Ctrl-C in a terminal is for us alone
-        preexec_fn=partial(die_with_parent, os.getpid()),  # noqa: PLW1509 - it calls nothing but the kernel
+        start_new_session=True,  # Ctrl-C in a terminal reaches only this process
+        preexec_fn=partial(die_with_parent, os.getpid()),  # noqa: PLW1509 - makes only a system call
     ) as process:
         try:
             found, _ = process.communicate()
@@ -108,13 +108,13 @@ def _measured(program: str, settings: Settings) -> dict[str, Any]:
             process.wait()
             raise
     if process.returncode:
-        raise RunError(f"the program benchmarks/{program}.py has failed")
+        raise RunError(f"the program benchmarks/{program}.py failed; see its messages above")
     document: dict[str, Any] = json.loads(found)
     return {suite: rows for suite, rows in document.items() if suite not in PROGRAMS or suite in settings.suites}
 
 
 def machine_facts() -> dict[str, object]:
-    """Return processor, kernel, memory, versions, limits and the load of the last minute."""
+    """Return processor, kernel, memory, versions, limits and the load average of the last minute."""
     return {
         "processor": _processor(),
         "architecture": platform.machine(),
@@ -151,7 +151,7 @@ def _version_of(name: str) -> dict[str, str]:
 
 
 def _show(shown: Iterable[Table]) -> None:
-    """Print tables for people."""
+    """Print tables to the terminal."""
     console = Console(highlight=False, width=None if sys.stdout.isatty() else WIDTH)
     for table in shown:
         made = RichTable(box=None, header_style="dim")
@@ -164,7 +164,7 @@ def _show(shown: Iterable[Table]) -> None:
 
 
 def main() -> int:
-    """Do what the command has put together in its argument, as JSON."""
+    """Run the request that the command passes as JSON in its argument."""
     asked = json.loads(sys.argv[1])
     if asked["compare"]:
         return exit_code(lambda: compare(asked["compare"], as_json=asked["as_json"]))

@@ -1,4 +1,4 @@
-"""What the programs share: settings, the swarms that are measured, a look at a run, and how repeats are summed up."""
+"""Shared by the programs: settings, the measured swarms, sampling of a run, and the summary of repeats."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from benchmarks.processes import Load, Memory, Sample, crew_of, load_between, memory_of, sample
+from benchmarks.processes import Load, Memory, Sample, load_between, memory_of, sample, workers_of
 
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenario import Scenario, load_scenario
@@ -26,11 +26,11 @@ from swarmabs_run.run import Outcome, Progress, RunOptions
 
 BASE = "arise_het_200"
 STEP = 0.01
-"""Period of the swarms that are measured, s."""
+"""Period of the measured swarms, s."""
 COORDINATED = 4
-"""Messages of a step that do not come from robots."""
+"""Messages per step that do not come from robots."""
 _LATE = 0.9
-"""Part of a run at which its processes are looked at for the second time; at its end they end."""
+"""Fraction of a run at which its processes are sampled for the second time; at its end they exit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,21 +40,21 @@ class Settings:
     Parameters
     ----------
     suites : tuple of str
-        What is measured.
+        Suites to run.
     robots : tuple of int
-        Numbers of robots, at least two each.
+        Swarm sizes, at least two each.
     repeat : int
-        How often each measurement is made.
+        Number of repeats of each measurement.
     window, warm_up : float
-        Length of a measurement and of the time before it that does not count, s.
+        Duration of a measurement and of the warm-up before it, s.
     starts : int, optional
-        How often a run is started and ended for the suites start and memory; None for `repeat` times.
+        Number of runs started and stopped for the suites start and memory; None for `repeat`.
     busy : bool
-        Whether other processes keep the machine busy meanwhile.
+        Whether other processes load the machine during these suites.
     large : tuple of int
-        Numbers of robots in the suite large.
+        Swarm sizes of the suite large.
     agents_per_process : int
-        How many of them share a process.
+        Robots per process in the suite large.
     """
 
     suites: tuple[str, ...] = ()
@@ -69,7 +69,7 @@ class Settings:
 
 
 def program(measure: Callable[[Settings], dict[str, Any]]) -> int:
-    """Carry out a program: settings as JSON in its argument, its part of the result as JSON on standard output."""
+    """Run a program: it takes settings as JSON in its argument and prints its part of the result as JSON."""
     settings = Settings(**json.loads(sys.argv[1])) if len(sys.argv) > 1 else Settings()
     try:
         with terminable():
@@ -84,12 +84,12 @@ def program(measure: Callable[[Settings], dict[str, Any]]) -> int:
 
 
 def tell(line: str) -> None:
-    """Say what is being measured, or was."""
+    """Print a line of progress to standard error."""
     print(line, file=sys.stderr, flush=True)
 
 
 def repeated(robots: int, what: str, settings: Settings, measure: Callable[[int, Settings], Any]) -> list[Any]:
-    """Measure so many robots `repeat` times and return the results."""
+    """Measure a swarm size `repeat` times and return the results."""
     found = []
     for number in range(settings.repeat):
         tell(f"{robots} robots, repeat {number + 1} of {settings.repeat}: {what}")
@@ -98,18 +98,18 @@ def repeated(robots: int, what: str, settings: Settings, measure: Callable[[int,
 
 
 def row(robots: int, results: Iterable[Any], summary: dict[str, dict[str, float] | None]) -> dict[str, Any]:
-    """Return what is kept of the measurements with so many robots."""
+    """Return the entry of a swarm size in the result."""
     return {"robots": robots, "summary": summary, "repeats": [asdict(result) for result in results]}
 
 
 def spread(values: Iterable[float | None]) -> dict[str, float] | None:
-    """Return median, smallest and largest of what there is."""
+    """Return median, smallest and largest of the values that are not None, None without values."""
     found = [value for value in values if value is not None]
     return {"median": median(found), "smallest": min(found), "largest": max(found)} if found else None
 
 
 def swarm_of(robots: int, steps: int) -> Scenario:
-    """Return a run of so many steps with the adaptive controller and robots of both kinds, half of each.
+    """Return a scenario with the adaptive controller, half of the robots of each kind.
 
     Parameters
     ----------
@@ -132,19 +132,19 @@ def swarm_of(robots: int, steps: int) -> Scenario:
 
 
 class Watch:
-    """Looks at a run's processes after its warm-up and shortly before its end.
+    """Samples the processes of a run after its warm-up and shortly before its end.
 
     Parameters
     ----------
     warm_up : float
-        Time, s, after the first step that does not count.
-    look_at_memory : bool
-        Whether to measure the processes' memory too, at the end of the warm-up.
+        Time, s, after the first step that is not measured.
+    with_memory : bool
+        Whether to measure the memory of the processes, too, at the end of the warm-up.
     """
 
-    def __init__(self, warm_up: float, *, look_at_memory: bool = False) -> None:
+    def __init__(self, warm_up: float, *, with_memory: bool = False) -> None:
         self._warm_up = warm_up
-        self._look_at_memory = look_at_memory
+        self._with_memory = with_memory
         self._processes: dict[int, str] = {}
         self.started: float | None = None
         self.first: Sample | None = None
@@ -152,31 +152,31 @@ class Watch:
         self.memory: Memory | None = None
 
     def __call__(self, progress: Progress) -> None:
-        """Take notice of a run's progress."""
+        """Handle progress of the run."""
         now = time.monotonic()
         if progress.phase != "running":
             return
         if self.started is None:
             self.started = now
-            self._processes = crew_of(os.getpid())  # takes its time, which must not stand between a step and its sample
+            self._processes = workers_of(os.getpid())  # slow, so not between a step and its sample
         elif self.first is None:
             if not progress.step or now - self.started < self._warm_up:
                 return
-            if self._look_at_memory and self.memory is None:
-                self.memory = memory_of(self._processes)  # takes its time, as above
+            if self._with_memory and self.memory is None:
+                self.memory = memory_of(self._processes)  # slow, as above
             else:
                 self.first = sample(self._processes, progress.step, now)
         elif self.last is None and progress.step >= _LATE * progress.steps:
             self.last = sample(self._processes, progress.step, now)
 
     def load(self) -> Load | None:
-        """Return what the run cost between the two looks."""
+        """Return the load of the run between the two samples."""
         if self.first is None or self.last is None:
             return None
         return load_between(self.first, self.last, self._processes)
 
     def rate(self, steps: int, stepping_seconds: float) -> float:
-        """Return the steps per second after the warm-up of a run that made so many steps in so much time."""
+        """Return the steps per second after the warm-up of a run of `steps` in `stepping_seconds`."""
         if self.started is None or self.first is None:
             return steps / stepping_seconds
         return (steps - self.first.step) / (self.started + stepping_seconds - self.first.time)
@@ -184,18 +184,18 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """Speed of a complete run, and what it cost.
+    """Speed and load of a complete run.
 
     Parameters
     ----------
     steps_per_second : float
-        From the end of the warm-up to the last step recorded.
+        From the end of the warm-up to the last recorded step.
     start_seconds, closing_seconds : float
-        From the beginning of the run to its first step, and from the last step recorded to the end of all processes.
+        From the start of the run to its first step, and from the last recorded step to the end of all processes.
     load : Load, optional
-        None if the run was too short to look twice.
+        None if the run was too short for two samples.
     memory : Memory, optional
-        At the end of the warm-up, if it was asked for and the run was long enough.
+        At the end of the warm-up, if requested and if the run was long enough.
     """
 
     steps_per_second: float
@@ -210,20 +210,20 @@ def measure_run(
     steps: int,
     warm_up: float,
     *,
-    look_at_memory: bool = False,
+    with_memory: bool = False,
     arrange: Arrange = tuple,
     **options: Any,
 ) -> RunResult:
-    """Run a swarm for so many steps as ``swarm run`` does, with these `RunOptions`.
+    """Run a swarm as ``swarm run`` does; `options` are fields of `RunOptions`.
 
     Raises
     ------
     KeyboardInterrupt
-        If it was interrupted; a run takes Ctrl-C for itself, so that it can close its bag.
+        If the run was interrupted; it handles Ctrl-C itself in order to close its bag.
     RunError
-        If it failed.
+        If the run failed.
     """
-    watch = Watch(warm_up, look_at_memory=look_at_memory)
+    watch = Watch(warm_up, with_memory=with_memory)
     with TemporaryDirectory(prefix="swarmabs-bench-") as folder:
         made = new_run_folder(Path(folder) / "run")
         begun = time.monotonic()
@@ -234,14 +234,14 @@ def measure_run(
 
 
 def checked(outcome: Outcome) -> tuple[float, float]:
-    """Return the times (s) that a run took to start and to step, if it went well.
+    """Return the start time and the stepping time, s, of a successful run.
 
     Raises
     ------
     KeyboardInterrupt
-        If it was interrupted.
+        If the run was interrupted.
     RunError
-        If it failed.
+        If the run failed.
     """
     if outcome.status == "interrupted":
         raise KeyboardInterrupt

@@ -5,8 +5,8 @@ r"""The closed loop of single integrators under the PD controller in continuous 
     (J + J_s) \dot w = -\cos(\theta) \tau_s - \dot J_s w - f_f(w) - \tau_d(t), \qquad \dot\theta = w, \qquad
     \dot p = \Phi^+ (K (a_d - a) + \dot a_d)
 
-with the desired abstract state on the manifold behind the command filter. It stands for what one would write in a
-notebook: nothing is sampled, no robot is a process, and no message is made.
+with the desired abstract state on the manifold behind the command filter. This is what you would write in a
+notebook: without sampling, processes and messages.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 METHOD: Final = "LSODA"
 RTOL, ATOL = 1e-8, 1e-10
 _BANDWIDTH = 50.0
-"""Of the command filter, rad/s."""
+"""Bandwidth of the command filter, rad/s."""
 
 
 def solve(scenario: Scenario) -> Array:
@@ -35,7 +35,7 @@ def solve(scenario: Scenario) -> Array:
     Parameters
     ----------
     scenario : Scenario
-        With single integrators only, the PD controller and no faults.
+        Must have only single integrators, the PD controller and no faults.
     """
     plane, curve = scenario.plane, scenario.manifold
     g, (g1, g2, g3, g4, g5, g6) = plane.gravity, plane.friction

@@ -1,4 +1,4 @@
-"""Node ``feeder``: sends a run's messages, made beforehand, as fast as a recorder takes them."""
+"""Node ``feeder``: publishes precomputed messages of a run as fast as the recorder accepts them."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 PARAMETERS = (Parameter("scenario_file", "", "file of the resolved scenario"),)
 
 IN_FLIGHT = 3000
-"""Messages that may be on their way: what a socket's buffer holds."""
+"""Limit of messages in flight: the capacity of a socket buffer."""
 FEWEST, MOST = 12, 100
-"""Bounds of the steps that the recorder may lag behind: it tells its progress every ten."""
+"""Bounds of the number of steps that the recorder may lag behind; it reports progress every ten steps."""
 
 
 class Feeder:
@@ -46,23 +46,23 @@ class Feeder:
 
     def start(self) -> Messages:
         """Send the first steps."""
-        return self._go_on()
+        return self._send_next()
 
     def handle(self, message: Message) -> Messages:
-        """Send as many steps as have been recorded."""
+        """Send as many further steps as have been recorded."""
         if isinstance(message, RecordingProgress) and message.written_step != NEVER:
             self._written = max(self._written, message.written_step)
-        return self._go_on()
+        return self._send_next()
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Wait for the recorder until it has everything."""
+        """Wait for the recorder until it has recorded everything."""
         return () if self._written + 1 == len(self._steps) else (RECORDING_PROGRESS,)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the first step that is not recorded."""
+        """Return the first step that has not been recorded."""
         return self._written + 1, ("recorder",)
 
-    def _go_on(self) -> Messages:
+    def _send_next(self) -> Messages:
         until = min(len(self._steps), self._written + 1 + self._window)
         messages = tuple(message for step in self._steps[self._sent : until] for message in step)
         self._sent = max(self._sent, until)
@@ -75,7 +75,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     Raises
     ------
     InputError
-        If there is no scenario.
+        If no scenario is given.
     """
     if not settings.text("scenario_file"):
         raise InputError("parameter scenario_file: give the file of the resolved scenario")

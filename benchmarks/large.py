@@ -1,4 +1,4 @@
-"""Large simulations: several robots in a process, each its own state machine that hears the broadcasts alone."""
+"""Large simulations: several robots share a process; each is a state machine that receives only the broadcasts."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from benchmarks.common import RunResult, Settings, measure_run, program, row, sp
 from swarmabs_core.errors import RunError
 
 ROBOT_STEPS_PER_SECOND = 25_000
-"""Steps of single robots per second that the length of a run is made for."""
+"""Assumed robot steps per second, from which the length of a run follows."""
 _FEWEST_STEPS = 20
 
 
 def measure(settings: Settings) -> dict[str, Any]:
-    """Measure start, speed and memory; whether so many robots run at all is a result too."""
+    """Measure start, speed and memory; runs that fail are part of the result."""
     return {"large": [_row(robots, settings) for robots in settings.large]}
 
 
@@ -25,9 +25,9 @@ def _row(robots: int, settings: Settings) -> dict[str, Any]:
     shared = settings.agents_per_process
     steps = max(_FEWEST_STEPS, round(ROBOT_STEPS_PER_SECOND / robots * (settings.warm_up + settings.window)))
     for number in range(settings.repeat):
-        tell(f"{robots} robots, {shared} in a process, repeat {number + 1} of {settings.repeat}")
+        tell(f"{robots} robots, {shared} per process, repeat {number + 1} of {settings.repeat}")
         try:
-            result = measure_run(robots, steps, settings.warm_up, look_at_memory=True, agents_per_process=shared)
+            result = measure_run(robots, steps, settings.warm_up, with_memory=True, agents_per_process=shared)
         except RunError as error:
             failures.append(str(error))
             tell(f"  {error}")

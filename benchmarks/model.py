@@ -1,6 +1,6 @@
-"""What a step costs by the number of robots, fitted to a result, and what follows for robots on many hosts.
+"""A model of the cost of a step by the number of robots, fitted to a result, and its extrapolation to many hosts.
 
-The fit is measured; what follows from it for swarms that nobody has run is derived, and says so.
+The fit rests on measurements; extrapolated values are marked as derived.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 AGENTS: Final = "agents"
 ROUND_TRIP: Final = 0.5
-"""Assumed time, ms, that messages of a step are on their way between hosts: there and back through a switch."""
+"""Assumed network time, ms, of the messages of a step: a round trip through a switch."""
 COORDINATORS: Final = ("plane", "observer", "controller", "recorder")
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A straight line ``a + b N`` in ms: what a step costs whatever N is, and what each robot adds."""
+    """A straight line ``a + b N`` in ms: the fixed cost of a step and the cost of each robot."""
 
     a: float
     b: float
@@ -34,12 +34,12 @@ class Line:
 
 
 def fitted(points: Sequence[tuple[float, float]]) -> Line:
-    """Fit a line to points (N, ms) so that the squares of its relative errors are least; it falls nowhere below 0.
+    """Fit a line with non-negative coefficients to points (N, ms) by least squares of the relative error.
 
     Parameters
     ----------
     points : sequence of tuple
-        Of at least two numbers of robots; all costs above 0.
+        At least two swarm sizes; all costs above 0.
     """
     ones = [1.0 / cost for _, cost in points]
     slopes = [robots / cost for robots, cost in points]
@@ -57,16 +57,16 @@ def fitted(points: Sequence[tuple[float, float]]) -> Line:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What was measured of a step of so many robots, ms.
+    """Measured cost of a step, ms.
 
     Parameters
     ----------
     robots : int
-        How many.
+        Number of robots.
     step : float
-        Its wall time.
+        Wall time.
     cpu : dict
-        Processor time by role; that of the agents is the sum of all.
+        Processor time by role; for agents the sum over all.
     """
 
     robots: int
@@ -75,12 +75,12 @@ class Cost:
 
     @property
     def coordinators(self) -> float:
-        """Processor time of the coordinators together."""
+        """Total processor time of the coordinators."""
         return sum(cost for role, cost in self.cpu.items() if role != AGENTS)
 
 
 def costs(rows: Sequence[Row]) -> list[Cost]:
-    """Return what the product's runs have cost, of those that were long enough to look twice."""
+    """Return the costs of the product's runs that were long enough for two samples."""
     found = []
     for row in rows:
         loads = [repeat["product"]["load"] for repeat in row["repeats"] if repeat["product"]["load"] is not None]
@@ -99,7 +99,7 @@ def costs(rows: Sequence[Row]) -> list[Cost]:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """Lines through what was measured.
+    """Lines fitted to the measurements.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class Model:
 
 
 def model(found: Sequence[Cost]) -> Model | None:
-    """Fit the lines; None if there are not at least two numbers of robots."""
+    """Fit the lines; None with fewer than two swarm sizes."""
     if len({cost.robots for cost in found}) < 2:
         return None
     roles = sorted({role for cost in found for role in cost.cpu})
@@ -126,12 +126,12 @@ def model(found: Sequence[Cost]) -> Model | None:
 
 
 def spread_out(known: Model, robots: int, hosts: int, cores: int, *, relays: bool) -> float:
-    """Derive the time, ms, of a step of robots on many hosts; the coordinators have a host of their own.
+    """Derive the time, ms, of a step with robots on many hosts and the coordinators on a separate host.
 
-    Each role's processor time is what it was measured to be on one host. The robots of a host share its cores;
-    observer, plane and recorder work at the same time, the controller after the plane; the network adds `ROUND_TRIP`.
-    Without relays the slowest of the coordinators takes one message per robot. With them a process on each host takes
-    its robots' states, at the observer's cost of each, and the coordinators take one message per host.
+    Each role has the processor time measured on one host. The robots of a host share its cores; observer, plane and
+    recorder work in parallel, the controller after the plane; the network adds `ROUND_TRIP`. Without relays the
+    coordinators receive one message per robot. With relays a process on each host receives the states of its robots,
+    at the observer's cost per state, and the coordinators receive one message per host.
     """
     nothing = Line(0.0, 0.0)
     lines = {role: known.roles.get(role, nothing) for role in (*COORDINATORS, AGENTS)}

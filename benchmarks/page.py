@@ -1,4 +1,4 @@
-"""Write tables and charts of the pages on performance from a result: python -m benchmarks.page RESULT."""
+"""Update tables and charts of the performance pages from a result: python -m benchmarks.page RESULT."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PART = re.compile(r"(<!-- bench: ([a-z]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def main(arguments: list[str]) -> int:
-    """Renew what the result has; what it has not stays as it is."""
+    """Update the parts that the result contains; all others remain unchanged."""
     if len(arguments) != 1:
         sys.stderr.write(f"{__doc__}\n")
         return 2
@@ -26,11 +26,11 @@ def main(arguments: list[str]) -> int:
         parts[table.name] = f"{table.caption[0].upper()}{table.caption[1:]}.\n\n{markdown(table)}"
     parts["notes"] = "".join(f"- {note}\n" for note in notes(document))
 
-    def renewed(found: re.Match[str]) -> str:
+    def updated(found: re.Match[str]) -> str:
         return f"{found[1]}{parts[found[2]]}{found[3]}" if found[2] in parts else found[0]
 
     for page in PAGES:
-        page.write_text(_PART.sub(renewed, page.read_text(encoding="utf-8")), encoding="utf-8")
+        page.write_text(_PART.sub(updated, page.read_text(encoding="utf-8")), encoding="utf-8")
     if "product" in document:
         draw(document, CHART)
     if "large" in document:

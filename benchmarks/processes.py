@@ -1,4 +1,4 @@
-"""What the operating system knows of the processes that are measured: processor time, switches, memory."""
+"""Processor time, context switches and memory of the measured processes, from the operating system."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import psutil
 _PROC = Path("/proc")
 _TICK = 1.0 / os.sysconf("SC_CLK_TCK")
 _COMM = 15
-"""Longest name, characters, that Linux keeps of a process."""
+"""Length, characters, to which Linux truncates process names."""
 _ROLES = {
     "plane_sim": "plane",
     "abstraction_observer"[:_COMM]: "observer",
@@ -26,12 +26,12 @@ _AGENT_NAMES = ("agent_", "agents_")
 
 
 def role_of(name: str) -> str | None:
-    """Return the role of a process of a run or of a floor by the name that Linux keeps of it, None for others."""
+    """Return the role of a process of a run or baseline from its name in Linux, None for other processes."""
     return AGENTS if name.startswith(_AGENT_NAMES) else _ROLES.get(name)
 
 
-def crew_of(root: int) -> dict[int, str]:
-    """Return the roles of all processes of a run below a process, by process id."""
+def workers_of(root: int) -> dict[int, str]:
+    """Return the roles of all descendants of a process that belong to a run, by process id."""
     found = {}
     with suppress(psutil.NoSuchProcess):
         for child in psutil.Process(root).children(recursive=True):
@@ -44,17 +44,17 @@ def crew_of(root: int) -> dict[int, str]:
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What a process has used since it was started: processor time (s) and context switches of all its threads."""
+    """Processor time (s) and context switches of all threads of a process since its start."""
 
     cpu: float
     switches: int
 
 
 def usage(pid: int) -> Usage | None:
-    """Return what a process has used, None if it has ended."""
+    """Return the usage of a process, None if it has ended."""
     folder = _PROC / str(pid)
     try:
-        # The name of the process stands in parentheses and may hold anything.
+        # The process name is in parentheses and may contain any character.
         fields = (folder / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
         switches = 0
         for task in (folder / "task").iterdir():
@@ -67,7 +67,7 @@ def usage(pid: int) -> Usage | None:
 
 
 def proportional_memory(pid: int) -> int | None:
-    """Return the memory of a process, bytes, of what it shares only its share (PSS); None if it has ended."""
+    """Return the proportional set size (PSS) of a process, bytes; None if it has ended."""
     try:
         text = (_PROC / str(pid) / "smaps_rollup").read_text(encoding="utf-8")
     except (FileNotFoundError, ProcessLookupError):
@@ -77,14 +77,14 @@ def proportional_memory(pid: int) -> int | None:
 
 
 def machine_busy() -> float:
-    """Return the processor time, s, that all processes and the hypervisor have taken since the machine was started."""
+    """Return the processor time, s, that all processes and the hypervisor have used since the machine booted."""
     times = psutil.cpu_times()
     return float(sum(times) - times.idle - getattr(times, "iowait", 0.0) - times.guest - times.guest_nice)
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """How far a run is at a time (s), and what its processes have used by then."""
+    """The step of a run at a time (s), and the usage of its processes until then."""
 
     time: float
     step: int
@@ -92,29 +92,29 @@ class Sample:
     busy: float
 
 
-def sample(crew: dict[int, str], step: int, when: float | None = None) -> Sample:
-    """Take a sample of these processes; `when` is the time at which they were at this step, if it was not now."""
+def sample(workers: dict[int, str], step: int, when: float | None = None) -> Sample:
+    """Take a sample of these processes; `when` is the time of the step, by default now."""
     when = time.monotonic() if when is None else when
-    used = {pid: found for pid in crew if (found := usage(pid)) is not None}
+    used = {pid: found for pid in workers if (found := usage(pid)) is not None}
     return Sample(when, step, used, machine_busy())
 
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What a run cost between two samples.
+    """The load of a run between two samples.
 
     Parameters
     ----------
     seconds, steps : float, int
         Time and steps between the samples.
     cpu_share : dict
-        Share of one core by role; that of the agents is the sum of all.
+        Share of one core by role; for agents the sum over all.
     cpu_ms_per_step : float
-        Processor time of all processes together, ms per step.
+        Total processor time of all processes, ms per step.
     switches_per_agent_step : float
-        Context switches of a robot's process, all its threads, in a step.
+        Context switches of all threads of a robot's process per step.
     other_load : float
-        Share of the whole machine that anybody else took at the time, the measurement itself included.
+        Share of the whole machine used by everything else, including the measurement itself.
     """
 
     seconds: float
@@ -125,8 +125,8 @@ class Load:
     other_load: float
 
 
-def load_between(first: Sample, last: Sample, crew: dict[int, str]) -> Load | None:
-    """Compare two samples; None if there is no time or no step between them."""
+def load_between(first: Sample, last: Sample, workers: dict[int, str]) -> Load | None:
+    """Return the load between two samples, None if no time or no step is between them."""
     seconds, steps = last.time - first.time, last.step - first.step
     if seconds <= 0.0 or steps <= 0:
         return None
@@ -136,7 +136,7 @@ def load_between(first: Sample, last: Sample, crew: dict[int, str]) -> Load | No
         after = last.usages.get(pid)
         if after is None:
             continue
-        role = crew[pid]
+        role = workers[pid]
         share[role] = share.get(role, 0.0) + (after.cpu - before.cpu) / seconds
         if role == AGENTS:
             agents += 1
@@ -156,7 +156,7 @@ def load_between(first: Sample, last: Sample, crew: dict[int, str]) -> Load | No
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """Memory of the processes of a run, bytes: a robot's, each coordinator's, and all together."""
+    """Memory of the processes of a run, bytes: per robot, per coordinator, and in total."""
 
     agent_median: int
     agent_largest: int
@@ -164,9 +164,9 @@ class Memory:
     total: int
 
 
-def memory_of(crew: dict[int, str]) -> Memory | None:
-    """Measure the memory of a run's processes; None if no robot is among them."""
-    found = [(role, size) for pid, role in crew.items() if (size := proportional_memory(pid)) is not None]
+def memory_of(workers: dict[int, str]) -> Memory | None:
+    """Measure the memory of a run's processes; None without robots."""
+    found = [(role, size) for pid, role in workers.items() if (size := proportional_memory(pid)) is not None]
     agents = [size for role, size in found if role == AGENTS]
     if not agents:
         return None

@@ -1,4 +1,4 @@
-"""Steps per second of complete runs, beside the floors: mathematics and recording on, a process per robot."""
+"""Steps per second of complete runs and baselines; runs compute and record, with one process per robot."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import asdict
 from statistics import median
 from typing import Any
 
+from benchmarks.baseline_programs import BARE_RCLPY, BASELINES, measure_baseline
 from benchmarks.common import Settings, measure_run, program, spread, tell
-from benchmarks.floor_programs import BARE_RCLPY, FLOORS, measure_floor
 
 PRODUCT, PACKED = "product", "packed"
 _PART = 0.75
-"""Speed of the product in parts of the floor's for which the length of its runs is made."""
+"""Assumed speed of the product relative to the baseline, from which the length of its runs follows."""
 _FEWEST_STEPS = 20
 
 
 def measure(settings: Settings) -> dict[str, Any]:
-    """Measure product and floors in turn: what changes on the machine meanwhile meets them all."""
+    """Measure product and baselines in turn, so that changes of the machine affect all of them."""
     rows = []
     for robots in settings.robots:
         repeats = [_repeat(robots, number, settings) for number in range(settings.repeat)]
@@ -35,9 +35,9 @@ def _repeat(robots: int, number: int, settings: Settings) -> dict[str, Any]:
     def announce(name: str) -> None:
         tell(f"{robots} robots, repeat {number + 1} of {settings.repeat}: {name}")
 
-    for name in FLOORS:
+    for name in BASELINES:
         announce(name)
-        note(name, measure_floor(name, robots, warm_up=settings.warm_up, window=settings.window))
+        note(name, measure_baseline(name, robots, warm_up=settings.warm_up, window=settings.window))
     fastest = max(results[name]["steps_per_second"] for name in BARE_RCLPY)
     steps = max(_FEWEST_STEPS, round(_PART * fastest * (settings.warm_up + settings.window)))
     for name in (PRODUCT, PACKED):
@@ -47,19 +47,19 @@ def _repeat(robots: int, number: int, settings: Settings) -> dict[str, Any]:
 
 
 def summary(repeats: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the spreads of speeds and ratios; a ratio is that of two measurements of the same repeat.
+    """Return the spreads of speeds and ratios; a ratio compares two measurements of the same repeat.
 
     Parameters
     ----------
     repeats : list of dict
-        Results by name of floor, and the product's without and with packed broadcasts.
+        Results by name: of each baseline, and of the product without and with packed broadcasts.
     """
-    names = (*FLOORS, PRODUCT, PACKED)
+    names = (*BASELINES, PRODUCT, PACKED)
     speeds = {name: [repeat[name]["steps_per_second"] for repeat in repeats] for name in names}
     best = max(BARE_RCLPY, key=lambda name: median(speeds[name]))
 
-    def ratio(floor: str, product: str = PRODUCT) -> dict[str, float] | None:
-        return spread(mine / other for mine, other in zip(speeds[product], speeds[floor], strict=True))
+    def ratio(baseline: str, product: str = PRODUCT) -> dict[str, float] | None:
+        return spread(mine / other for mine, other in zip(speeds[product], speeds[baseline], strict=True))
 
     return {
         "floor": best,

@@ -1,4 +1,4 @@
-"""How fast a bag becomes arrays, beside the mcap library that does no more than look at each message."""
+"""Time to load a bag into arrays, compared with an iteration of the mcap library over its raw messages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_run.simulated_run import simulate_run
 
 MESSAGES_PER_SECOND = 130_000
-"""Messages of the bag by the length of the window: six seconds make 100 MB, before compression."""
+"""Messages in the bag per second of the window: six seconds give 100 MB before compression."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +30,11 @@ class ReadingResult:
     bag_bytes : int
         Size of the bag before compression.
     arrays_seconds : float
-        Of `load_arrays`: all values, every length, CRC and head checked.
+        `load_arrays`: all values, with every length, CRC and header checked.
     iteration_seconds : float
-        Of the mcap library's raw messages in file order, nothing decoded, no CRC checked.
+        Iteration of the mcap library in file order, without decoding and CRC checks.
     ratio : float
-        The first by the second: below 1, the arrays come faster.
+        `arrays_seconds` / `iteration_seconds`: below 1, loading arrays is faster.
     """
 
     bag_bytes: int
@@ -44,7 +44,7 @@ class ReadingResult:
 
 
 def measure(settings: Settings) -> dict[str, Any]:
-    """Measure both with every number of robots."""
+    """Measure both for every swarm size."""
     rows = []
     for robots in settings.robots:
         results = repeated(robots, "reading", settings, measure_reading)
@@ -58,12 +58,12 @@ def measure(settings: Settings) -> dict[str, Any]:
 
 
 def measure_reading(robots: int, settings: Settings) -> ReadingResult:
-    """Read the bag of a swarm, which is simulated for it; a longer window makes a larger bag.
+    """Simulate a swarm and read its bag; a longer window gives a larger bag.
 
     Raises
     ------
     KeyboardInterrupt
-        If it was interrupted.
+        If the run was interrupted.
     """
     steps = max(20, round(settings.window * MESSAGES_PER_SECOND / (robots + COORDINATED)))
     with TemporaryDirectory(prefix="swarmabs-bench-") as folder:

@@ -1,4 +1,4 @@
-"""What the recorder node can take: alone with a process that feeds it, so that nothing else is in its way."""
+"""Throughput of the recorder node, which runs with only a feeder process."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from swarmabs_core.messages import EVENTS, MAIN_TOPICS, RECORDING_PROGRESS
 from swarmabs_run.orchestration.plan import ProcessPlan
 
 MESSAGES_PER_SECOND = 30_000
-"""Speed that the length of the run is made for."""
+"""Assumed speed, from which the length of the run follows."""
 MOST = 150_000
-"""Messages that are made beforehand at most."""
+"""Limit of precomputed messages."""
 _LONGEST_WARM_UP = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class RecorderResult:
-    """Speed of the recorder while it was fed.
+    """Throughput of the recorder.
 
     Parameters
     ----------
     messages_per_second : float
         From DDS to the bag.
     core_share : float, optional
-        Share of one core that it used meanwhile; None if the run was too short to look twice.
+        Share of one core that it used; None if the run was too short for two samples.
     messages_per_core_second : float, optional
-        What it could take if it had a core for itself, and somebody to fill it.
+        Extrapolated throughput with one core fully used.
     """
 
     messages_per_second: float
@@ -40,7 +40,7 @@ class RecorderResult:
 
 
 def measure(settings: Settings) -> dict[str, Any]:
-    """Feed a recorder with the messages of every number of robots."""
+    """Feed a recorder with the messages of every swarm size."""
     rows = []
     for robots in settings.robots:
         results = repeated(robots, "recorder", settings, measure_recorder)
@@ -56,7 +56,7 @@ def measure_recorder(robots: int, settings: Settings) -> RecorderResult:
     Raises
     ------
     KeyboardInterrupt
-        If it was interrupted.
+        If the run was interrupted.
     RunError
         If recorder or feeder failed.
     """
@@ -71,7 +71,7 @@ def measure_recorder(robots: int, settings: Settings) -> RecorderResult:
 
 
 def _recorder_and_feeder(planned: Sequence[ProcessPlan]) -> Sequence[ProcessPlan]:
-    """Put a feeder in the place of everybody but the recorder."""
+    """Replace all processes except the recorder by a feeder."""
     recorder = next(process for process in planned if process.name == RECORDER)
     topics = (*MAIN_TOPICS, EVENTS, RECORDING_PROGRESS)
     match = {"match": [f"{topic.name} 1" for topic in topics]}

@@ -1,4 +1,4 @@
-"""A result's folder: the document, the tables and the chart."""
+"""The folder of a result: document, tables and charts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LARGE_CHART = "large.svg"
 
 
 def write_result(document: Mapping[str, Any], folder: Path) -> None:
-    """Write a result: last its document, under a temporary name until it is whole."""
+    """Write a result, with the document last and atomically."""
     if "product" in document:
         draw(document, folder / CHART)
     if "large" in document:
@@ -34,20 +34,22 @@ def write_result(document: Mapping[str, Any], folder: Path) -> None:
 
 
 def read_result(path: Path) -> dict[str, Any]:
-    """Read the document of a result, given itself or by its folder.
+    """Read a result from its document or its folder.
 
     Raises
     ------
     InputError
-        If it is none.
+        If it is not a result.
     """
     file = path / DOCUMENT if path.is_dir() else path
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(f"{file} cannot be read ({error.strerror}); name a folder that swarm bench has made") from None
+        raise InputError(
+            f"{file} cannot be read ({error.strerror}); give a folder that swarm bench has written"
+        ) from None
     except ValueError:
         document = None
     if not isinstance(document, dict) or not {"schema", "machine", "settings"} <= document.keys():
-        raise InputError(f"{file} is no result of swarm bench")
+        raise InputError(f"{file} is not a result of swarm bench; give a folder that it has written")
     return document

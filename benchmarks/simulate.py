@@ -1,4 +1,4 @@
-"""Simulated seconds per second: with and without a bag, and against SciPy on the same closed loop."""
+"""Simulated seconds per second: with and without a bag, and compared with SciPy on the same closed loop."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from swarmabs_run.simulation import simulate
 
 SOLVER = f"scipy.integrate.solve_ivp, {METHOD}, rtol {RTOL:g}"
 _PILOT = 20
-"""Steps of the run that tells how many steps a window is."""
+"""Steps of the pilot run, from which the number of steps per window follows."""
 _SOLVED_SECONDS = 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class SolverResult:
-    """The closed loop of four single integrators under the PD controller, so many seconds of it.
+    """Times for the closed loop of four single integrators under the PD controller.
 
     Parameters
     ----------
     simulate_seconds, solver_seconds : float
         Wall time of ``simulate --no-bag``, and of `SOLVER` in continuous time.
     ratio : float
-        The first by the second: below 1, simulate is faster.
+        `simulate_seconds` / `solver_seconds`: below 1, simulate is faster.
     largest_difference : float
-        Between the angles of both, rad: they solve the same problem up to the sampling of the control law.
+        Largest difference of the angles, rad; only simulate samples the control law.
     """
 
     simulated_seconds: float
@@ -48,7 +48,7 @@ class SolverResult:
 
 
 def measure(settings: Settings) -> dict[str, Any]:
-    """Measure every number of robots, then four of them against the solver."""
+    """Measure every swarm size, then four robots against the solver."""
     rows = []
     for robots in settings.robots:
         tell(f"{robots} robots: simulate with and without a bag")
@@ -68,14 +68,14 @@ def measure(settings: Settings) -> dict[str, Any]:
 
 
 def measure_simulate(robots: int, window: float) -> tuple[float, float]:
-    """Return simulated seconds per second of a swarm with and without a bag, each for about a window (s).
+    """Return simulated seconds per second of a swarm with and without a bag, each measured for about `window`, s.
 
     Raises
     ------
     KeyboardInterrupt
-        If it was interrupted.
+        If the run was interrupted.
     """
-    for _ in range(2):  # the first one imports what it needs
+    for _ in range(2):  # the first run also imports modules
         pilot = _stepping_seconds(swarm_of(robots, _PILOT), record=False)
     scenario = swarm_of(robots, max(_PILOT, round(_PILOT * window / pilot)))
     duration = scenario.steps * scenario.period
@@ -84,7 +84,7 @@ def measure_simulate(robots: int, window: float) -> tuple[float, float]:
 
 
 def measure_against_solver(seconds: float) -> SolverResult:
-    """Simulate and solve so many seconds of the same closed loop."""
+    """Simulate and solve the same closed loop for a duration, s."""
     scenario = load_scenario(builtin_scenarios()["pd_si_4"], (f"duration={seconds:g}",)).resolved()
     simulated = _stepping_seconds(scenario, record=False)
     begun = time.perf_counter()

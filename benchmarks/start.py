@@ -1,4 +1,4 @@
-"""Start, memory and end of a run as a user sees them: the command as a process, interrupted by Ctrl-C."""
+"""Start, memory and end of a run as users see them: the command as a process, interrupted by Ctrl-C."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 from benchmarks.common import Settings, program, row, spread, swarm_of, tell
-from benchmarks.processes import Memory, crew_of, memory_of
+from benchmarks.processes import Memory, memory_of, workers_of
 
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_core.errors import RunError
@@ -29,27 +29,27 @@ if TYPE_CHECKING:
     from typing import IO
 
 START_SECONDS = 180.0
-"""Longest time, s, from the command to the first step."""
+"""Time limit, s, from the command to the first step."""
 END_SECONDS = 60.0
-"""Longest time, s, from Ctrl-C to the end of the command."""
+"""Time limit, s, from Ctrl-C to the end of the command."""
 _STEPS = 30_000
 _LINE = 65536
 PER_CORE = 2
-"""Processes that keep a core busy."""
+"""Number of busy processes per core."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaunchResult:
-    """How a run has started and ended.
+    """Start and end of a run.
 
     Parameters
     ----------
     start_seconds, shut_down_seconds : float
-        From the command to the first step, and from Ctrl-C to the end of everything.
+        From the command to the first step, and from Ctrl-C to the end of all processes.
     memory : Memory
         After the warm-up.
     retried : int
-        How many processes did not come up at first and were started again.
+        Number of processes that failed to start and were started again.
     """
 
     start_seconds: float
@@ -59,7 +59,7 @@ class LaunchResult:
 
 
 def measure(settings: Settings) -> dict[str, Any]:
-    """Measure start, memory and end of the same runs, on a busy machine if it is set so."""
+    """Measure start, memory and end of the same runs, on a busy machine if requested."""
     start, memory = [], []
     with busy_machine() if settings.busy else nullcontext():
         for robots in settings.robots:
@@ -74,7 +74,7 @@ def measure(settings: Settings) -> dict[str, Any]:
 
 
 def _launches(robots: int, settings: Settings) -> tuple[list[LaunchResult], list[str]]:
-    """Return the clean starts and why others were none: how many are clean is what is measured."""
+    """Return the clean starts and the errors of the others; the suite measures how many starts are clean."""
     results: list[LaunchResult] = []
     failures: list[str] = []
     starts = settings.starts or settings.repeat
@@ -95,7 +95,7 @@ def _launches(robots: int, settings: Settings) -> tuple[list[LaunchResult], list
 
 
 def start_row(robots: int, results: Sequence[LaunchResult], failures: Sequence[str], *, busy: bool) -> dict[str, Any]:
-    """Sum up the starts of a swarm: in a clean one all processes have met, and the first step was made."""
+    """Summarise the starts of a swarm; in a clean start all processes connect and the first step is made."""
     return {
         "robots": robots,
         "starts": len(results) + len(failures),
@@ -115,7 +115,7 @@ def start_row(robots: int, results: Sequence[LaunchResult], failures: Sequence[s
 
 
 def measure_launch(robots: int, *, warm_up: float) -> LaunchResult:
-    """Start ``swarm run``, look at its processes after the warm-up (s), and interrupt it.
+    """Start ``swarm run``, measure its processes after the warm-up (s), and interrupt it.
 
     Raises
     ------
@@ -130,15 +130,15 @@ def measure_launch(robots: int, *, warm_up: float) -> LaunchResult:
             [sys.executable, "-m", "swarmabs_cli", "run", str(scenario), "-o", str(run)],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C in a terminal is for us alone
-            preexec_fn=partial(die_with_parent, os.getpid()),  # noqa: PLW1509 - it calls nothing but the kernel
+            start_new_session=True,  # Ctrl-C in a terminal reaches only this process
+            preexec_fn=partial(die_with_parent, os.getpid()),  # noqa: PLW1509 - makes only a system call
         )
         try:
             _wait_for_first_step(process, begun + START_SECONDS)
             started = time.monotonic()
             time.sleep(warm_up)
-            crew = crew_of(process.pid)
-            memory = memory_of(crew)
+            workers = workers_of(process.pid)
+            memory = memory_of(workers)
             below = psutil.Process(process.pid).children(recursive=True)
             interrupted = time.monotonic()
         finally:
@@ -147,24 +147,24 @@ def measure_launch(robots: int, *, warm_up: float) -> LaunchResult:
         retried = (run / "logs" / "orchestrator.log").read_text(encoding="utf-8").count(STARTED_AGAIN)
     left = [child.pid for child in below if child.is_running()]
     if left:
-        raise RunError(f"processes {left} are left of an interrupted run")
+        raise RunError(f"processes {left} of an interrupted run are still running")
     if memory is None:
-        raise RunError(f"the robots of a run had ended {warm_up:g} s after its first step")
+        raise RunError(f"the robots of a run ended within {warm_up:g} s of its first step")
     return LaunchResult(started - begun, ended - interrupted, memory, retried)
 
 
 def _wait_for_first_step(process: subprocess.Popen[bytes], deadline: float) -> None:
-    """Read the progress that a command shows until it makes steps."""
+    """Read the progress of a command until it makes steps."""
     shown = []
     for line in _lines(process.stderr, deadline):
         shown.append(line)
         if ": step " in line:
             return
-    raise RunError(f"a run did not make its first step: {'; '.join(shown[-3:]) or 'it said nothing'}")
+    raise RunError(f"a run did not make its first step: {'; '.join(shown[-3:]) or 'no output'}")
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Interrupt a run and wait until it has ended; its launcher ends with it in any case."""
+    """Interrupt a run and wait for its end; kill it after a time limit."""
     process.send_signal(signal.SIGINT)
     try:
         process.communicate(timeout=END_SECONDS)
@@ -175,7 +175,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def _lines(stream: IO[bytes] | None, deadline: float) -> Iterator[str]:
-    """Yield the lines of a stream until it ends or time is up."""
+    """Yield the lines of a stream until it ends or the deadline passes."""
     pending = b""
     while stream is not None:
         readable, _, _ = select.select([stream], [], [], max(0.0, deadline - time.monotonic()))
@@ -187,22 +187,22 @@ def _lines(stream: IO[bytes] | None, deadline: float) -> Iterator[str]:
 
 
 def busy_processes() -> int:
-    """Return how many processes keep the machine busy."""
+    """Return the number of processes that keep the machine busy."""
     return PER_CORE * (os.cpu_count() or 1)
 
 
 @contextmanager
 def busy_machine() -> Iterator[None]:
-    """Keep every core busy `PER_CORE` times over for the time of the block."""
+    """Run `PER_CORE` busy processes per core during the block."""
     busy: list[subprocess.Popen[bytes]] = []
     try:
         for _ in range(busy_processes()):
-            busy.append(  # noqa: PERF401 - those that were started must end if one cannot be
+            busy.append(  # noqa: PERF401 - those already started must be stopped if one fails
                 subprocess.Popen(
                     [sys.executable, "-c", "while True: pass"],
                     stdin=subprocess.DEVNULL,
                     start_new_session=True,
-                    preexec_fn=partial(die_with_parent, os.getpid()),  # noqa: PLW1509 - it calls nothing but the kernel
+                    preexec_fn=partial(die_with_parent, os.getpid()),  # noqa: PLW1509 - makes only a system call
                 )
             )
         yield

@@ -1,11 +1,11 @@
-"""A result for people: tables, a picture, and the comparison of two results."""
+"""Presentation of results: tables, charts, and the comparison of two results."""
 
 from __future__ import annotations
 
 from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from benchmarks.floor_programs import FLOORS
+from benchmarks.baseline_programs import BASELINES
 from benchmarks.model import AGENTS, ROUND_TRIP, costs, model, spread_out
 from benchmarks.product import PACKED, PRODUCT
 from matplotlib.figure import Figure
@@ -27,8 +27,8 @@ _NAMES = {
     PRODUCT: "swarm run",
     PACKED: "swarm run --packed",
 }
-# Okabe and Ito's colours, which people with any colour vision tell apart; marks and dashes differ too.
-_LOOKS = {
+# The Okabe-Ito palette, which is safe for colour-blind readers; markers and line styles differ, too.
+_STYLES = {
     PRODUCT: ("#d55e00", "o", "-"),
     PACKED: ("#e69f00", "P", "-"),
     "rclpy_best_effort": ("#0072b2", "s", "--"),
@@ -38,12 +38,12 @@ _LOOKS = {
 }
 _MIB = 2**20
 _DEPLOYMENTS = ((1000, 10), (1000, 50), (1000, 1000), (10_000, 50), (10_000, 200), (10_000, 10_000))
-"""Robots and hosts for which the steps per second are derived."""
+"""Pairs of robots and hosts for which the steps per second are derived."""
 _MB = 1e6
 
 
 class Table(NamedTuple):
-    """A table: its name, what it shows, its headings, its rows."""
+    """A table: name, caption, headings and rows."""
 
     name: str
     caption: str
@@ -52,7 +52,7 @@ class Table(NamedTuple):
 
 
 def shown(spread: Mapping[str, float] | None, unit: float = 1.0) -> str:
-    """Say a median with the smallest and the largest value."""
+    """Return a median with the smallest and the largest value as text."""
     if spread is None:
         return "-"
     middle, low, high = (f"{_short(spread[key] / unit)}" for key in ("median", "smallest", "largest"))
@@ -64,7 +64,7 @@ def _short(value: float) -> str:
 
 
 def tables(document: Document) -> tuple[Table, ...]:
-    """Return the tables of a result, of those suites that were measured."""
+    """Return the tables of the suites that a result contains."""
     made = (
         ("product", _speed),
         ("product", _cost),
@@ -79,12 +79,12 @@ def tables(document: Document) -> tuple[Table, ...]:
 
 
 def _speed(rows: list[dict[str, Any]]) -> Table:
-    order = (PRODUCT, PACKED, *FLOORS)
+    order = (PRODUCT, PACKED, *BASELINES)
     ratios = ("ratio_to_floor", "packed_ratio_to_floor", "ratio_to_zeromq", "packed_ratio_to_zeromq")
     return Table(
         "speed",
-        "steps per second, and those of swarm run without and with packed broadcasts in parts of the better bare"
-        " rclpy's and of ZeroMQ's",
+        "steps per second, and the speed of swarm run, without and with packed broadcasts, relative to the faster bare"
+        " rclpy and to ZeroMQ",
         ("robots", *(_NAMES[key] for key in order), "of rclpy", "packed of rclpy", "of ZeroMQ", "packed of ZeroMQ"),
         tuple(
             (
@@ -113,8 +113,8 @@ def _cost(rows: list[dict[str, Any]]) -> Table:
                 found.append((str(row["robots"]), _NAMES[key], *values, *shares, other))
     return Table(
         "cost",
-        "processor time of all processes, ms per step; context switches per robot and step; shares of one core, and of"
-        " the machine what others took",
+        "processor time of all processes, ms per step; context switches per robot and step; shares of one core by role,"
+        " and the share of the machine used by other processes",
         ("robots", "what", "CPU ms", "switches", *roles, "others"),
         tuple(found),
     )
@@ -123,9 +123,9 @@ def _cost(rows: list[dict[str, Any]]) -> Table:
 def _start(rows: list[dict[str, Any]]) -> Table:
     return Table(
         "start",
-        "starts in which all processes have met and made the first step, the time (s) from the command to that step"
-        " and from Ctrl-C to the end of all processes, and other processes that kept the machine busy",
-        ("robots", "clean starts", "processes retried", "first step", "end", "busy beside"),
+        "starts in which all processes connected and made the first step, the time (s) from the command to that step"
+        " and from Ctrl-C to the end of all processes, and the number of other processes that kept the machine busy",
+        ("robots", "clean starts", "processes retried", "first step", "end", "busy processes"),
         tuple(
             (
                 str(row["robots"]),
@@ -140,15 +140,15 @@ def _start(rows: list[dict[str, Any]]) -> Table:
 
 
 def _clean(row: Mapping[str, Any]) -> str:
-    """Say how many starts were clean; results from before these were counted have none."""
+    """Return the number of clean starts as text; old results do not have it."""
     return f"{row['clean']} of {row['starts']}" if "starts" in row else "-"
 
 
 def _memory(rows: list[dict[str, Any]]) -> Table:
     return Table(
         "memory",
-        "of a robot's process and of all processes, what is shared counted once (PSS), MiB",
-        ("robots", "a robot", "all"),
+        "memory of a robot's process and of all processes, with shared pages counted once (PSS), MiB",
+        ("robots", "per robot", "total"),
         _rows(rows, ("agent_bytes", "total_bytes"), _MIB),
     )
 
@@ -156,9 +156,9 @@ def _memory(rows: list[dict[str, Any]]) -> Table:
 def _large(rows: list[dict[str, Any]]) -> Table:
     return Table(
         "large",
-        "several robots in a process, recording on: the time (s) to the first step, steps per second, processor time of"
-        " all processes per step (ms), memory of all processes (PSS, MiB), and runs that failed",
-        ("robots", "in a process", "first step", "steps/s", "CPU ms", "memory", "failed"),
+        "several robots per process, with recording: the time (s) to the first step, steps per second, processor time"
+        " of all processes per step (ms), memory of all processes (PSS, MiB), and the number of failed runs",
+        ("robots", "per process", "first step", "steps/s", "CPU ms", "memory", "failed"),
         tuple(
             (
                 str(row["robots"]),
@@ -173,7 +173,7 @@ def _large(rows: list[dict[str, Any]]) -> Table:
 
 
 def _modelled(document: Document) -> tuple[Table, ...]:
-    """Return the model of cost, and what it says of robots on many hosts; nothing if no run was looked at twice."""
+    """Return the cost model and its extrapolation to many hosts; empty if no run was sampled twice."""
     found = costs(document.get("product", ()))
     known, cores = model(found), document["machine"]["usable_cores"]
     if known is None:
@@ -181,15 +181,15 @@ def _modelled(document: Document) -> tuple[Table, ...]:
     fit = f"{_short(known.step.a)} ms + {_short(1000.0 * known.step.b)} us per robot"
     cost = Table(
         "model",
-        f"wall time of a step, measured and as {fit}; processor time of a step; and how much of {cores} cores that is",
+        f"wall time of a step, measured and fitted as {fit}; processor time of a step; and its share of {cores} cores",
         (
             "robots",
             "step, ms",
             "fitted, ms",
             "CPU of robots, ms",
             "of coordinators, ms",
-            "busiest of them, ms",
-            "of cores",
+            "busiest coordinator, ms",
+            "share of cores",
         ),
         tuple(
             (
@@ -206,8 +206,8 @@ def _modelled(document: Document) -> tuple[Table, ...]:
     )
     hosts = Table(
         "hosts",
-        f"derived, not measured: steps per second on hosts of {cores} such cores and one for the coordinators, with"
-        f" {ROUND_TRIP:g} ms on the network",
+        f"derived, not measured: steps per second on hosts with {cores} such cores and a separate host for the"
+        f" coordinators, with {ROUND_TRIP:g} ms of network time per step",
         ("robots", "hosts", "robots per host", "one message per robot", "one message per host"),
         tuple(
             (
@@ -234,9 +234,9 @@ def _simulate(rows: list[dict[str, Any]]) -> Table:
 def _recorder(rows: list[dict[str, Any]]) -> Table:
     return Table(
         "recorder",
-        "messages per second from DDS to the bag, the share of one core meanwhile, and messages per second of"
-        " its processor time",
-        ("robots", "messages/s", "of a core", "messages/CPU s"),
+        "messages per second from DDS to the bag, the share of one core that this takes, and messages per second of"
+        " processor time",
+        ("robots", "messages/s", "share of a core", "messages/CPU s"),
         _rows(rows, ("messages_per_second", "core_share", "messages_per_core_second")),
     )
 
@@ -249,32 +249,32 @@ def _reading(rows: list[dict[str, Any]]) -> Table:
         found.append((str(row["robots"]), *sizes, shown(summary["ratio_to_iteration"])))
     return Table(
         "reading",
-        "from a bag to arrays: size of the bag before compression, speed, and the time in parts of that in which the"
-        " mcap library passes over the raw messages",
-        ("robots", "MB", "MB/s", "of the raw messages"),
+        "loading a bag into arrays: size of the bag before compression, speed, and the time relative to an iteration of"
+        " the mcap library over the raw messages",
+        ("robots", "MB", "MB/s", "relative to raw"),
         tuple(found),
     )
 
 
 def _rows(rows: list[dict[str, Any]], keys: tuple[str, ...], unit: float = 1.0) -> tuple[tuple[str, ...], ...]:
-    """Return rows that show these spreads."""
+    """Return table rows with these spreads."""
     return tuple((str(row["robots"]), *(shown(row["summary"][key], unit) for key in keys)) for row in rows)
 
 
 def notes(document: Document) -> list[str]:
-    """Return what a reader of the tables must know besides."""
+    """Return notes on how the tables were measured."""
     machine, settings = document["machine"], document["settings"]
     found = [
         f"measured {document['created']}",
         f"on {machine['usable_cores']} of {machine['cores']} cores, {machine['processor']}, Linux {machine['kernel']}",
         f"load average before: {machine['load_before']}",
-        f"median (smallest-largest) of {settings['repeat']} windows of {settings['window']:g} s",
+        f"repeats: {settings['repeat']} of {settings['window']:g} s each; values are median (smallest-largest)",
     ]
     if "solver" in document:
         solver = document["solver"]
         angle = max(repeat["largest_difference"] for repeat in solver["repeats"])
         found += [
-            f"simulate takes {shown(solver['ratio'])} of the time of {solver['solver']}",
+            f"simulate takes {shown(solver['ratio'])} times as long as {solver['solver']}",
             f"  for {solver['problem']}; their angles differ by {angle:.1g} rad at most",
         ]
     return found
@@ -287,11 +287,11 @@ def markdown(table: Table) -> str:
 
 
 def draw(document: Document, picture: Path) -> None:
-    """Draw the steps per second by the number of robots."""
+    """Plot steps per second against the number of robots."""
     figure = Figure(figsize=(7.2, 4.6), dpi=130, layout="constrained")
     axes = figure.subplots()
     rows = document["product"]
-    for key in _LOOKS:
+    for key in _STYLES:
         points = [(row["robots"], row["summary"]["steps_per_second"].get(key)) for row in rows]
         _curve(axes, [(robots, speed) for robots, speed in points if speed], key, _NAMES[key])
     axes.set(xlabel="robots, one process each", ylabel="steps per second")
@@ -301,22 +301,22 @@ def draw(document: Document, picture: Path) -> None:
 
 
 def draw_large(document: Document, picture: Path) -> None:
-    """Draw start and speed of large simulations by the number of robots."""
+    """Plot start time and speed of large simulations against the number of robots."""
     figure = Figure(figsize=(7.2, 3.4), dpi=130, layout="constrained")
     rows = document["large"]
     panels = (("start_seconds", "s to the first step", "zeromq"), ("steps_per_second", "steps per second", PRODUCT))
-    for axes, (measure, label, look) in zip(figure.subplots(1, len(panels)), panels, strict=True):
-        axes.set(xlabel=f"robots, {rows[0]['agents_per_process']} in a process", ylabel=label)
+    for axes, (measure, label, style) in zip(figure.subplots(1, len(panels)), panels, strict=True):
+        axes.set(xlabel=f"robots, {rows[0]['agents_per_process']} per process", ylabel=label)
         points = [(row["robots"], row["summary"][measure]) for row in rows if row["summary"][measure] is not None]
         if points:  # logarithmic axes cannot be empty
-            _curve(axes, points, look, label)
+            _curve(axes, points, style, label)
             _finish(axes, [row["robots"] for row in rows])
     figure.savefig(picture, facecolor="white")
 
 
-def _curve(axes: Axes, points: list[tuple[int, Mapping[str, float]]], look: str, label: str) -> None:
-    """Draw medians with their spreads."""
-    colour, mark, dashes = _LOOKS[look]
+def _curve(axes: Axes, points: list[tuple[int, Mapping[str, float]]], style: str, label: str) -> None:
+    """Plot medians with error bars from smallest to largest."""
+    colour, mark, dashes = _STYLES[style]
     spreads = [spread for _, spread in points]
     middle = [spread["median"] for spread in spreads]
     below = [spread["median"] - spread["smallest"] for spread in spreads]
@@ -329,7 +329,7 @@ def _curve(axes: Axes, points: list[tuple[int, Mapping[str, float]]], look: str,
         color=colour,
         marker=mark,
         linestyle=dashes,
-        linewidth=2.2 if look in {PRODUCT, PACKED} else 1.4,
+        linewidth=2.2 if style in {PRODUCT, PACKED} else 1.4,
         capsize=3,
     )
 
@@ -348,7 +348,7 @@ def _finish(axes: Axes, numbers: list[int]) -> None:
 
 
 def _measures(document: Document) -> Iterator[tuple[str, int, str, Mapping[str, float]]]:
-    """Yield suite, robots, name and spread of all that was measured."""
+    """Yield suite, robots, name and spread of every measurement."""
     for suite in ("product", "start", "memory", "large", "simulate", "recorder", "reading"):
         for row in document.get(suite, ()):
             summary = dict(row["summary"])
@@ -360,7 +360,7 @@ def _measures(document: Document) -> Iterator[tuple[str, int, str, Mapping[str, 
 
 
 def comparison(old: Document, new: Document) -> Table:
-    """Return what two results have in common, as new by old; ranges that overlap are no difference."""
+    """Return the ratios new/old of measurements in both results; overlapping ranges count as no difference."""
     before = {(suite, robots, name): spread for suite, robots, name, spread in _measures(old)}
     rows = []
     for suite, robots, name, spread in _measures(new):
@@ -380,7 +380,7 @@ def comparison(old: Document, new: Document) -> Table:
 
 
 def _compared_starts(old: Document, new: Document) -> Iterator[tuple[str, str, str, str, str, str, str]]:
-    """Yield how many starts were clean, where both results have counted."""
+    """Yield the clean starts that both results have counted."""
     counted = {row["robots"]: row for row in old.get("start", ()) if row.get("clean")}
     for row in new.get("start", ()):
         known = counted.get(row["robots"])

@@ -1,4 +1,4 @@
-"""The command `bench`: tiny runs of every suite and floor, with real processes; times are not judged."""
+"""The command `bench`: tiny runs of every suite and baseline, with real processes; times are not judged."""
 
 import ast
 import json
@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmarks import floor_programs
-from benchmarks.floor_programs import FLOORS, FOLDER, Floor, measure_floor
+from benchmarks import baseline_programs
+from benchmarks.baseline_programs import BASELINES, FOLDER, Baseline, measure_baseline
 from benchmarks.processes import AGENTS
 from benchmarks.results import CHART, DOCUMENT, LARGE_CHART, TABLES
 from tests.processes import marked_processes, until
@@ -24,19 +24,19 @@ pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(120)]
 BENCH = (sys.executable, "-m", "swarmabs_cli", "bench", "--robots", "4", "--large", "4", "--agents-per-process", "3")
 BAD = """
 import signal, sys
-from crew import Crew
-sys.exit(Crew().serve({"good": lambda crew: (crew.ready(), signal.pause()), "bad": lambda crew: 1 / 0}))
+from workers import Workers
+sys.exit(Workers().serve({"good": lambda workers: (workers.ready(), signal.pause()), "bad": lambda workers: 1 / 0}))
 """
 LATE = """
 import sys
-from crew import Crew
-def late(crew):
-    crew.ready()
+from workers import Workers
+def late(workers):
+    workers.ready()
     raise SystemExit
-sys.exit(Crew().serve({"late": late}))
+sys.exit(Workers().serve({"late": late}))
 """
 MUTE = "import signal; signal.pause()"
-IDLE = BAD.replace('"bad": lambda crew: 1 / 0', "")
+IDLE = BAD.replace('"bad": lambda workers: 1 / 0', "")
 SPREAD = {"median", "smallest", "largest"}
 MEASURES = {
     "start": {"start_seconds", "shut_down_seconds"},
@@ -61,10 +61,10 @@ def measured(folder: Path, suite: str) -> dict[str, Any]:
 
 
 @pytest.mark.usefixtures("nothing_survives")
-def test_product_is_measured_beside_all_floors(tmp_path: Path) -> None:
+def test_product_is_measured_with_all_baselines(tmp_path: Path) -> None:
     (row,) = measured(tmp_path, "product")["product"]
     (results,) = row["repeats"]
-    assert results.keys() == row["summary"]["steps_per_second"].keys() == {*FLOORS, "product", "packed"}
+    assert results.keys() == row["summary"]["steps_per_second"].keys() == {*BASELINES, "product", "packed"}
     assert row["summary"]["ratio_to_floor"].keys() == SPREAD
     assert results["product"]["start_seconds"] > 0.0
     assert (tmp_path / CHART).is_file()
@@ -109,9 +109,9 @@ def test_its_processes_end_with_it(nothing_survives: str, tmp_path: Path, suite:
 
 
 @pytest.mark.usefixtures("nothing_survives")
-@pytest.mark.parametrize("name", FLOORS)
-def test_a_floor_makes_steps_with_all_its_processes(name: str) -> None:
-    found = measure_floor(name, 4, warm_up=0.2, window=2.0)
+@pytest.mark.parametrize("name", BASELINES)
+def test_a_baseline_makes_steps_with_all_its_processes(name: str) -> None:
+    found = measure_baseline(name, 4, warm_up=0.2, window=2.0)
     assert found.steps_per_second > 0.0
     assert found.start_seconds > 0.0
     assert found.load.cpu_share.keys() == {"plane", "observer", "controller", AGENTS}
@@ -122,30 +122,30 @@ def test_a_floor_makes_steps_with_all_its_processes(name: str) -> None:
 @pytest.mark.parametrize(
     ("text", "warm_up", "reason"),
     [
-        ("raise SystemExit('no such socket')", 1.0, "floor broken: .*no such socket"),
-        (BAD, 1.0, "floor broken: .*bad ended with 1"),
-        (LATE, 1.0, "floor broken: .*late ended with 1"),
-        (IDLE, 0.0, r"floor broken with 4 robots: no step in 0\.1 s"),
-        (MUTE, 0.0, r"floor broken: no answer in 0\.2 s"),
+        ("raise SystemExit('no such socket')", 1.0, "baseline broken: .*no such socket"),
+        (BAD, 1.0, "baseline broken: .*bad exited with 1"),
+        (LATE, 1.0, "baseline broken: .*late exited with 1"),
+        (IDLE, 0.0, r"baseline broken with 4 robots: no step in 0\.1 s"),
+        (MUTE, 0.0, r"baseline broken: no answer in 0\.2 s"),
     ],
 )
-def test_floor_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, warm_up: float, reason: str) -> None:
+def test_bad_baseline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, warm_up: float, reason: str) -> None:
     program = tmp_path / "program.py"
     program.write_text(text)
-    monkeypatch.setitem(FLOORS, "broken", Floor(str(program)))
+    monkeypatch.setitem(BASELINES, "broken", Baseline(str(program)))
     if text == MUTE:
-        monkeypatch.setattr(floor_programs, "START_SECONDS", 0.2)
-        monkeypatch.setattr(floor_programs, "END_SECONDS", 0.2)
+        monkeypatch.setattr(baseline_programs, "START_SECONDS", 0.2)
+        monkeypatch.setattr(baseline_programs, "END_SECONDS", 0.2)
     with pytest.raises(RunError, match=reason):
-        measure_floor("broken", 4, warm_up=warm_up, window=0.1)
+        measure_baseline("broken", 4, warm_up=warm_up, window=0.1)
 
 
-def test_the_floors_share_no_code_with_the_product() -> None:
+def test_the_baselines_share_no_code_with_the_product() -> None:
     programs = list(FOLDER.glob("*.py"))
-    assert {floor.program for floor in FLOORS.values()} <= {program.name for program in programs}
+    assert {baseline.program for baseline in BASELINES.values()} <= {program.name for program in programs}
     for program in programs:
         nodes = list(ast.walk(ast.parse(program.read_text(encoding="utf-8"))))
         modules = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
         modules += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
         tops = {module.partition(".")[0] for module in modules}
-        assert tops <= {*sys.stdlib_module_names, "crew", "rclpy", "zmq", "swarmabs_msgs"}, program
+        assert tops <= {*sys.stdlib_module_names, "workers", "rclpy", "zmq", "swarmabs_msgs"}, program

@@ -13,13 +13,13 @@ from benchmarks.processes import (
     AGENTS,
     Sample,
     Usage,
-    crew_of,
     load_between,
     machine_busy,
     memory_of,
     proportional_memory,
     role_of,
     usage,
+    workers_of,
 )
 from benchmarks.simulate import measure_against_solver
 from benchmarks.start import busy_machine, busy_processes
@@ -34,11 +34,11 @@ def test_processes_of_a_run_are_found_below_another_by_their_names_until_they_en
     names = ("agent_007", "plane_sim", "abstraction_obs", "parent_controll", "recorder", "python")
     assert [role_of(name) for name in names] == [AGENTS, "plane", "observer", "controller", "recorder", None]
     with subprocess.Popen([sys.executable, "-c", _NAMED, "abstraction_observer"], stdin=subprocess.PIPE) as child:
-        until(lambda: child.pid in crew_of(os.getpid()), "the process has its name")
-        assert crew_of(os.getpid())[child.pid] == "observer"
+        until(lambda: child.pid in workers_of(os.getpid()), "the process has its name")
+        assert workers_of(os.getpid())[child.pid] == "observer"
         assert child.stdin is not None
         child.stdin.close()
-    assert child.pid not in crew_of(os.getpid())
+    assert child.pid not in workers_of(os.getpid())
     assert (usage(child.pid), proportional_memory(child.pid), memory_of({child.pid: AGENTS})) == (None, None, None)
 
 
@@ -60,10 +60,10 @@ def test_usage_grows_with_work_and_counts_what_waits_and_memory_is_told_by_role(
 
 
 def test_the_load_between_two_samples_is_per_second_step_and_robot() -> None:
-    crew = {1: "observer", 2: AGENTS, 3: AGENTS, 4: AGENTS}  # the last has ended, and does not count
+    workers = {1: "observer", 2: AGENTS, 3: AGENTS, 4: AGENTS}  # the last has ended, and does not count
     first = Sample(10.0, 100, {1: Usage(1.0, 0), 2: Usage(0.0, 10), 3: Usage(0.0, 20), 4: Usage(9.0, 9)}, busy=50.0)
     last = Sample(14.0, 300, {1: Usage(2.0, 9), 2: Usage(1.0, 410), 3: Usage(2.0, 620)}, busy=56.0)
-    load = load_between(first, last, crew)
+    load = load_between(first, last, workers)
     assert load is not None
     assert (load.seconds, load.steps) == (4.0, 200)
     assert load.cpu_share == {"observer": 0.25, AGENTS: 0.75}
@@ -71,7 +71,7 @@ def test_the_load_between_two_samples_is_per_second_step_and_robot() -> None:
     assert load.switches_per_agent_step == pytest.approx(1000 / (2 * 200))
     assert load.other_load == pytest.approx((6.0 - 4.0) / 4.0 / (os.cpu_count() or 1))
     for now, step in ((11.0, 100), (10.0, 300)):  # no time, or no step
-        assert load_between(first, replace(last, time=now, step=step), crew) is None
+        assert load_between(first, replace(last, time=now, step=step), workers) is None
 
 
 @pytest.mark.usefixtures("nothing_survives")

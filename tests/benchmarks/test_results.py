@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from benchmarks import page
+from benchmarks.baseline_programs import BASELINES
 from benchmarks.bench import bench, compare
 from benchmarks.common import Settings, spread
-from benchmarks.floor_programs import FLOORS
 from benchmarks.model import ROUND_TRIP, Line, Model, costs, fitted, model, spread_out
 from benchmarks.processes import Memory
 from benchmarks.product import summary
@@ -32,9 +32,9 @@ LOAD = {
 }
 
 
-def repeat(product: float, **floors: float) -> dict[str, Any]:
-    """Return the results of one repeat: speeds of the product and of floors; those that are not named make 1."""
-    speeds = {**dict.fromkeys(FLOORS, 1.0), "packed": product, **floors, "product": product}
+def repeat(product: float, **baselines: float) -> dict[str, Any]:
+    """Return the results of one repeat: speeds of the product and of baselines; those that are not named make 1."""
+    speeds = {**dict.fromkeys(BASELINES, 1.0), "packed": product, **baselines, "product": product}
     return {name: {"steps_per_second": speed, "load": LOAD} for name, speed in speeds.items()}
 
 
@@ -93,7 +93,7 @@ def test_a_spread_has_median_and_bounds_and_is_shown_in_three_digits() -> None:
     assert (spread([]), shown(None)) == (None, "-")
 
 
-def test_the_floor_is_the_better_form_and_ratios_are_within_a_repeat() -> None:
+def test_the_baseline_is_the_better_form_and_ratios_are_within_a_repeat() -> None:
     found = summary(list(REPEATS))
     assert found["floor"] == "rclpy_best_effort"  # its median is 100, the other's 80
     assert found["ratio_to_floor"] == {"median": 0.75, "smallest": 0.75, "largest": 0.8}
@@ -128,7 +128,7 @@ def test_a_result_without_packed_broadcasts_is_written_and_read_and_what_is_none
     assert read_result(tmp_path) == read_result(tmp_path / DOCUMENT) == old
     for text in ("no JSON", "[]", '{"schema": 1}'):
         (tmp_path / DOCUMENT).write_text(text)
-        with pytest.raises(InputError, match=r"bench\.json is no result of swarm bench"):
+        with pytest.raises(InputError, match=r"bench\.json is not a result of swarm bench"):
             read_result(tmp_path)
     with pytest.raises(InputError, match="No such file"):
         read_result(tmp_path / "nothing")

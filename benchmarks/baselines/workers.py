@@ -1,10 +1,10 @@
-"""What the floor programs share: the messages as bytes, the processes, and how they are measured.
+"""Shared by the baseline programs: the messages as bytes, the worker processes, and their measurement.
 
-A floor program moves the messages of a run between as many processes as a run has, and does nothing else: no
-mathematics, no checks, no recording. It shares no code with the product. Its main process imports everything, forks one
-process per role, waits until all have met and gives the start. From then on it answers every line on its standard input
-with one line of JSON on its standard output that says which step it is, and at the end of its standard input it kills
-and reaps its processes and ends. No process or file outlives it, however it ends.
+A baseline program exchanges the messages of a run between as many processes as a run has, without mathematics, checks
+or recording. It shares no code with the product. Its main process imports all modules, forks one process per role,
+waits until all are connected, and starts them. It then answers every line on standard input with a line of JSON on
+standard output that contains the current step. When standard input closes, it kills and reaps its processes and exits.
+No process or file remains, however it ends.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    Role = Callable[["Crew"], None]
+    Role = Callable[["Workers"], None]
 
 _HEAD = struct.Struct("<4siII6s6xQ")  # encapsulation | stamp | frame id | step
 _PAYLOADS = {"agent": "QHBB4x5d", "plane": "2d", "abstract": "H6x4d", "auxiliary": "8d", "desired": "B7x8d"}
@@ -39,11 +39,11 @@ _START_SECONDS = 120.0
 SHORTEST_PATIENCE, LONGEST_PATIENCE = 0.05, 1.0
 
 SIZES = {name: _HEAD.size + struct.calcsize("<" + payload) for name, payload in _PAYLOADS.items()}
-"""Size of every message, bytes: those of the product."""
+"""Size of every message, bytes, as in the product."""
 
 
 def blank(name: str, agent: int = 0) -> bytearray:
-    """Return a message whose numbers are all zero but for the robot's id."""
+    """Return a message that is all zeros except for the robot's id."""
     message = bytearray(SIZES[name])
     _HEAD.pack_into(message, 0, b"\x00\x01\x00\x00", 0, 0, 6, b"plane\x00", 0)
     if agent:
@@ -52,7 +52,7 @@ def blank(name: str, agent: int = 0) -> bytearray:
 
 
 def stamped(message: bytearray, step: int) -> bytes:
-    """Put the step into a message and return it as it is sent."""
+    """Set the step of a message and return the bytes to send."""
     _STEP.pack_into(message, _STEP_AT, step)
     return bytes(message)
 
@@ -64,26 +64,26 @@ def step_of(data: bytes) -> int:
 
 
 def agent_of(data: bytes) -> int:
-    """Return the robot from which a message comes."""
+    """Return the id of the robot that sent a message."""
     return data[_AGENT_AT] | data[_AGENT_AT + 1] << 8
 
 
 class Patience:
-    """How long to wait before sending again: several times what a step took, since too early makes a storm."""
+    """The time to wait before resending: several step times, since resending too early causes a message storm."""
 
     def __init__(self) -> None:
         self._last = time.monotonic()
         self.seconds = LONGEST_PATIENCE
 
     def step(self) -> None:
-        """Note that a step was made."""
+        """Update the patience after a step."""
         now = time.monotonic()
         self.seconds = min(LONGEST_PATIENCE, max(SHORTEST_PATIENCE, 4.0 * (now - self._last), 0.9 * self.seconds))
         self._last = now
 
 
-class Crew:
-    """The processes of a floor program, and the step they are at."""
+class Workers:
+    """The processes of a baseline program and their current step."""
 
     def __init__(self) -> None:
         self._counter = mmap.mmap(-1, _COUNTER.size)
@@ -92,22 +92,22 @@ class Crew:
         self._begun = time.monotonic()
         self._children: dict[int, str] = {}
 
-    # In the processes of the roles.
+    # Called in the worker processes.
 
     def ready(self) -> None:
-        """Say that this process has met all it needs, and wait for the start."""
+        """Report that this process is connected, and wait for the start."""
         os.write(self._ready_write, b".")
         os.close(self._start_write)
         os.read(self._start_read, 1)
 
     def made(self, step: int) -> None:
-        """Note that a step is made."""
+        """Publish the number of a completed step."""
         _COUNTER.pack_into(self._counter, 0, step)
 
-    # In the main process.
+    # Called in the main process.
 
     def serve(self, roles: Mapping[str, Role]) -> int:
-        """Fork the roles, give the start, answer until standard input ends; return the exit code."""
+        """Fork the roles, start them, answer requests until standard input closes; return the exit code."""
         libc = ctypes.CDLL(None)
         libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         gc.collect()
@@ -134,23 +134,23 @@ class Crew:
             if os.getppid() == parent:
                 gc.disable()
                 role(self)
-        except BaseException:  # noqa: BLE001 - it must end here, whatever it is
+        except BaseException:  # noqa: BLE001 - a forked process must not return
             traceback.print_exc()
         finally:
             sys.stderr.flush()
             os._exit(1)
 
     def _meet(self) -> bool:
-        """Wait until all processes are ready, start them, and report; return False if that is not to be."""
+        """Wait until all processes are ready, start them, and report; return False if one ends or time runs out."""
         waiting = len(self._children)
         while waiting:
             readable, _, _ = select.select([self._ready_read, 0], [], [], 0.5)
             if self._ready_read in readable:
                 waiting -= len(os.read(self._ready_read, waiting))
-            elif 0 in readable or self._someone_died():
+            elif 0 in readable or self._has_dead_worker():
                 return False
             elif time.monotonic() - self._begun > _START_SECONDS:
-                sys.stderr.write(f"{waiting} processes have not met all others in {_START_SECONDS:g} s\n")
+                sys.stderr.write(f"{waiting} processes are not connected after {_START_SECONDS:g} s\n")
                 return False
         os.close(self._start_write)
         _say(event="started", start_seconds=time.monotonic() - self._begun)
@@ -163,13 +163,13 @@ class Crew:
                 if not os.read(0, 4096):
                     return 0
                 _say(event="step", step=_COUNTER.unpack_from(self._counter)[0], time=time.monotonic())
-            elif self._someone_died():
+            elif self._has_dead_worker():
                 return 1
 
-    def _someone_died(self) -> bool:
+    def _has_dead_worker(self) -> bool:
         pid, status = os.waitpid(-1, os.WNOHANG)
         if pid:
-            sys.stderr.write(f"{self._children.pop(pid)} ended with {os.waitstatus_to_exitcode(status)}\n")
+            sys.stderr.write(f"{self._children.pop(pid)} exited with {os.waitstatus_to_exitcode(status)}\n")
         return bool(pid)
 
 
@@ -179,7 +179,7 @@ def _say(**facts: object) -> None:
 
 
 def arguments() -> argparse.ArgumentParser:
-    """Return the command line that all floor programs have."""
+    """Return the argument parser of all baseline programs."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--robots", type=int, required=True)
     return parser

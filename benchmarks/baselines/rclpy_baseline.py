@@ -1,7 +1,7 @@
-"""The floor of a run over DDS: its messages by rclpy, in the fastest way that is known, and nothing else.
+"""The baseline of a run over DDS: only its messages, over rclpy, in the fastest known way.
 
-Wait sets instead of an executor, serialised messages, the message that comes last is waited for first, neither services
-nor rosout, no callback. Whoever waits too long sends its last messages again, so that a lost packet stops nothing.
+It uses wait sets instead of an executor, serialised messages, and no callbacks, services or rosout; it waits first for
+the message that arrives last. After a time-out a process resends its last messages, so a lost packet stops nothing.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import rclpy
-from crew import Crew, Patience, agent_of, arguments, blank, stamped, step_of
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from workers import Patience, Workers, agent_of, arguments, blank, stamped, step_of
 
 from swarmabs_msgs import msg
 
@@ -33,11 +33,11 @@ TOPICS = {
     "desired": (msg.DesiredAbstractState, "swarm/desired_abstract_state"),
 }
 PARTICIPANT = "SWARMABS_PARTICIPANT"
-"""What the DDS profile reads the participant's id from."""
+"""Environment variable from which the DDS profile reads the participant id."""
 FIRST_AGENT = 8
 
 
-class Link:
+class Endpoints:
     """A node with its publishers and subscriptions."""
 
     def __init__(self, name: str, participant: int) -> None:
@@ -68,13 +68,13 @@ class Link:
         return Reader(subscription.handle, kind, self._node.context.handle)
 
     def meet(self) -> None:
-        """Wait until all counterparts are there."""
+        """Wait until all matching endpoints are discovered."""
         while not all(met() for met in self._met):
             time.sleep(0.02)
 
 
 class Reader:
-    """A subscription with a wait set of its own."""
+    """A subscription with a private wait set."""
 
     def __init__(self, handle: Any, kind: Any, context: Any) -> None:
         self._handle, self._kind = handle, kind
@@ -92,13 +92,13 @@ class Reader:
         self._wait_set.wait(int(seconds * 1e9))
         return bool(self._wait_set.get_ready_entities("subscription"))
 
-    def until(self, step: int, patience: Patience, ask_again: Callable[[], None], *, wait_first: bool) -> None:
+    def until(self, step: int, patience: Patience, resend: Callable[[], None], *, wait_first: bool) -> None:
         """Return when the message of a step has arrived."""
         if wait_first and not self.wait(patience.seconds):
-            ask_again()
+            resend()
         while (data := self.take()) is None or step_of(data) < step:
             if data is None and not self.wait(patience.seconds):
-                ask_again()
+                resend()
 
 
 def _qos(depth: int, *, reliable: bool = False) -> QoSProfile:
@@ -106,14 +106,14 @@ def _qos(depth: int, *, reliable: bool = False) -> QoSProfile:
     return QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability)
 
 
-def agent(number: int, crew: Crew) -> None:
-    """Send a state, wait for the three broadcasts, and so on."""
-    link = Link(f"agent_{number:03d}", FIRST_AGENT + number - 1)
-    publish = link.publisher("agent", readers=2)
-    # The one that comes last is waited for first; then the others are there as a rule.
-    last, *others = (link.reader(topic) for topic in ("desired", "abstract", "auxiliary"))
-    link.meet()
-    crew.ready()
+def agent(number: int, workers: Workers) -> None:
+    """Repeat: send a state, wait for the three broadcasts."""
+    ends = Endpoints(f"agent_{number:03d}", FIRST_AGENT + number - 1)
+    publish = ends.publisher("agent", readers=2)
+    # Waits first for the message that arrives last; the others have then usually arrived.
+    last, *others = (ends.reader(topic) for topic in ("desired", "abstract", "auxiliary"))
+    ends.meet()
+    workers.ready()
     state, patience, step = blank("agent", number), Patience(), 0
     while True:
         data = stamped(state, step)
@@ -126,28 +126,28 @@ def agent(number: int, crew: Crew) -> None:
         step += 1
 
 
-def gather(reader: Reader, robots: int, step: int, patience: Patience, ask_again: Callable[[], None]) -> None:
+def gather(reader: Reader, robots: int, step: int, patience: Patience, resend: Callable[[], None]) -> None:
     """Return when the states of a step of all robots have arrived."""
     seen: set[int] = set()
     while len(seen) < robots:
         data = reader.take()
         if data is None:
             if not reader.wait(patience.seconds):
-                ask_again()
+                resend()
         elif step_of(data) == step:
             seen.add(agent_of(data))
     patience.step()
 
 
-def observer(robots: int, reliable: bool, crew: Crew) -> None:  # noqa: FBT001 - the last argument is the role's
-    """Gather the states, send two broadcasts."""
-    link = Link("abstraction_observer", 1)
+def observer(robots: int, reliable: bool, workers: Workers) -> None:  # noqa: FBT001 - called through partial
+    """Repeat: gather the states, send two broadcasts."""
+    ends = Endpoints("abstraction_observer", 1)
     abstract, auxiliary = (
-        link.publisher(topic, readers=robots, reliable=reliable) for topic in ("abstract", "auxiliary")
+        ends.publisher(topic, readers=robots, reliable=reliable) for topic in ("abstract", "auxiliary")
     )
-    states = link.reader("agent", writers=robots, depth=10 * robots)
-    link.meet()
-    crew.ready()
+    states = ends.reader("agent", writers=robots, depth=10 * robots)
+    ends.meet()
+    workers.ready()
     first, second, patience, step = blank("abstract"), blank("auxiliary"), Patience(), 0
     sent = (b"", b"")
 
@@ -163,13 +163,13 @@ def observer(robots: int, reliable: bool, crew: Crew) -> None:  # noqa: FBT001 -
         repeat()
 
 
-def plane(robots: int, reliable: bool, crew: Crew) -> None:  # noqa: FBT001
+def plane(robots: int, reliable: bool, workers: Workers) -> None:  # noqa: FBT001
     """Gather the states, send the plane's state to the controller."""
-    link = Link("plane_sim", 0)
-    publish = link.publisher("plane", readers=1, reliable=reliable)
-    states = link.reader("agent", writers=robots, depth=10 * robots)
-    link.meet()
-    crew.ready()
+    ends = Endpoints("plane_sim", 0)
+    publish = ends.publisher("plane", readers=1, reliable=reliable)
+    states = ends.reader("agent", writers=robots, depth=10 * robots)
+    ends.meet()
+    workers.ready()
     message, patience, step, sent = blank("plane"), Patience(), 0, b""
 
     def repeat() -> None:
@@ -183,13 +183,13 @@ def plane(robots: int, reliable: bool, crew: Crew) -> None:  # noqa: FBT001
         repeat()
 
 
-def controller(robots: int, reliable: bool, crew: Crew) -> None:  # noqa: FBT001
+def controller(robots: int, reliable: bool, workers: Workers) -> None:  # noqa: FBT001
     """Answer the plane's state with the third broadcast."""
-    link = Link("parent_controller", 2)
-    publish = link.publisher("desired", readers=robots, reliable=reliable)
-    plane_states = link.reader("plane")
-    link.meet()
-    crew.ready()
+    ends = Endpoints("parent_controller", 2)
+    publish = ends.publisher("desired", readers=robots, reliable=reliable)
+    plane_states = ends.reader("plane")
+    ends.meet()
+    workers.ready()
     message, patience, step, sent = blank("desired"), Patience(), 0, b""
 
     def repeat() -> None:
@@ -199,14 +199,14 @@ def controller(robots: int, reliable: bool, crew: Crew) -> None:  # noqa: FBT001
     while True:
         plane_states.until(step, patience, repeat, wait_first=True)
         patience.step()
-        crew.made(step)
+        workers.made(step)
         sent = stamped(message, step)
         step += 1
         repeat()
 
 
 def main() -> int:
-    """Run the floor program."""
+    """Run the baseline program."""
     parser = arguments()
     parser.add_argument("--reliable-broadcasts", action="store_true")
     given = parser.parse_args()
@@ -219,7 +219,7 @@ def main() -> int:
         "parent_controller": partial(controller, robots, reliable),
         **{f"agent_{number:03d}": partial(agent, number) for number in range(1, robots + 1)},
     }
-    return Crew().serve(roles)
+    return Workers().serve(roles)
 
 
 if __name__ == "__main__":

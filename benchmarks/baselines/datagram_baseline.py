@@ -1,7 +1,7 @@
-"""The same messages by Unix datagrams: what the kernel allows where no library stands between.
+"""The same messages over Unix datagram sockets: the speed of the kernel without a messaging library.
 
-The sockets have names in Linux's abstract name space, so no file is left of them. A full receive queue makes the sender
-wait; nothing is lost.
+The sockets are in Linux's abstract namespace and leave no files. A full receive queue blocks the sender, so
+nothing is lost.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
-from crew import SIZES, Crew, agent_of, arguments, blank, stamped, step_of
+from workers import SIZES, Workers, agent_of, arguments, blank, stamped, step_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,8 +21,8 @@ LARGEST = 256
 
 
 def address(run: int, name: str) -> bytes:
-    """Return the address of a socket of a run."""
-    return b"\0" + f"swarmabs-floor-{run}-{name}".encode()
+    """Return the address of a socket of a program."""
+    return b"\0" + f"swarmabs-baseline-{run}-{name}".encode()
 
 
 def bound(run: int, name: str) -> socket.socket:
@@ -32,10 +32,10 @@ def bound(run: int, name: str) -> socket.socket:
     return made
 
 
-def agent(run: int, number: int, crew: Crew) -> None:
-    """Send a state, wait for the three broadcasts, and so on."""
+def agent(run: int, number: int, workers: Workers) -> None:
+    """Repeat: send a state, wait for the three broadcasts."""
     mine = bound(run, f"agent-{number}")
-    crew.ready()
+    workers.ready()
     targets = address(run, "observer"), address(run, "plane")
     state, step = blank("agent", number), 0
     while True:
@@ -59,15 +59,15 @@ def gather(mine: socket.socket, robots: int, step: int) -> None:
             seen.add(agent_of(data))
 
 
-def everybody(run: int, robots: int) -> Sequence[bytes]:
+def agent_addresses(run: int, robots: int) -> Sequence[bytes]:
     """Return the addresses of all robots."""
     return [address(run, f"agent-{number}") for number in range(1, robots + 1)]
 
 
-def observer(run: int, robots: int, crew: Crew) -> None:
-    """Gather the states, send two broadcasts."""
-    mine, agents = bound(run, "observer"), everybody(run, robots)
-    crew.ready()
+def observer(run: int, robots: int, workers: Workers) -> None:
+    """Repeat: gather the states, send two broadcasts."""
+    mine, agents = bound(run, "observer"), agent_addresses(run, robots)
+    workers.ready()
     first, second, step = blank("abstract"), blank("auxiliary"), 0
     while True:
         gather(mine, robots, step)
@@ -77,10 +77,10 @@ def observer(run: int, robots: int, crew: Crew) -> None:
         step += 1
 
 
-def plane(run: int, robots: int, crew: Crew) -> None:
+def plane(run: int, robots: int, workers: Workers) -> None:
     """Gather the states, send the plane's state to the controller."""
     mine, target = bound(run, "plane"), address(run, "controller")
-    crew.ready()
+    workers.ready()
     message, step = blank("plane"), 0
     while True:
         gather(mine, robots, step)
@@ -88,21 +88,21 @@ def plane(run: int, robots: int, crew: Crew) -> None:
         step += 1
 
 
-def controller(run: int, robots: int, crew: Crew) -> None:
+def controller(run: int, robots: int, workers: Workers) -> None:
     """Answer the plane's state with the third broadcast."""
-    mine, agents = bound(run, "controller"), everybody(run, robots)
-    crew.ready()
+    mine, agents = bound(run, "controller"), agent_addresses(run, robots)
+    workers.ready()
     message = blank("desired")
     while True:
         step = step_of(mine.recv(LARGEST))
-        crew.made(step)
+        workers.made(step)
         data = stamped(message, step)
         for target in agents:
             mine.sendto(data, target)
 
 
 def main() -> int:
-    """Run the floor program."""
+    """Run the baseline program."""
     robots, run = arguments().parse_args().robots, os.getpid()
     roles = {
         "abstraction_observer": partial(observer, run, robots),
@@ -110,7 +110,7 @@ def main() -> int:
         "parent_controller": partial(controller, run, robots),
         **{f"agent_{number:03d}": partial(agent, run, number) for number in range(1, robots + 1)},
     }
-    return Crew().serve(roles)
+    return Workers().serve(roles)
 
 
 if __name__ == "__main__":

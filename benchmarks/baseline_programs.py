@@ -1,4 +1,4 @@
-"""Driving the floor programs in ``benchmarks/floors``, which share no code with the product."""
+"""Runs the baseline programs in ``benchmarks/baselines``, which share no code with the product."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.processes import Load, crew_of, load_between, sample
+from benchmarks.processes import Load, load_between, sample, workers_of
 
 from swarmabs_config.graph import COORDINATORS
 from swarmabs_config.ports import domains_spanned
@@ -27,82 +27,82 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-FOLDER = Path(__file__).parent / "floors"
+FOLDER = Path(__file__).parent / "baselines"
 START_SECONDS = 150.0
-"""Longest time, s, until a floor program has met."""
+"""Time limit, s, for the processes of a baseline program to connect."""
 ANSWER_SECONDS = 30.0
 END_SECONDS = 10.0
-"""Longest time, s, that a floor program may take to end; then it is killed, and the kernel ends its processes."""
+"""Time limit, s, for a baseline program to end; then it is killed, and the kernel kills its processes."""
 
 
 @dataclass(frozen=True, slots=True)
-class Floor:
-    """A floor program: its file, its arguments, and whether it needs a DDS network."""
+class Baseline:
+    """A baseline program: its file, its arguments, and whether it needs a DDS network."""
 
     program: str
     arguments: tuple[str, ...] = ()
     dds: bool = False
 
 
-FLOORS = {
-    "rclpy_best_effort": Floor("rclpy_floor.py", dds=True),
-    "rclpy_reliable": Floor("rclpy_floor.py", ("--reliable-broadcasts",), dds=True),
-    "zeromq": Floor("zeromq_floor.py"),
-    "datagrams": Floor("datagram_floor.py"),
+BASELINES = {
+    "rclpy_best_effort": Baseline("rclpy_baseline.py", dds=True),
+    "rclpy_reliable": Baseline("rclpy_baseline.py", ("--reliable-broadcasts",), dds=True),
+    "zeromq": Baseline("zeromq_baseline.py"),
+    "datagrams": Baseline("datagram_baseline.py"),
 }
 BARE_RCLPY = ("rclpy_best_effort", "rclpy_reliable")
-"""The better of these is the floor of a run over DDS."""
+"""The faster of these is the baseline of a run over DDS."""
 
 
 @dataclass(frozen=True, slots=True)
-class FloorResult:
-    """Speed of a floor program, the time until its processes had met (s), and what it cost."""
+class BaselineResult:
+    """Speed of a baseline program, the time until its processes were connected (s), and its load."""
 
     steps_per_second: float
     start_seconds: float
     load: Load
 
 
-def measure_floor(name: str, robots: int, *, warm_up: float, window: float) -> FloorResult:
-    """Run a floor program and measure a window of it.
+def measure_baseline(name: str, robots: int, *, warm_up: float, window: float) -> BaselineResult:
+    """Run a baseline program and measure it for a window.
 
     Parameters
     ----------
     name : str
-        One of `FLOORS`.
+        One of `BASELINES`.
     robots : int
-        How many robots.
+        Number of robots.
     warm_up, window : float
-        Time before and of the measurement, s.
+        Duration of the warm-up and of the measurement, s.
 
     Raises
     ------
     RunError
-        If its processes do not meet, one of them fails, or no step is made.
+        If its processes do not connect, one of them fails, or it makes no step.
     """
-    floor = FLOORS[name]
+    baseline = BASELINES[name]
     with ExitStack() as stack:
         environment: Mapping[str, str] = {}
-        if floor.dds:
+        if baseline.dds:
             environment = stack.enter_context(_network(COORDINATORS + robots))
-        command = [str(FOLDER / floor.program), "--robots", str(robots), *floor.arguments]
+        command = [str(FOLDER / baseline.program), "--robots", str(robots), *baseline.arguments]
         program = stack.enter_context(_Program(name, command, environment))
         started = program.answer(START_SECONDS)
         time.sleep(warm_up)
-        crew = crew_of(program.pid)
+        workers = workers_of(program.pid)
         first = program.ask()
-        before = sample(crew, first["step"], first["time"])
+        before = sample(workers, first["step"], first["time"])
         time.sleep(window)
         last = program.ask()
-        load = load_between(before, sample(crew, last["step"], last["time"]), crew)
+        load = load_between(before, sample(workers, last["step"], last["time"]), workers)
         if load is None:
-            raise RunError(f"floor {name} with {robots} robots: no step in {window:g} s")
-        return FloorResult(load.steps / load.seconds, started["start_seconds"], load)
+            raise RunError(f"baseline {name} with {robots} robots: no step in {window:g} s")
+        return BaselineResult(load.steps / load.seconds, started["start_seconds"], load)
 
 
 @contextmanager
 def _network(participants: int) -> Iterator[dict[str, str]]:
-    """Claim a ROS domain and yield the environment variables of those who take part in it."""
+    """Claim a ROS domain and yield the environment variables of its participants."""
     with (
         tracing_files_removed(),
         claimed_domain(domains_spanned(participants)) as domain,
@@ -114,7 +114,7 @@ def _network(participants: int) -> Iterator[dict[str, str]]:
 
 
 class _Program:
-    """A floor program that runs; it ends, with all its processes, when its standard input does."""
+    """A running baseline program; it ends, with all its processes, when its standard input closes."""
 
     def __init__(self, name: str, command: list[str], environment: Mapping[str, str]) -> None:
         self._name = name
@@ -126,7 +126,7 @@ class _Program:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             env={**os.environ, **environment, "PYTHONPATH": search, "OPENBLAS_NUM_THREADS": "1"},
-            start_new_session=True,  # Ctrl-C in a terminal is for us alone
+            start_new_session=True,  # Ctrl-C in a terminal reaches only this process
         )
 
     @property
@@ -141,7 +141,7 @@ class _Program:
         self._end()
 
     def ask(self) -> dict[str, Any]:
-        """Ask how far it is."""
+        """Request the current step."""
         stdin = self._process.stdin
         if stdin is not None:
             with suppress(BrokenPipeError):
@@ -150,12 +150,12 @@ class _Program:
         return self.answer(ANSWER_SECONDS)
 
     def answer(self, seconds: float) -> dict[str, Any]:
-        """Return the next thing it says.
+        """Return the next line of its output.
 
         Raises
         ------
         RunError
-            If it says nothing in this time, or has failed.
+            If it prints nothing in this time, or has failed.
         """
         stdout = self._process.stdout
         deadline = time.monotonic() + seconds
@@ -163,20 +163,20 @@ class _Program:
             readable, _, _ = select.select([stdout], [], [], max(0.0, deadline - time.monotonic()))
             data = os.read(stdout.fileno(), 65536) if readable else b""
             if not data:
-                raise RunError(f"floor {self._name}: {self._end() or f'no answer in {seconds:g} s'}")
+                raise RunError(f"baseline {self._name}: {self._end() or f'no answer in {seconds:g} s'}")
             self._pending += data
         line, _, self._pending = self._pending.partition(b"\n")
         found: dict[str, Any] = json.loads(line)
         return found
 
     def _end(self) -> str:
-        """End it and return the last line that it wrote about what went wrong."""
+        """Stop the program and return the last line of its errors."""
         try:
             _, errors = self._process.communicate(timeout=END_SECONDS)
         except subprocess.TimeoutExpired:
             self._process.kill()
             _, errors = self._process.communicate()
-        except ValueError:  # ended before
+        except ValueError:  # already ended
             return ""
         lines = errors.decode(errors="replace").strip().splitlines()
         return lines[-1] if lines else ""

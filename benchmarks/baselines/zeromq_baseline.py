@@ -1,7 +1,7 @@
-"""The same messages by ZeroMQ: PUSH and PULL for the states, PUB and SUB for the broadcasts, over Unix sockets.
+"""The same messages over ZeroMQ: PUSH and PULL for the states, PUB and SUB for the broadcasts, over Unix sockets.
 
-The sockets have names in Linux's abstract name space, so no file is left of them. ZeroMQ loses nothing once everybody
-is connected; that somebody asks again is for the first step alone, when a subscription may come too late.
+The sockets are in Linux's abstract namespace and leave no files. ZeroMQ loses nothing once all sockets are connected;
+resending matters only in the first step, when a subscription may come too late.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import sys
 from functools import partial
 
 import zmq
-from crew import SIZES, Crew, agent_of, arguments, blank, stamped, step_of
+from workers import SIZES, Workers, agent_of, arguments, blank, stamped, step_of
 
 PATIENCE_MS = 500
 
 
 def address(run: int, name: str) -> str:
-    """Return the address of a socket of a run."""
-    return f"ipc://@swarmabs-floor-{run}-{name}"
+    """Return the address of a socket of a program."""
+    return f"ipc://@swarmabs-baseline-{run}-{name}"
 
 
 def connected(context: zmq.Context[zmq.Socket[bytes]], kind: int, *addresses: str) -> zmq.Socket[bytes]:
@@ -33,7 +33,7 @@ def connected(context: zmq.Context[zmq.Socket[bytes]], kind: int, *addresses: st
 
 
 def bound(context: zmq.Context[zmq.Socket[bytes]], kind: int, where: str) -> zmq.Socket[bytes]:
-    """Return a socket that others connect to."""
+    """Return a socket that is bound to an address."""
     socket = context.socket(kind)
     socket.setsockopt(zmq.RCVTIMEO, PATIENCE_MS)
     socket.setsockopt(zmq.SNDHWM, 0)
@@ -42,13 +42,13 @@ def bound(context: zmq.Context[zmq.Socket[bytes]], kind: int, where: str) -> zmq
     return socket
 
 
-def agent(run: int, number: int, crew: Crew) -> None:
-    """Send a state, wait for the three broadcasts, and so on."""
+def agent(run: int, number: int, workers: Workers) -> None:
+    """Repeat: send a state, wait for the three broadcasts."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     to_observer = connected(context, zmq.PUSH, address(run, "observer"))
     to_plane = connected(context, zmq.PUSH, address(run, "plane"))
     broadcasts = connected(context, zmq.SUB, address(run, "sums"), address(run, "desired"))
-    crew.ready()
+    workers.ready()
     state, step = blank("agent", number), 0
     while True:
         data = stamped(state, step)
@@ -68,7 +68,7 @@ def agent(run: int, number: int, crew: Crew) -> None:
 
 
 def gather(states: zmq.Socket[bytes], robots: int, step: int) -> bool:
-    """Return whether the states of a step of all robots have arrived before patience ended."""
+    """Gather the states of all robots for a step; return False on a time-out."""
     seen: set[int] = set()
     while len(seen) < robots:
         try:
@@ -80,12 +80,12 @@ def gather(states: zmq.Socket[bytes], robots: int, step: int) -> bool:
     return True
 
 
-def observer(run: int, robots: int, crew: Crew) -> None:
-    """Gather the states, send two broadcasts."""
+def observer(run: int, robots: int, workers: Workers) -> None:
+    """Repeat: gather the states, send two broadcasts."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     states = bound(context, zmq.PULL, address(run, "observer"))
     broadcasts = bound(context, zmq.PUB, address(run, "sums"))
-    crew.ready()
+    workers.ready()
     first, second, step = blank("abstract"), blank("auxiliary"), 0
     while True:
         if gather(states, robots, step):
@@ -95,12 +95,12 @@ def observer(run: int, robots: int, crew: Crew) -> None:
             broadcasts.send(stamped(second, step - 1))
 
 
-def plane(run: int, robots: int, crew: Crew) -> None:
+def plane(run: int, robots: int, workers: Workers) -> None:
     """Gather the states, send the plane's state to the controller."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     states = bound(context, zmq.PULL, address(run, "plane"))
     to_controller = connected(context, zmq.PUSH, address(run, "controller"))
-    crew.ready()
+    workers.ready()
     message, step = blank("plane"), 0
     while True:
         if gather(states, robots, step):
@@ -109,24 +109,24 @@ def plane(run: int, robots: int, crew: Crew) -> None:
             to_controller.send(stamped(message, step - 1))
 
 
-def controller(run: int, crew: Crew) -> None:
+def controller(run: int, workers: Workers) -> None:
     """Answer the plane's state with the third broadcast."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     plane_states = bound(context, zmq.PULL, address(run, "controller"))
     broadcasts = bound(context, zmq.PUB, address(run, "desired"))
-    crew.ready()
+    workers.ready()
     message, step = blank("desired"), 0
     while True:
         try:
             step = step_of(plane_states.recv())
-            crew.made(step)
+            workers.made(step)
         except zmq.Again:
             pass
         broadcasts.send(stamped(message, step))
 
 
 def main() -> int:
-    """Run the floor program."""
+    """Run the baseline program."""
     robots, run = arguments().parse_args().robots, os.getpid()
     roles = {
         "abstraction_observer": partial(observer, run, robots),
@@ -134,7 +134,7 @@ def main() -> int:
         "parent_controller": partial(controller, run),
         **{f"agent_{number:03d}": partial(agent, run, number) for number in range(1, robots + 1)},
     }
-    return Crew().serve(roles)
+    return Workers().serve(roles)
 
 
 if __name__ == "__main__":
