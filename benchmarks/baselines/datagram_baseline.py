@@ -51,7 +51,7 @@ def agent(run: int, number: int, workers: Workers) -> None:
 
 
 def gather(mine: socket.socket, robots: int, step: int) -> None:
-    """Return when the states of a step of all robots have arrived."""
+    """Wait until the states of all robots for a step have arrived."""
     seen: set[int] = set()
     while len(seen) < robots:
         data = mine.recv(LARGEST)
@@ -78,7 +78,7 @@ def observer(run: int, robots: int, workers: Workers) -> None:
 
 
 def plane(run: int, robots: int, workers: Workers) -> None:
-    """Gather the states, send the plane's state to the controller."""
+    """Repeat: gather the states, send the plane's state to the controller."""
     mine, target = bound(run, "plane"), address(run, "controller")
     workers.ready()
     message, step = blank("plane"), 0
@@ -89,7 +89,7 @@ def plane(run: int, robots: int, workers: Workers) -> None:
 
 
 def controller(run: int, robots: int, workers: Workers) -> None:
-    """Answer the plane's state with the third broadcast."""
+    """Repeat: answer the plane's state with the third broadcast."""
     mine, agents = bound(run, "controller"), agent_addresses(run, robots)
     workers.ready()
     message = blank("desired")

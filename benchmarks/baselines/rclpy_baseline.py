@@ -93,7 +93,7 @@ class Reader:
         return bool(self._wait_set.get_ready_entities("subscription"))
 
     def until(self, step: int, patience: Patience, resend: Callable[[], None], *, wait_first: bool) -> None:
-        """Return when the message of a step has arrived."""
+        """Wait until the message of a step has arrived."""
         if wait_first and not self.wait(patience.seconds):
             resend()
         while (data := self.take()) is None or step_of(data) < step:
@@ -127,7 +127,7 @@ def agent(number: int, workers: Workers) -> None:
 
 
 def gather(reader: Reader, robots: int, step: int, patience: Patience, resend: Callable[[], None]) -> None:
-    """Return when the states of a step of all robots have arrived."""
+    """Wait until the states of all robots for a step have arrived."""
     seen: set[int] = set()
     while len(seen) < robots:
         data = reader.take()
@@ -164,7 +164,7 @@ def observer(robots: int, reliable: bool, workers: Workers) -> None:  # noqa: FB
 
 
 def plane(robots: int, reliable: bool, workers: Workers) -> None:  # noqa: FBT001
-    """Gather the states, send the plane's state to the controller."""
+    """Repeat: gather the states, send the plane's state to the controller."""
     ends = Endpoints("plane_sim", 0)
     publish = ends.publisher("plane", readers=1, reliable=reliable)
     states = ends.reader("agent", writers=robots, depth=10 * robots)
@@ -184,7 +184,7 @@ def plane(robots: int, reliable: bool, workers: Workers) -> None:  # noqa: FBT00
 
 
 def controller(robots: int, reliable: bool, workers: Workers) -> None:  # noqa: FBT001
-    """Answer the plane's state with the third broadcast."""
+    """Repeat: answer the plane's state with the third broadcast."""
     ends = Endpoints("parent_controller", 2)
     publish = ends.publisher("desired", readers=robots, reliable=reliable)
     plane_states = ends.reader("plane")

@@ -96,7 +96,7 @@ def observer(run: int, robots: int, workers: Workers) -> None:
 
 
 def plane(run: int, robots: int, workers: Workers) -> None:
-    """Gather the states, send the plane's state to the controller."""
+    """Repeat: gather the states, send the plane's state to the controller."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     states = bound(context, zmq.PULL, address(run, "plane"))
     to_controller = connected(context, zmq.PUSH, address(run, "controller"))
@@ -110,7 +110,7 @@ def plane(run: int, robots: int, workers: Workers) -> None:
 
 
 def controller(run: int, workers: Workers) -> None:
-    """Answer the plane's state with the third broadcast."""
+    """Repeat: answer the plane's state with the third broadcast."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     plane_states = bound(context, zmq.PULL, address(run, "controller"))
     broadcasts = bound(context, zmq.PUB, address(run, "desired"))

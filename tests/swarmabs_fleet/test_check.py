@@ -63,7 +63,7 @@ def test_bundles_that_this_version_would_make_otherwise_are_noted(own: Callable[
     file = output / "fleet.yaml"
     file.write_text(file.read_text().replace("mass: 0.3552", "mass: 0.4"))
     found = [(one.verdict, one.text) for one in check([output], None) if one.check == "bundle lan/robot-1"]
-    assert ("note", "fleet.yaml now gives another nodes/agent_001.yaml; deploy again to update the bundle") in found
+    assert ("note", "fleet.yaml now results in a different nodes/agent_001.yaml; deploy again to update it") in found
     file.write_text(file.read_text().replace("robot-1", "robot-7"))
     (text,) = bad(check([output], None))
     assert text == f"{file} no longer has this host; deploy again into a new folder"
@@ -186,7 +186,7 @@ def test_a_machine_that_is_not_the_host(machine: Machine) -> None:
     found = machine.findings(edited(machine.folder / "one.yaml", ONE_HOST, ("interface: lo", "interface: wlan9")))
     assert found["interface"].text.startswith("no interface wlan9 on this host (")
     found = machine.findings(edited(machine.folder / "one.yaml", ONE_HOST, ("127.0.0.1", "127.0.0.9")))
-    assert "lo has the address 127.0.0.1, not 127.0.0.9" in found["interface"].text
+    assert "lo has 127.0.0.1 instead of 127.0.0.9" in found["interface"].text
     assert found["ports"].verdict == "note"
     assert found["clock"].text.startswith("not synchronised by any service; install chrony")
     assert found["systemd"].verdict == "bad"

@@ -194,4 +194,4 @@ def _up_to_date(file: Path, manifest: Manifest) -> Iterator[Verdict]:
     same = {path for path, one in made.items() if path in listed and one.mode != SECRET} - {SUMS}
     differing = sorted(path for path in same if made[path].sha256 != listed[path].sha256)
     if differing:
-        yield "note", f"{file.name} now gives another {differing[0]}; deploy again to update the bundle"
+        yield "note", f"{file.name} now results in a different {differing[0]}; deploy again to update it"

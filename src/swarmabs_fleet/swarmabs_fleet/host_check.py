@@ -43,11 +43,9 @@ def _interface(manifest: Manifest) -> Verdict:
         return "bad", f"no interface {manifest.interface} on this host ({there}); correct the fleet file{remedy}"
     own = [entry.address for entry in interfaces[manifest.interface] if entry.family == socket.AF_INET]
     if manifest.address not in own:
-        found = ", ".join(own) or "none"
-        return (
-            "bad",
-            f"{manifest.interface} has the address {found}, not {manifest.address}; correct the host or the fleet file",
-        )
+        found = ", ".join(own) or "no IPv4 address"
+        text = f"{manifest.interface} has {found} instead of {manifest.address}"
+        return "bad", f"{text}; correct the host or the fleet file"
     stats = psutil.net_if_stats().get(manifest.interface)
     if stats is not None and not stats.isup:
         return "bad", f"{manifest.interface} is down; run: ip link set {manifest.interface} up"

@@ -102,12 +102,12 @@ def _check(variable: str, path: Path) -> None:
     except OSError as error:
         raise InputError(
             f"{variable}: {path} cannot be read: {error.strerror}, and {consequence}; "
-            "let this account read it: start install.sh of the bundle again, or correct the variable"
+            "let this account read it: run install.sh of the bundle again, or correct the variable"
         ) from error
     except (expat.ExpatError, LookupError, ValueError) as error:
         raise InputError(
             f"{variable}: {path} is not XML: {' '.join(str(error).split())}, and {consequence}; "
-            "recreate it: start install.sh of the bundle again, or correct the variable"
+            "recreate it: run install.sh of the bundle again, or correct the variable"
         ) from error
 
 
