@@ -276,7 +276,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_load_initial_conftests(early_config: pytest.Config) -> None:
-    """Watch which lines imports run."""
+    """Import the packages from their sources, not from where they are installed, and watch which lines that runs."""
+    sources = [str(folder) for folder in sorted(early_config.rootpath.glob("src/*"))]
+    sys.path[:0] = sources
+    for search in (os.environ, SEARCH_PATH):
+        search["PYTHONPATH"] = os.pathsep.join([*sources, search["PYTHONPATH"]])
     early_config.stash[IMPORTING] = Watch({mutant.path for mutant in sample(early_config)})
 
 
