@@ -119,7 +119,7 @@ def swarm_of(robots: int, steps: int) -> Scenario:
         At least one.
     """
     singles = robots // 2
-    return load_scenario(
+    found: Scenario = load_scenario(
         builtin_scenarios()[BASE],
         (
             f"name=bench_{robots}",
@@ -129,6 +129,7 @@ def swarm_of(robots: int, steps: int) -> Scenario:
             f"swarm.generate.double_integrator={robots - singles}",
         ),
     ).resolved()
+    return found
 
 
 class Watch:

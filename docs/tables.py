@@ -33,17 +33,19 @@ import plane_sim.realtime
 from swarmabs_analysis.replay import node as replay_player
 from swarmabs_bag.recorder import node as recorder, realtime as realtime_recorder
 from swarmabs_cli import SECTIONS, swarm
-from swarmabs_config.graph import GRAPH, LOCKSTEP, OFFERED, REALTIME, RECORDER, End, Link
-from swarmabs_config.model.agents import AGENT_KINDS
+from swarmabs_config.graph import GRAPH, LOCKSTEP, REALTIME, RECORDER, End, Link
+from swarmabs_config.model.agents import AGENT_KINDS, SystemAgent
 from swarmabs_config.model.controllers import CONTROLLER_CONFIGS, TRAJECTORY_CONFIGS
 from swarmabs_config.model.declared import Declared, DeclaredModel, model_of
 from swarmabs_config.model.scenario import FAULT_KINDS, OBSERVERS
-from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenario import Scenario, SystemScenario
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.declaration import parameters_of
 from swarmabs_core.messages import TOPICS
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.drives import TOPIC
+from swarmabs_core.systems.interface import TABLES, Constant, Need, ParentController, ParentSystem, Quantity, Tracked
+from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
 from swarmabs_run.steering import node as steering
@@ -81,6 +83,7 @@ PUBLIC = (
     "swarmabs_core.registry",
     "swarmabs_core.controllers",
     "swarmabs_core.swarm_law",
+    "swarmabs_core.systems",
     "swarmabs_core.declaration",
     "swarmabs_core.messages",
     "swarmabs_core.theory",
@@ -132,10 +135,11 @@ def bounds(parameter: Parameter) -> str:
     return "; ".join(found)
 
 
-def parameters(declared: Iterable[Parameter | type], without: Iterable[Parameter] = ()) -> str:
-    """Return the table of a node's parameters, `without` the common ones."""
+def parameters(declared: Iterable[Parameter | type | BySystem], without: Iterable[Parameter] = ()) -> str:
+    """Return the table of a node's parameters on the plane, `without` the common ones."""
     names = {each.name for each in without}
-    found = (p for each in declared for p in ((each,) if isinstance(each, Parameter) else parameters_of(each)))
+    parts = (each.plane if isinstance(each, BySystem) else each for each in declared)
+    found = (p for each in parts for p in ((each,) if isinstance(each, Parameter) else parameters_of(each)))
     rows = ((code(p.name), value(p.default), bounds(p), p.description) for p in found if p.name not in names)
     return table(("parameter", "default", "allowed", "meaning"), rows)
 
@@ -154,8 +158,8 @@ def topics() -> str:
         ("topic", "type", "QoS offered", "published by", "read by"),
         (
             (
-                code(link.topic.name),
-                link.topic.ros_type.split("/")[-1],
+                ", ".join(code(topic.name) for topic in link.topics),
+                ", ".join(topic.message.__name__ for topic in link.topics),
                 quality(link),
                 nodes(link.writers),
                 nodes(link.readers),
@@ -179,11 +183,12 @@ def realtime_qos() -> str:
         ("topic", "QoS offered", "lease"),
         (
             (
-                code(topic.name),
+                code(link.topic.name),
                 f"{qos.reliability}, {qos.durability}, {qos.depth}",
                 f"{qos.lease:g} s, by topic" if qos.lease else "none",
             )
-            for topic, qos in OFFERED[REALTIME].items()
+            for link in GRAPH
+            for qos in filter(None, (link.offered.get(REALTIME),))
         ),
     )
 
@@ -194,8 +199,8 @@ def message_fields() -> str:
     for topic in TOPICS:
         name = topic.message.__name__
         text = (MESSAGES / f"{name}.msg").read_text(encoding="utf-8")
-        for kind, field, comment in re.findall(r"^(\w+(?:\[\])?) ([a-z]\w*) +# (.*)$", text, re.MULTILINE):
-            if field != "step":
+        for kind, field, comment in re.findall(r"^(\w+(?:\[.*?\])?) ([a-z]\w*) +# (.*)$", text, re.MULTILINE):
+            if field not in {"step", "system"}:
                 rows.append((name, code(f"{kind} {field}"), comment))
                 name = ""
     return table(("message", "field", "meaning"), rows)
@@ -303,6 +308,26 @@ def _option(found: click.Option, context: click.Context) -> tuple[str, str]:
     extra = found.get_help_extra(context).get("default")
     meaning = " ".join((found.help or "").split())
     return ", ".join(map(code, shown)), meaning + (f" Default: {code(extra)}." if extra else "")
+
+
+def parent_system() -> str:
+    """Return the table of the interface of parent systems: rows of its tables, members, optional methods."""
+    rows = [
+        (code(f"{each.__name__}({', '.join(each._fields)})"), " ".join(inspect.cleandoc(each.__doc__ or "").split()))
+        for each in (Quantity, Constant, Need, Tracked)
+    ]
+    text = inspect.getsource(ParentSystem)
+    size = {name: f"; {least} to {most} rows" for name, (_, least, most) in TABLES.items()}
+    for name, kind, said in re.findall(r'^    (\w+): (.+)\n    """(.+)\."""$', text, re.MULTILINE):
+        rows.append((code(f"{name}: {kind}"), f"{said}{size.get(name, '')}."))
+    for of, whose in ((ParentSystem, ""), (ParentController, " of the controller")):
+        for name, method in vars(of).items():
+            if inspect.isfunction(method) and not name.startswith("_"):
+                words = ", ".join(list(inspect.signature(method).parameters)[1:])
+                rows.append((code(f"{name}({words})") + whose, (method.__doc__ or "").partition("\n")[0]))
+    options = re.findall(r"^    - (``.+?``.*?): (.+)$", text, re.MULTILINE)
+    rows += [(f"{name}, optional", f"{said[0].upper()}{said[1:]}") for name, said in options]
+    return table(("name", "meaning"), ((name.replace("``", "`"), said.replace("``", "`")) for name, said in rows))
 
 
 def modules() -> str:
@@ -416,6 +441,8 @@ def all_tables() -> dict[str, str]:
         "message fields": message_fields(),
         "events": events(),
         "scenario": fields(leaves(Scenario)),
+        "system scenario": fields(each for each in leaves(SystemScenario) if each not in {*leaves(Scenario)}),
+        "system robots": fields(leaves(SystemAgent)),
         "robots": variants(AGENT_KINDS, "kind"),
         "controllers": variants({name: CONTROLLER_CONFIGS[name] for name in CONTROLLERS.built_in}, "type"),
         "trajectories": variants(TRAJECTORY_CONFIGS, "type"),
@@ -430,6 +457,7 @@ def all_tables() -> dict[str, str]:
         "controller parameters": controller_parameters(),
         "agent_node": parameters(agent_node.node.PARAMETERS, without=COMMON),
         "agent_group": parameters(agent_node.group.PARAMETERS),
+        "parent system": parent_system(),
         "recorder": parameters(recorder.PARAMETERS),
         "replay_player": parameters(replay_player.PARAMETERS),
         "steering": parameters(steering.PARAMETERS),

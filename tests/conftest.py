@@ -15,11 +15,13 @@ import pytest
 import rclpy
 from hypothesis import settings
 from tests.processes import MARK, marked_processes
+from tests.systems import installed
 
 from swarmabs_config.ports import DOMAIN_GAIN, LARGEST_DOMAIN, PORT_BASE
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.realtime.drives import DRIVES
 from swarmabs_core.swarm_law import LAWS
+from swarmabs_core.systems import SYSTEMS
 from swarmabs_run.orchestration.network import FIRST_FREE, claimed_domain, dds_environment, profile_xml
 
 # Property tests draw the same examples every time, and take the time they need on a busy machine.
@@ -159,11 +161,18 @@ def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     folder = tmp_path / "packages"
     folder.mkdir()
     monkeypatch.syspath_prepend(folder)
-    for registry in (CONTROLLERS, LAWS, DRIVES):
+    for registry in (CONTROLLERS, LAWS, DRIVES, SYSTEMS):
         registry.forget()
     yield folder
-    for registry in (CONTROLLERS, LAWS, DRIVES):
+    for registry in (CONTROLLERS, LAWS, DRIVES, SYSTEMS):
         registry.forget()
     for name, module in list(sys.modules.items()):
         if str(getattr(module, "__file__", "")).startswith(str(folder)):
             del sys.modules[name]
+
+
+@pytest.fixture
+def systems(packages: Path) -> Path:
+    """Give a folder of the search path in which the parent systems of `tests.systems` are installed."""
+    installed(packages)
+    return packages

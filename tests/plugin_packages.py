@@ -3,7 +3,12 @@
 from pathlib import Path
 from textwrap import dedent
 
-GROUPS = {"controller": "swarmabs.parent_controllers", "law": "swarmabs.swarm_laws", "drive": "swarmabs.drives"}
+GROUPS = {
+    "controller": "swarmabs.parent_controllers",
+    "law": "swarmabs.swarm_laws",
+    "drive": "swarmabs.drives",
+    "system": "swarmabs.parent_systems",
+}
 
 BANG_BANG = """
     from math import copysign

@@ -14,7 +14,7 @@ from coupling import Coupled, Following, TiltDrive, carried, led
 from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
 from swarmabs_config.scenario import load_scenario
-from swarmabs_core.behaviours import Agent, Controller, Observer, Plane
+from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
 from swarmabs_core.controllers import ParentContext
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, TOPIC_OF, Topic
@@ -180,7 +180,7 @@ class CascadeSimulation:
     def _add(self, namespace: str, scenario: Scenario, controller: Behaviour, agents: Sequence[Behaviour]) -> None:
         """Add the behaviours of a layer and their subscriptions within it."""
         observer = Observer(configure.observer_config(scenario))
-        plane = Plane(configure.plane_config(scenario))
+        plane = Parent(configure.plane_config(scenario))
         hearers: dict[Topic, Sequence[Behaviour]] = {
             AGENT_STATE: (observer, plane),
             PLANE_STATE: (controller,),

@@ -17,7 +17,7 @@ from swarmabs_config.scenario import load_scenario, parse_scenario
 from swarmabs_run.simulation import simulate
 
 SCENARIOS = {path.name: load_scenario(path) for path in sorted((ROOT / "examples").glob("*.yaml"))}
-PROGRAMS = sorted(path.name for path in (ROOT / "examples").glob("*.py"))
+PROGRAMS = sorted({path.name for path in (ROOT / "examples").glob("*.py")} - {"reference_tools.py"})
 (README,) = blocks(section(read("README.md"), "Write a scenario"), "yaml")
 
 

@@ -8,6 +8,7 @@ from tests.docs.pages import NAMES, read, rows, script, section
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
 from swarmabs_analysis.sweep.study import RESULTS, Distribution, Range, Sweep
 from swarmabs_bag.recorder.recording import Recording
+from swarmabs_config.graph import GRAPH
 from swarmabs_config.scenarios import builtin_scenarios, find_scenario
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import TOPICS
@@ -34,8 +35,13 @@ def test_what_is_written_by_the_script_is_up_to_date_and_a_changed_default_notic
 
 
 def test_topics_scenarios_and_changes_of_membership_are_those_of_the_code() -> None:
-    table = rows(section(read("docs/reference/topics.md"), "Topics and messages"))
-    assert [f"`{topic.name}`" for topic in TOPICS] == [row[0] for row in table[: len(TOPICS)]]
+    table = rows(section(read("docs/reference/topics.md"), "Topics and messages"))[: len(GRAPH)]
+    named = [
+        (name.strip("`"), kind)
+        for row in table
+        for name, kind in zip(*(cell.split(", ") for cell in row[:2]), strict=True)
+    ]
+    assert sorted(named) == sorted((topic.name, topic.message.__name__) for topic in TOPICS)
     assert set(re.findall(r"`((?:pd|arise)_\w+)`", read("docs/reference/scenario.md"))) == set(builtin_scenarios())
     changes = {
         name

@@ -4,42 +4,75 @@ import os
 import re
 import subprocess
 import sys
+from math import sin
 from pathlib import Path
 from typing import Any
 
 import pytest
+from scipy.integrate import solve_ivp
 from tests.docs.pages import ROOT, blocks, read
 
 from swarmabs_bag.arrays import load_arrays
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 FIRST = "docs/tutorials/first_controller.md"
+SHIP = "docs/tutorials/parent_system.md"
 GAINS = "docs/tutorials/gain_study.ipynb"
 
 
-def test_first_controller(nothing_survives: str, tmp_path: Path) -> None:
-    scripts = tmp_path / "scripts"
+def follow(page: str, folder: Path) -> None:
+    """Write the files of a page into a folder and run its commands there."""
+    scripts = folder / "scripts"
     scripts.mkdir()
     (scripts / "swarm").write_text(f'#!/bin/sh\nexec {sys.executable} -m swarmabs_cli "$@"\n', encoding="utf-8")
     (scripts / "swarm").chmod(0o755)
-    (tmp_path / "mine").mkdir()
-    page = read(FIRST)
-    for name, text in re.findall(r"`(mine/[\w.]+)`:\n\n```\w+\n(.*?)^```", page, re.MULTILINE | re.DOTALL):
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    commands = "".join(blocks(page, "sh")).splitlines()
-    assert commands[:2] == ["git clone <this repository> swarmabs", "cd swarmabs"]
-    script = "\n".join(line for line in commands[2:] if line != "mkdir mine")
-    installed = str(tmp_path / "installed")  # stands for the environment, which other tests share
+    text = read(page)
+    for name, content in re.findall(r"`(\w+/[\w.]+)`:\n\n```\w+\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(content, encoding="utf-8")
+    commands = "".join(blocks(text, "sh")).removeprefix("git clone <this repository> swarmabs\ncd swarmabs\n")
+    assert "git clone" not in commands
+    installed = str(folder / "installed")  # stands for the environment, which other tests share
     search = f"{installed}:{os.environ.get('PYTHONPATH', '')}"
     environment = {**os.environ, "PIP_TARGET": installed, "PYTHONPATH": search, "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    script = re.sub(r"^mkdir \w+$", "", commands, flags=re.MULTILINE)
     ended = subprocess.run(
-        ["bash", "-ec", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        ["bash", "-ec", script], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
     assert ended.returncode == 0, ended.stderr
+
+
+def test_first_controller(nothing_survives: str, tmp_path: Path) -> None:
+    follow(FIRST, tmp_path)
     assert abs(load_arrays(tmp_path / "mine" / "pd").angle[-1]) == pytest.approx(0.092, abs=0.001)
     assert abs(load_arrays(tmp_path / "mine" / "pid").angle[-1]) < 0.01
     assert (tmp_path / "mine" / "comparison.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "mine" / "pid" / "report.html").is_file()
+
+
+def test_parent_system(nothing_survives: str, tmp_path: Path) -> None:
+    """The trolleys hold the ship as the page says; the oracle solves its equation of motion with the wanted moment."""
+    follow(SHIP, tmp_path)
+    folder = tmp_path / "ship"
+    assert len((folder / "ship.py").read_text(encoding="utf-8").splitlines()) <= 150
+    assert (folder / "roll.png").read_bytes()[:4] == b"\x89PNG"
+    run, passive, gust = (load_arrays(folder / name) for name in ("run", "passive", "gust"))
+
+    def motion(time: float, state: list[float], gain: float) -> list[float]:
+        roll, rate = state
+        wanted = gain * rate
+        inertia = 4e4 + 1e-5 * wanted * wanted + 100.0
+        return [rate, (-wanted - 5e4 * roll - 5.4e3 * rate - 3000.0 * sin(0.94 * time)) / inertia]
+
+    late = run.time >= 10.0
+    for arrays, gain, most in ((run, 8e4, 0.04), (passive, 0.0, 0.28)):
+        ideal = solve_ivp(motion, (0.0, 30.0), [0.15, 0.0], t_eval=arrays.time, args=(gain,), rtol=1e-8).y[0]
+        assert abs(arrays["roll"] - ideal)[late].max() < 0.1 * most
+        assert 0.9 * most < abs(arrays["roll"])[late].max() < most
+    assert "left" in {event.kind for event in gust.events}
+    moved = abs(gust["roll"] - run["roll"])
+    assert moved[run.time <= 10.0].max() == 0.0
+    assert moved[run.time >= 15.0].max() > 0.02
 
 
 def test_gain_study() -> None:

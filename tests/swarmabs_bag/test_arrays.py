@@ -1,9 +1,13 @@
 """Arrays hold what was recorded, at the right places."""
 
 import hashlib
+import itertools
+import json
+import math
 import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,20 +21,33 @@ from swarmabs_bag.arrays import digest_of, load_arrays, load_messages
 from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.writer import BagWriter
+from swarmabs_core.arrays import SystemArrays
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (
     EVENTS,
     MAIN_TOPICS,
+    NEVER,
+    PARENT_STATE,
     PLANE_STATE,
+    SYSTEM,
+    SYSTEM_FAMILY,
     TOPIC_OF,
     AbstractState,
     AgentState,
     AuxiliaryState,
     DesiredAbstractState,
     Message,
+    ParentState,
     PlaneState,
+    RobotState,
+    SwarmAbstract,
+    SwarmAuxiliary,
+    SwarmDesired,
+    SystemDescription,
+    Topic,
 )
+from swarmabs_core.systems import SystemTables
 
 
 def of(run: list[Message], kind: type[Message]) -> list[Message]:
@@ -194,3 +211,132 @@ def test_digest_of_loaded_messages_is_that_of_compare_whatever_the_padding(bag: 
         == found.b.digest
         == digest(bag / "bag_0.mcap")
     )
+
+
+# Runs of any parent system: lists have lengths that follow from the messages
+
+
+DESCRIPTION = {
+    "name": "ship",
+    "parent": [{"name": name, "unit": "rad", "scale": 1.0} for name in ("roll", "roll_rate", "wave")],
+    "abstract": [{"name": name, "unit": "N m", "scale": 1.0} for name in ("torque", "inertia")],
+    "robot": [{"name": name, "unit": "m", "scale": 1.0} for name in ("x", "y")],
+    "constants": [{"name": "mass", "unit": "kg", "default": 1.0}],
+    "needs": [{"name": "torque", "unit": "N m", "low": -1.0, "high": 1.0}],
+    "tracked": [{"name": "roll", "tolerance": 0.01}],
+    "settings": {"beam": 5.0},
+}
+
+
+def system_run(steps: int = 5, **changes: dict[str, object]) -> list[Message]:
+    """Return a run of three robots with different numbers everywhere; changes are of the messages of step 3."""
+    counter = itertools.count(1)
+
+    def numbers(count: int) -> tuple[float, ...]:
+        return tuple(math.sqrt(next(counter)) for _ in range(count))
+
+    run: list[Message] = [SystemDescription(0, 0, 7, json.dumps(DESCRIPTION))]
+    for step in range(steps + 1):
+        head = (step * 10_000_000, step, 7)
+        messages: list[Any] = [
+            *(
+                RobotState(*head, NEVER, robot, 2, 1, numbers(2), numbers(2), numbers(2), numbers(1))
+                for robot in (9, 2, 5)
+            ),
+            ParentState(*head, numbers(3)),
+            SwarmAbstract(*head, 3, numbers(2), numbers(2)),
+            SwarmAuxiliary(*head, numbers(3), numbers(2), ()),
+            SwarmDesired(*head, 1, *(numbers(2) for _ in range(5))),
+        ]
+        run += [one._replace(**changes.get(type(one).__name__, {})) if step == 3 else one for one in messages]
+    return run
+
+
+def system_bag(folder: Path, run: list[Message], *, without: tuple[Topic, ...] = ()) -> Path:
+    topics = [topic for topic in (*SYSTEM_FAMILY.main, *SYSTEM_FAMILY.once) if topic not in without]
+    with BagWriter(folder, topics=topics, attachments={}) as writer:
+        for message in run:
+            if TOPIC_OF[type(message)] in topics:
+                writer.write(TOPIC_OF[type(message)], message.stamp, encode(message))
+    return folder
+
+
+def test_lists_are_the_last_axis_and_quantities_have_names(tmp_path: Path) -> None:
+    run = system_run()
+    loaded = load_arrays(system_bag(tmp_path / "bag", run))
+    assert isinstance(loaded, SystemArrays)
+    assert loaded.description == SystemTables.read(json.dumps(DESCRIPTION))
+    assert loaded.time.tolist() == [step / 100 for step in range(6)]
+    parts = {SwarmAbstract: loaded.abstract, SwarmAuxiliary: loaded.auxiliary, SwarmDesired: loaded.desired}
+    for kind, part in parts.items():
+        for name in kind._fields[3:]:
+            assert [np.array(value).tolist() for value in getattr(part, name)] == [
+                np.array(value).tolist() for value in column(of(run, kind), name)
+            ]
+    assert loaded.auxiliary.curvature.shape == (6, 0)
+    assert loaded.agents.ids.tolist() == [2, 5, 9]
+    assert np.isnan(loaded.agents.broadcast_step).all()
+    for number, robot in enumerate(loaded.agents.ids):
+        states = [state for state in of(run, RobotState) if isinstance(state, RobotState) and state.agent_id == robot]
+        for name in ("coordinates", "velocities", "command", "constants"):
+            assert getattr(loaded.agents, name)[:, number].tolist() == [list(getattr(one, name)) for one in states]
+        assert loaded["y"][:, number].tolist() == [state.coordinates[1] for state in states]
+        assert loaded["mass"][:, number].tolist() == [state.constants[0] for state in states]
+    states = np.array(column(of(run, ParentState), "state"))
+    assert loaded.parent.tolist() == states.tolist()
+    assert loaded["roll_rate"].tolist() == states[:, 1].tolist()
+    assert loaded["inertia"].tolist() == [value[1] for value in column(of(run, SwarmAbstract), "value")]
+    assert loaded.reference.shape == (6, 1)
+    assert np.isnan(loaded.reference).all(), "the bag has no scenario"
+    with pytest.raises(KeyError, match="no quantity 'rol'"):
+        _ = loaded["rol"]
+    part = load_arrays(tmp_path / "bag", stride=2)
+    assert part["torque"].tolist() == loaded["torque"][::2].tolist()
+
+
+def test_the_digest_of_a_system_follows_the_same_contract(tmp_path: Path) -> None:
+    run = system_run()
+    tables = load_messages(open_bag(system_bag(tmp_path, run))).tables
+    records = []
+    for message in run[1:]:
+        topic, payload = TOPIC_OF[type(message)].name, encode(message)
+        text = topic.encode() + b"\0" + len(payload).to_bytes(4, "little") + payload
+        records.append((message.step, topic, getattr(message, "agent_id", 0), text))
+    total = hashlib.sha256(b"".join(text for *_, text in sorted(records)))
+    assert digest_of(tables) == total.hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"ParentState": {"state": (1.0, 2.0)}}, r"/parent/state at 0.03 s: 68 bytes, expected 76"),
+        ({"ParentState": {"state": ()}}, r"/parent/state at 0.03 s: 48 bytes, expected 76"),
+        (
+            {"RobotState": {"coordinates": (1.0,), "velocities": (1.0, 2.0, 3.0)}},
+            r"/swarm/robot_state, message 10: its length of list \d+ is not that of a swarm's message",
+        ),
+        ({"SwarmDesired": {"system": 8}}, r"/swarm/desired, message 4: its system is not that of a swarm's message"),
+    ],
+)
+def test_lengths_and_system_do_not_change_in_a_run(
+    changes: dict[str, dict[str, object]], problem: str, tmp_path: Path
+) -> None:
+    with pytest.raises(DamagedBagError, match=rf"bag_0\.mcap: {problem}$"):
+        load_arrays(system_bag(tmp_path, system_run(**changes)))
+
+
+def test_bags_of_a_system_without_messages_a_topic_or_a_description(tmp_path: Path) -> None:
+    loaded = load_arrays(system_bag(tmp_path / "empty", system_run()[:1]))
+    assert (loaded.time.shape, loaded.reference.shape) == ((0,), (0, 1))
+    assert (loaded.parent.shape, loaded.agents.coordinates.shape) == ((0, 0), (0, 0, 0))
+    with pytest.raises(NotABagError, match=r"it lacks parent/system$"):
+        load_arrays(system_bag(tmp_path / "lacks", system_run(), without=(SYSTEM,)))
+    for number, text in enumerate(("", "[]", "{}", '{"parent": 5}', "[" * 10**5)):
+        run = [SystemDescription(0, 0, 7, text), *system_run()[1:]]
+        with pytest.raises(DamagedBagError, match="malformed SystemDescription: its text lacks"):
+            load_arrays(system_bag(tmp_path / str(number), run))
+    first = encode(ParentState(0, 0, 7, ()))
+    with BagWriter(tmp_path / "first", topics=(*SYSTEM_FAMILY.main, SYSTEM), attachments={}) as writer:
+        writer.write(PARENT_STATE, 0, first[:-4] + b"\xff" * 4)
+    with pytest.raises(DamagedBagError, match="/parent/state at 0 s: malformed ParentState: a list of 4294967295"):
+        load_arrays(tmp_path / "first")

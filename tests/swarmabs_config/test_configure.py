@@ -30,7 +30,17 @@ from swarmabs_core.controllers import Arise, StateFeedback, lqr_gains
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import DelayFault, FalsifiedStateFault, InjectedFault, LossFault
 from swarmabs_core.membership import Change, ChangeKind
-from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, MAIN_TOPICS, PLANE_STATE, TOPICS, Kind, Mode
+from swarmabs_core.messages import (
+    AGENT_STATE,
+    BROADCASTS,
+    EVENTS,
+    MAIN_TOPICS,
+    PLANE_STATE,
+    ROBOT_STATE,
+    TOPICS,
+    Kind,
+    Mode,
+)
 from swarmabs_core.realtime.validation import Bounds
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, STEERER, StepChange
 from swarmabs_core.swarm_law import SwarmGains
@@ -161,7 +171,7 @@ def test_nodes_in_real_time() -> None:
     assert [ports.domains_spanned(participants) for participants in (0, 203, 244, 245)] == [5, 5, 5, 10]
 
 
-PACKED, STEERED, CREDITED, WATCHING, FEELING = Option
+PACKED, STEERED, CREDITED, WATCHING, FEELING, SYSTEM = Option
 STATE, ABSTRACT, AUXILIARY, DESIRED = (topic.name for topic in (AGENT_STATE, *BROADCASTS))
 MAIN = {"plane/state", STATE, ABSTRACT, AUXILIARY, DESIRED}
 CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
@@ -201,7 +211,7 @@ def test_endpoints_are_those_of_the_contract() -> None:
 
 
 def test_every_topic_is_there_once_in_the_order_of_the_messages_and_every_node_that_it_names_can_be_started() -> None:
-    assert tuple(link.topic for link in GRAPH) == TOPICS
+    assert {topic for link in GRAPH for topic in link.topics} == {*TOPICS}
     assert {end.node for link in GRAPH for end in (*link.writers, *link.readers)} == {*NODES} > {*SERVICES}
     assert [writers(topic) for topic in (AGENT_STATE, PLANE_STATE)] == [(ROBOT,), (PLANE, PLANE_DRIVER)]
     for node in NODES.values():
@@ -212,12 +222,13 @@ def test_every_topic_is_there_once_in_the_order_of_the_messages_and_every_node_t
 def test_all_options_can_be_asked_for_by_parameters() -> None:
     given = {"packed": True, "steered": True, "recording_window": 100}
     given |= {"type": "parent_response", "feels_gravity": True, "kind": "double_integrator"}
-    assert options_of(given) == {*Option}
-    assert options_of({**given, "kind": "single_integrator"}) == {*Option} - {FEELING}
+    assert options_of({**given, "system.type": "ship"}) == {*Option}
+    assert options_of({**given, "kind": "single_integrator"}) == {*Option} - {FEELING, SYSTEM}
     assert options_of({"packed": False, "recording_window": 0, "type": "sum"}) == frozenset()
     # Robots never hear each other, whatever is asked for.
     for driver in Driver:
-        assert AGENT_STATE not in endpoints(ROBOT, driver, frozenset(Option)).subscriptions
+        for options in (frozenset(Option), frozenset(Option) - {SYSTEM}):
+            assert not {AGENT_STATE, ROBOT_STATE} & {*endpoints(ROBOT, driver, options).subscriptions}
 
 
 @pytest.mark.parametrize(("robots", "recorded"), [(4, 1000), (100, 10_100), (200, 20_200), (2000, 22_000)])

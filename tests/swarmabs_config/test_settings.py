@@ -13,8 +13,8 @@ from jsonschema import Draft202012Validator
 
 from swarmabs_config.model.fields import LARGEST, SMALLEST
 from swarmabs_config.scenario import ScenarioError, json_schema, parse_scenario
-from swarmabs_core.behaviours.agent import RobotConfig
 from swarmabs_core.behaviours.base import Lockstep, Run
+from swarmabs_core.behaviours.robot import RobotConfig
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.declaration import LONGEST_TIME, Part, Setting, entries_of, setting_of
 from swarmabs_core.errors import InputError

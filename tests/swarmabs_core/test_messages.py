@@ -13,6 +13,7 @@ from swarmabs_core.errors import InputError, MalformedMessageError
 from swarmabs_core.publishers import NodeName, publisher_of
 from swarmabs_core.record import Record
 from swarmabs_core.robot_controller import COMMAND_LIMITED
+from swarmabs_core.systems.desired import NEED_LIMITED
 
 STAMP, STEP = 12_340_000_001, 1234
 # Encapsulation; sec, nanosec; "plane" with its length, padded to a multiple of 8 after the encapsulation; step.
@@ -30,6 +31,12 @@ PARTS = (
     msg.AuxiliaryState(STAMP, STEP, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
     msg.DesiredAbstractState(STAMP, STEP, 1, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
 )
+ROBOT = msg.RobotState(STAMP, STEP, 5, msg.NEVER, 258, 3, 4, (0.5, -1.0), (0.25, 0.0), (), (70.0,))
+SWARM = (
+    msg.SwarmAbstract(STAMP, STEP, 5, 4, (1.0, 2.0), (3.0, 4.0)),
+    msg.SwarmAuxiliary(STAMP, STEP, 5, (1.0, 2.0, 3.0), (4.0, 5.0), ()),
+    msg.SwarmDesired(STAMP, STEP, 5, 1, (1.0, 2.0), (3.0, 4.0), (5.0, 6.0), (7.0, 8.0), (9.0, 10.0)),
+)
 CASES: dict[msg.Message, tuple[int, int]] = {
     msg.PlaneState(STAMP, STEP, 0.1, -0.25): (0, 0),
     AGENT: (12, 4),
@@ -42,6 +49,13 @@ CASES: dict[msg.Message, tuple[int, int]] = {
     msg.Basis(STAMP, STEP, 1, 2, 3, (), (), ()): (17, 3),
     msg.Steering(STAMP, STEP, 7, 1, 513, 1.0): (12, 4),
     msg.Broadcast(STAMP, STEP, *PARTS): (18, 6),
+    ROBOT: (44, 4),  # behind the length of the velocities
+    msg.ParentState(STAMP, STEP, 5, (0.1, -0.25)): (12, 4),
+    SWARM[0]: (10, 2),
+    SWARM[1]: (12, 4),
+    SWARM[2]: (9, 3),
+    msg.SwarmBroadcast(STAMP, STEP, *SWARM): (18, 6),
+    msg.SystemDescription(STAMP, STEP, 5, '{"name": "ship"}'): (0, 0),
 }
 """Messages, and where they have padding behind `HEAD`: first offset and length."""
 each = pytest.mark.parametrize("message", CASES, ids=lambda message: type(message).__name__)
@@ -56,6 +70,15 @@ def test_bytes_by_hand() -> None:
     body = b"\xff" * 8 + b"\x02\x01\x02\x03" + b"\x00" * 4 + doubles(0.5, 0.75, -0.125, 0.25, -1.5)
     assert encode(AGENT) == HEAD + body
     assert decode(msg.AgentState, HEAD + body) == AGENT
+    numbers = [
+        doubles(0.5, -1.0),
+        b"\x02" + b"\x00" * 7,
+        doubles(0.25, 0.0),
+        b"\x00" * 4 + b"\x01\x00\x00\x00",
+        doubles(70.0),
+    ]
+    head = b"\x05" + b"\x00" * 7 + b"\xff" * 8 + b"\x02\x01\x03\x04" + b"\x02\x00\x00\x00"
+    assert encode(ROBOT) == HEAD + head + b"".join(numbers)
     assert {type(message) for message in CASES} == {topic.message for topic in msg.TOPICS}
 
 
@@ -71,7 +94,9 @@ def test_padding_is_ignored_and_records_hold_topic_robot_message_and_bytes(messa
     padded = bytes(data + b"\xee" * 3)  # Fast DDS rounds the size up
     assert decode(type(message), padded) == message
     assert canonical(type(message), padded) == canon
-    made = Record(topic, {msg.AgentState: 258, msg.SwarmEvent: 7}.get(type(message), 0), message, canon)
+    made = Record(
+        topic, {msg.AgentState: 258, msg.RobotState: 258, msg.SwarmEvent: 7}.get(type(message), 0), message, canon
+    )
     assert Record.of(message) == Record.heard(topic, padded) == made
     assert Record.read(topic, 5, padded, 7) == made._replace(payload=padded, time=5, published=7)
 
@@ -89,6 +114,7 @@ def test_every_other_length_and_head_is_refused(message: msg.Message) -> None:
 
 
 EVENT = HEAD + b"\x07\x00\x03" + b"\x00" * 5 + doubles(0.5)
+PACKED = encode(msg.SwarmBroadcast(STAMP, STEP, *SWARM))
 SOURCES = HEAD + b"\x00" * 16 + b"\x01\x00\x00\x00"
 
 
@@ -107,6 +133,14 @@ SOURCES = HEAD + b"\x00" * 16 + b"\x01\x00\x00\x00"
             "1 in `state_steps`, 2 in `agent_ids`, 1 in `standing`",
         ),
         (msg.PlaneState, HEAD + doubles(0.1, -0.25, 0.0), "bytes, expected"),
+        (
+            msg.ParentState,
+            HEAD + b"\x05" + b"\x00" * 7 + b"\x21" + b"\x00" * 7 + doubles(*range(33)),
+            "33 .* at most 32",
+        ),
+        (msg.ParentState, HEAD + b"\x05" + b"\x00" * 7 + b"\xff" * 4 + b"\x00" * 4, "4294967295 numbers, at most 32"),
+        (msg.ParentState, HEAD + b"\x05" + b"\x00" * 7 + b"\x02" + b"\x00" * 7 + doubles(0.1), "60 bytes, expected 68"),
+        (msg.SwarmBroadcast, PACKED[:50] + b"X" + PACKED[51:], "frame_id is not 'plane'"),
     ],
 )
 def test_wrong_lengths_within_a_message_are_named(message_type: type[msg.Message], data: bytes, problem: str) -> None:
@@ -131,6 +165,12 @@ def test_noise_gives_one_error_only(message_type: type[msg.Message], data: bytes
         msg.SwarmEvent(0, 0, -1, 1, 0.0, ""),
         msg.SwarmEvent(0, 0, 1, 1, 0.0, "\udcff"),
         msg.Basis(STAMP, STEP, 1, 2, 3, (1, 2), (3,), (0,)),
+        msg.ParentState(STAMP, STEP, 2**64, ()),
+        msg.ParentState(STAMP, STEP, 5, (0.0,) * 33),
+        ROBOT._replace(coordinates=(0.0,) * 9),
+        ROBOT._replace(constants=("heavy",)),
+        SWARM[1]._replace(gram=(0.0,) * 137),
+        msg.SwarmBroadcast(STAMP, STEP, SWARM[0], SWARM[1], SWARM[2]._replace(end_rate=(0.0,) * 17)),
     ],
 )
 def test_fields_that_do_not_fit_are_refused(message: msg.Message) -> None:
@@ -148,6 +188,14 @@ def event(kind: msg.EventKind, detail: str = "") -> msg.SwarmEvent:
         (agent_state(258), "agent:258"),
         (msg.PlaneState(0, 0, 0.1, 0.2), "plane"),
         *zip(broadcasts(), ("observer", "observer", "controller"), strict=True),
+        (ROBOT, f"agent:{ROBOT.agent_id}"),
+        *zip(SWARM, ("observer", "observer", "controller"), strict=True),
+        (msg.ParentState(0, 0, 7, (0.1,)), "plane"),
+        (msg.SystemDescription(0, 0, 7, "{}"), "plane"),
+        *(
+            (event(msg.EventKind.LIMIT_HIT, NEED_LIMITED.format(need))._replace(agent_id=0), "controller")
+            for need in ("torque", "command")
+        ),
         *((event(kind), "observer") for kind in (msg.EventKind.JOINED, msg.EventKind.LEFT, msg.EventKind.DEAD)),
         *(
             (event(kind), "agent:3")

@@ -9,7 +9,7 @@ from tests.swarmabs_core.helpers import Run, agent_state, builtin
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core import messages as msg
-from swarmabs_core.behaviours import Plane, Request, Steered, SteeringConfig, SteeringController
+from swarmabs_core.behaviours import Parent, Request, Steered, SteeringConfig, SteeringController
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError
 from swarmabs_core.behaviours.steering import MOST_WAITING, OVER
 from swarmabs_core.errors import InputError
@@ -266,7 +266,7 @@ def test_too_many_requests_and_offsets_of_a_law_without_any_are_refused() -> Non
 
 
 def test_a_node_waits_for_the_order_and_refuses_what_cannot_be_one() -> None:
-    node = Steered(Plane(configure.plane_config(builtin("pd_het_4", "duration=0.3"))))
+    node = Steered(Parent(configure.plane_config(builtin("pd_het_4", "duration=0.3"))))
     assert (node.awaits(), node.missing(), node.open) == ((msg.STEERING,), (0, ("steering",)), False)
     node.handle(msg.Steering(0, 0, 0, msg.Action.NONE, 0, 0.0))
     assert (node.awaits(), node.open) == ((msg.AGENT_STATE, msg.EVENTS), True)

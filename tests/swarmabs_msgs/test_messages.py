@@ -10,18 +10,19 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
-from swarmabs_core.cdr import decode, encode
-from swarmabs_core.messages import BROADCASTS, NEVER, TOPICS, Field, Message, Topic, fields_of
+from swarmabs_core.cdr import canonical, decode, encode
+from swarmabs_core.messages import FAMILIES, NEVER, SYSTEM_FAMILY, TOPICS, Field, Message, Topic, fields_of
 from swarmabs_ros.endpoints import ros_type
 
 FOLDER = Path(__file__).parents[2] / "src" / "swarmabs_msgs" / "msg"
 LINE = re.compile(r"(?P<type>\S+)\s+(?P<name>\w+)\s*(?:=\s*(?P<value>\S+))?\s*(?:#\s*(?P<comment>.*))?$")
 SIZES = {"uint8": 1, "uint16": 2, "uint32": 4, "uint64": 8, "float64": 8}
 MESSAGES = {topic.message.__name__: topic.message for topic in TOPICS}
-PARTS = {topic.message.__name__: topic for topic in BROADCASTS}
+PARTS = {topic.message.__name__: topic for family in FAMILIES for topic in family.broadcasts}
 PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str} | MESSAGES
 PYTHON_TYPE |= {f"{name}[]": tuple[int, ...] for name in ("uint8", "uint16", "uint64")}
-NO_STEP = {"AgentState": {"NO_BROADCAST": NEVER}, "Basis": {"NO_STEP": NEVER}}
+PYTHON_TYPE |= {f"float64[<={bound}]": tuple[float, ...] for bound in (8, 16, 32, 136)}
+NO_STEP = {name: {"NO_BROADCAST": NEVER} for name in ("AgentState", "RobotState")} | {"Basis": {"NO_STEP": NEVER}}
 
 
 class Entry(NamedTuple):
@@ -83,6 +84,8 @@ def test_a_definition_says_what_the_core_declares_and_explains_it(name: str) -> 
             assert re.match(rf"{re.escape(found.unit)}(,| along|$)", field.comment) and found.unit
         elif field.type == "string":
             assert not found.unit
+        elif field.type.startswith("float64["):
+            assert found.unit == "by system"
         explained |= {value.name: value.value for value in found.constants or ()}
     assert {entry.name: entry.value for entry in DEFINITIONS[name] if entry.value is not None} == explained
 
@@ -90,33 +93,34 @@ def test_a_definition_says_what_the_core_declares_and_explains_it(name: str) -> 
 # The core's own serialisation against that of ROS 2
 
 
-def significant_bytes(name: str, detail: bytes, robots: int = 0) -> list[bool]:
-    """Tell of every byte of a message in CDR whether it carries content, by the rules of CDR alone.
-
-    Its string has this content, its arrays the length `robots`.
-    """
+def significant_bytes(message: Message) -> list[bool]:
+    """Tell of every byte of a message in CDR whether it carries content, by the rules of CDR alone."""
     content: list[bool] = []  # the encapsulation apart, from where alignment counts
-    _add_message(content, name, detail, robots)
+    _add_message(content, message)
     # Of the encapsulation's two option bytes the last may say how much padding follows.
     return [True, True, True, False, *content]
 
 
-def _add_message(content: list[bool], name: str, detail: bytes, robots: int) -> None:
+def _add_message(content: list[bool], message: Message) -> None:
     def add(alignment: int, size: int) -> None:
         content.extend([False] * (-len(content) % alignment) + [True] * size)
 
     add(4, 4 + 4 + 4 + len("plane") + 1)  # seconds, nanoseconds, length and characters of the frame id
-    for field in FIELDS[name]:
-        size = SIZES.get(field.type.removesuffix("[]"), 0)
+    for field in FIELDS[type(message).__name__]:
+        size, value = SIZES.get(field.type.split("[")[0], 0), getattr(message, field.name)
         if field.type in DEFINITIONS:
-            _add_message(content, field.type, detail, robots)
+            _add_message(content, value)
         elif field.type == "string":
-            add(4, 4 + len(detail) + 1)
-        elif field.type.endswith("[]"):
+            add(4, 4 + len(value.encode()) + 1)
+        elif field.type.endswith("]"):
             add(4, 4)
-            add(size if robots else 1, size * robots)
+            add(size if value else 1, size * len(value))
         else:
             add(size, size)
+
+
+def lists_of_floats(length: int) -> st.SearchStrategy[tuple[float, ...]]:
+    return st.binary(min_size=8 * length, max_size=8 * length).map(lambda data: struct.unpack(f"<{length}d", data))
 
 
 def messages(message: type[Message]) -> st.SearchStrategy[Message]:
@@ -126,6 +130,10 @@ def messages(message: type[Message]) -> st.SearchStrategy[Message]:
     for field in FIELDS[message.__name__]:
         if field.type == "float64":
             values[field.name] = st.floats(allow_nan=True, allow_infinity=True)
+        elif field.type.startswith("float64["):
+            bound = int(field.type[len("float64[<=") : -1])
+            lengths = st.one_of(st.sampled_from((0, 1, bound)), st.integers(0, bound))
+            values[field.name] = lengths.flatmap(lists_of_floats)
         elif field.type == "string":
             values[field.name] = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40)
         elif field.type in PARTS:
@@ -168,7 +176,7 @@ def from_ros(ros: Any, topic: Topic) -> Message:
 
 def bits(message: Any) -> list[object]:
     """Return the fields such that a NaN equals itself and 0 differs from -0."""
-    values: list[object] = [bits(value) if type(value).__name__ in PARTS else value for value in message]
+    values: list[object] = [bits(value) if isinstance(value, tuple) else value for value in message]
     return [struct.pack("<d", value) if isinstance(value, float) else value for value in values]
 
 
@@ -178,11 +186,14 @@ def bits(message: Any) -> list[object]:
 def test_bytes_are_those_of_ros_and_each_reads_what_the_other_writes(topic: Topic, data: st.DataObject) -> None:
     message = data.draw(messages(topic.message))
     ours, theirs = encode(message), serialize_message(to_ros(message, topic))
-    detail, robots = str(getattr(message, "detail", "")).encode(), len(getattr(message, "agent_ids", ()))
-    content = significant_bytes(topic.message.__name__, detail, robots)
+    if topic in (*SYSTEM_FAMILY.main, SYSTEM_FAMILY.packed):
+        theirs = theirs[: len(ours)]  # rclpy's buffer includes room for aligning the elements of empty lists
+    content = significant_bytes(message)
     assert len(ours) == len(theirs) == len(content)
     for own, other, counts in zip(ours, theirs, content, strict=True):
         assert own == (other if counts else 0), "padding must be zero"
+    dirty = bytes(own if counts else 0xAA for own, counts in zip(ours, content, strict=True))
+    assert canonical(topic.message, dirty + b"\xbb" * data.draw(st.integers(0, 3))) == ours
     again = decode(topic.message, theirs)
     assert type(again) is topic.message
     assert bits(again) == bits(message) == bits(from_ros(deserialize_message(ours, ros_type(topic)), topic))

@@ -13,7 +13,7 @@ from tests.swarmabs_ros.nodes import started_node
 from swarmabs_config.graph import LEASE, LOCKSTEP, OFFERED, REALTIME, Driver, Qos, requested
 from swarmabs_config.model.scenario import Realtime
 from swarmabs_core.cdr import encode
-from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PLANE_STATE, EventKind, PlaneState, SwarmEvent, Topic
+from swarmabs_core.messages import EVENTS, FAMILIES, PLANE_STATE, EventKind, PlaneState, SwarmEvent, Topic
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_ros.endpoints import ExecutorReceiver, LoopGroup, Receiver, WaitSetReceiver, advertise, profile, receiver
 from swarmabs_ros.start import SwarmNode
@@ -113,7 +113,8 @@ def test_an_rclpy_that_has_changed_is_named_with_the_way_out(node: SwarmNode, mo
 def test_offers_suffice_each_reader_and_assert_life_in_real_time_where_every_period_is_published(
     driver: Driver, topic: Topic
 ) -> None:
-    offered, asserts = profile(OFFERED[driver][topic]), driver is REALTIME and topic in MAIN_TOPICS
+    offered = profile(OFFERED[driver][topic])
+    asserts = driver is REALTIME and any(topic in family.main for family in FAMILIES)
     assert offered.history is QoSHistoryPolicy.KEEP_LAST
     assert offered.depth == OFFERED[driver][topic].depth > 0
     assert offered.deadline.nanoseconds == 0

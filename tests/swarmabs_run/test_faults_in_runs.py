@@ -11,7 +11,7 @@ from tests.swarmabs_core.helpers import FOUR_ROBOT_SCENARIOS, Run, builtin
 from swarmabs_config import configure
 from swarmabs_core.abstraction import Weight, abstraction, damping_sums, second_moments
 from swarmabs_core.arrays import RunArrays
-from swarmabs_core.behaviours import Plane
+from swarmabs_core.behaviours import Parent
 from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.faults import LossFault
 from swarmabs_core.messages import (
@@ -220,7 +220,7 @@ def test_a_liar_deceives_the_observer_and_not_the_plane() -> None:
     run = run_with(f"kind: lie, agent: 3, {lie}, from: 0.5, to: 1", duration="1.5")
     said, drive = run.agent(3), DoubleIntegratorDrive.of(0.01, 0.6762, 0.6524)
     position, velocity = 0.125, 0.0
-    plane = Plane(configure.plane_config(builtin("pd_het_4", "duration=1.5")))
+    plane = Parent(configure.plane_config(builtin("pd_het_4", "duration=1.5")))
     gap = 0.0
     for k in range(151):
         lying = 50 <= k < 100
@@ -236,6 +236,24 @@ def test_a_liar_deceives_the_observer_and_not_the_plane() -> None:
             assert said[k + 1].command == command
             position, velocity = drive.advance(position, velocity, command)
     assert gap < 1e-14
+
+
+def test_a_robot_whose_drive_has_failed_coasts_and_reports_its_last_state() -> None:
+    run = run_with("kind: drive_failure, agent: 3, from: 0.1", duration="1.5")
+    said, drive = run.agent(3), DoubleIntegratorDrive.of(0.01, 0.6762, 0.6524)
+    plane = Parent(configure.plane_config(builtin("pd_het_4", "duration=1.5")))
+    position, velocity = said[10].position, said[10].velocity
+    assert abs(velocity) > 0.01
+    for k in range(151):
+        true = said[k]
+        if k > 10:
+            assert (true.position, true.velocity, true.status) == (said[10].position, said[10].velocity, Status.ACTIVE)
+            position, velocity = drive.advance(position, velocity, 0.0)
+            true = true._replace(position=position, velocity=velocity)
+        answers = [a for s in (*run.states(k)[:2], true, run.states(k)[3]) for a in plane.handle(s)]
+        (state,) = [a for a in answers if isinstance(a, PlaneState)]
+        assert state.angle == pytest.approx(run.one(PlaneState, k).angle, abs=1e-14)
+    assert abs(position - said[10].position) > 0.005
 
 
 def test_faults_of_a_robot_that_joins_later() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from swarmabs_bag.figures import Tracking
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_run.run import Outcome
@@ -53,6 +54,18 @@ def shown(found: dict[str, Any], folder: Path) -> str:
     told = io.StringIO()
     Console(width=300, file=told).print(summary_table(found, RunFolder(folder)))
     return told.getvalue()
+
+
+def test_the_table_of_another_parent_has_its_tolerances_and_its_unit(tmp_path: Path) -> None:
+    told = io.StringIO()
+    tracking = Tracking((0, 2), (0.02, 0.05), "z", "m")
+    Console(width=300, file=told).print(summary_table(summary(), RunFolder(tmp_path), tracking))
+    text = re.sub(r" +", " ", told.getvalue())
+    assert "settled within 0.02, 0.05 m from t = " in text and " rad" not in text
+    untracked = io.StringIO()
+    Console(width=300, file=untracked).print(summary_table(summary(), RunFolder(tmp_path), Tracking((), (), "x", "")))
+    assert re.search(r"settled|error", untracked.getvalue()) is None, "nothing follows a reference"
+    assert re.search(r"max \|coordinate\| \S+ *\n", text), "coordinates may have different units"
 
 
 def rows_of(text: str) -> dict[str, str]:

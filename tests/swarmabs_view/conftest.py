@@ -152,7 +152,7 @@ class PageServer:
     def __init__(self, page: Page, url: str) -> None:
         self.refusing = 0
         self._page, self._url = page, url
-        self._first: tuple[Message, ...] = ()
+        self.first: tuple[Message, ...] = ()
         self._sockets: list[WebSocketRoute] = []
         self._heard: list[dict[str, Any]] = []
         # It says nothing by itself, for longer than a real server may: the page shall not wait for it.
@@ -166,7 +166,7 @@ class PageServer:
         state = Abstract(0.0, 0.1)
         shown = [ShownRobot(0.1, 0.0, 0.0, "active"), ShownRobot(-0.1, 0.0, 0.0, "dead")]
         frame = Frame.of(Instant(3, 30_000_000, 0.03, 0.1, 0.0, 0.0, state, state), shown, 100.0)
-        self._first = (hello, *messages, frame, State(phase="running", text=""))
+        self.first = (hello, *messages, frame, State(phase="running", text=""))
         self._page.goto(self._url + hash_)
         expect(self._page.locator("#step")).to_have_attribute("value", "3")
 
@@ -176,7 +176,7 @@ class PageServer:
             return
         self._sockets.append(socket)
         socket.on_message(lambda text: self._heard.append(json.loads(text)))
-        for message in self._first:
+        for message in self.first:
             socket.send(message.model_dump_json())
 
     def send(self, message: Message) -> None:

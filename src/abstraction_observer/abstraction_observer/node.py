@@ -6,20 +6,23 @@ import sys
 
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.behaviours import Observer, ObserverConfig, Steered
+from swarmabs_core.behaviours.systems import SystemObserverConfig
 from swarmabs_core.membership import SILENT
 from swarmabs_core.messages import Messages
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.runner import STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 ON_STALL = Parameter("on_stall", "fail", "reaction to a robot that does not answer", choices=("fail", "drop"))
-PARAMETERS = (ObserverConfig, ON_STALL, STEERED)
+CONFIG = BySystem(ObserverConfig, SystemObserverConfig)
+PARAMETERS = (CONFIG, ON_STALL, STEERED)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour and its reaction to a stall."""
-    observer = Observer(settings.made(ObserverConfig))
+    observer = Observer(settings.chosen(CONFIG))
     gate = Steered(observer) if settings.flag(STEERED.name) else None
 
     def drop() -> Messages:

@@ -28,7 +28,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     """Return behaviour and endpoints; reject ids that are not in the scenario."""
     if not settings.text("scenario_file"):
         raise InputError("parameter scenario_file: give the file of the resolved scenario")
-    configs = {c.agent_id: c for c in configure.agent_configs(load_scenario(Path(settings.text("scenario_file"))))}
+    scenario = load_scenario(Path(settings.text("scenario_file")))
+    configs = {config.agent_id: config for config in configure.agent_configs(scenario)}
     missing = [agent_id for agent_id in settings.integers("agent_ids") if agent_id not in configs]
     if missing:
         raise InputError(f"parameter agent_ids: the scenario has no robot {missing[0]}")
@@ -38,7 +39,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
         steered=settings.flag(STEERED.name),
     )
     feeling = (Option.FEELING,) if PLANE_STATE in group.needs else ()
-    return NodeSpec(group, settings.endpoints(ROBOT, LOCKSTEP, *feeling))
+    return NodeSpec(group, settings.endpoints(ROBOT, LOCKSTEP, *feeling, *configure.options_for(scenario)))
 
 
 def main(args: list[str] | None = None) -> int:

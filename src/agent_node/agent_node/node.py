@@ -6,16 +6,19 @@ import sys
 
 from swarmabs_config.graph import ROBOT
 from swarmabs_core.behaviours import Agent, AgentConfig
+from swarmabs_core.behaviours.systems import SystemAgentConfig
 from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
-PARAMETERS = (AgentConfig, PACKED, STEERED)
+CONFIG = BySystem(AgentConfig, SystemAgentConfig)
+PARAMETERS = (CONFIG, PACKED, STEERED)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour."""
-    config = settings.made(AgentConfig)
+    config = settings.chosen(CONFIG)
     config.refuse_contradictions()
     return NodeSpec(Agent(config, packed=settings.flag(PACKED.name), steered=settings.flag(STEERED.name)))
 

@@ -6,22 +6,19 @@ import sys
 
 from swarmabs_config.graph import CONTROLLER
 from swarmabs_core.behaviours import Controller, ControllerConfig, Steered
-from swarmabs_core.controllers import OffsetController
-from swarmabs_core.errors import InputError
+from swarmabs_core.behaviours.systems import SystemControllerConfig
 from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
-PARAMETERS = (ControllerConfig, PACKED, STEERED)
+CONFIG = BySystem(ControllerConfig, SystemControllerConfig)
+PARAMETERS = (CONFIG, PACKED, STEERED)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour; reject offsets of the reference if the law does not support them."""
-    config = settings.made(ControllerConfig)
-    law = config.law.make(config.period_ns / 1e9, config.manifold)
-    if config.offsets and not isinstance(law, OffsetController):
-        raise InputError("parameter offsets: the law has no method offset_torque; omit the parameter")
-    controller = Controller(config, law, packed=settings.flag(PACKED.name))
+    controller = Controller(settings.chosen(CONFIG), packed=settings.flag(PACKED.name))
     return NodeSpec(Steered(controller) if settings.flag(STEERED.name) else controller)
 
 

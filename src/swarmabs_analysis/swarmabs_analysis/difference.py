@@ -7,17 +7,17 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from swarmabs_core.cdr import agent_id_of, canonical, encode
-from swarmabs_core.messages import TOPIC_OF, AgentState
+from swarmabs_core.messages import ROBOT_STATES, TOPIC_OF
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from swarmabs_core.messages import Message
     from swarmabs_core.record import Record
 
 Side = Literal["A", "B"]
-Value: TypeAlias = "float | int | str | dict[str, float | int | str] | None"
-"""A field, a whole message by field, or None for a missing message."""
+Value: TypeAlias = "float | int | str | tuple[Any, ...] | dict[str, Any] | None"
+"""A field or its component, a whole message by field, or None for a missing message."""
 
 LOG_TIME = "log_time"
 """Pseudo-field: the log time of a message in the bag, ns, is wrong."""
@@ -31,8 +31,8 @@ MESSAGE = "message"
 """Pseudo-field: a message is missing or surplus; also the value of such a message where its fields are not given."""
 
 _CAUSES_FIRST = (
-    *("step", "stamp", "agent_id", "kind", "mass", "damping"),
-    *("status", "broadcast_step", "command", "velocity", "position"),
+    *("step", "stamp", "agent_id", "system", "kind", "mass", "damping", "constants"),
+    *("status", "broadcast_step", "command", "velocity", "velocities", "position", "coordinates"),
 )
 """Fields of a robot's state in the order of judgement, causes first: a wrong command also changes the position."""
 
@@ -99,11 +99,22 @@ class Difference(NamedTuple):
 def differing_fields(a: Message, b: Message, tolerance: float = 0.0) -> Iterator[tuple[str, Any, Any]]:
     """Yield name and both values of the fields in which two messages of a topic differ, in order.
 
-    A number of `a` may differ from the x of `b` by ``tolerance * (1 + |x|)``; with 0 every bit counts.
+    Of a vector, the components that differ are yielded, such as ``gram[3]``; the whole vector if the lengths differ. A
+    number of `a` may differ from the x of `b` by ``tolerance * (1 + |x|)``; with 0 every bit counts.
     """
-    for name, x, y in zip(a._fields, a, b, strict=True):
-        if not _same(x, y, tolerance):
+    fields: Iterable[Any] = zip(a._fields, a, b, strict=True)
+    for name, x, y in fields:
+        if isinstance(x, tuple) and len(x) == len(y) and any(isinstance(u, float) for u in x):
+            parts = enumerate(zip(x, y, strict=True))
+            yield from ((f"{name}[{n}]", u, v) for n, (u, v) in parts if not _same(u, v, tolerance))
+        elif not _same(x, y, tolerance):
             yield name, x, y
+
+
+def component_of(name: str) -> tuple[str, int]:
+    """Return field and index of a component such as ``gram[3]``; the index of a whole field is -1."""
+    field, _, index = name.partition("[")
+    return field, int(index[:-1]) if index else -1
 
 
 def judge(stored: Record, expected: Message, tolerance: float, time: int | None = None) -> Difference | None:
@@ -115,10 +126,12 @@ def judge(stored: Record, expected: Message, tolerance: float, time: int | None 
     payload = encode(expected)
     if stored.payload == payload and (time is None or (stored.time == time and stored.published in {None, time})):
         return None
-    found = {name: (was, should) for name, was, should in differing_fields(stored.message, expected, tolerance)}
-    for name in (*(_CAUSES_FIRST if isinstance(expected, AgentState) else ("step",)), *found):
-        if name in found:
-            return Difference.of(expected, name, *found[name])
+    order = _CAUSES_FIRST if isinstance(expected, ROBOT_STATES) else ("step",)
+    places = {name: place for place, name in enumerate(order)}
+    found = differing_fields(stored.message, expected, tolerance)
+    first = min(found, key=lambda each: places.get(component_of(each[0])[0], len(places)), default=None)
+    if first is not None:
+        return Difference.of(expected, *first)
     if time is not None and stored.time != time:
         return Difference.of(expected, LOG_TIME, stored.time, time)
     if time is not None and stored.published not in {None, time}:
@@ -143,11 +156,11 @@ def surplus(stored: Record, step: int, reason: str) -> Difference:
     """Return the difference for a message that is not expected among those of a step."""
     message = stored.message
     found = Difference.of(message, MESSAGE, message._asdict(), None, reason)._replace(step=step)
-    return found._replace(agent=message.agent_id) if isinstance(message, AgentState) else found  # even if it is 0
+    return found._replace(agent=message.agent_id) if isinstance(message, ROBOT_STATES) else found  # even if it is 0
 
 
 def in_hex(payload: bytes) -> str:
-    """Return bytes in hexadecimal, shortened if they exceed every message of a swarm."""
+    """Return bytes in hexadecimal, shortened if they are many."""
     return payload.hex() if len(payload) <= _LONGEST else f"{payload[:_LONGEST].hex()}... ({len(payload)} bytes)"
 
 

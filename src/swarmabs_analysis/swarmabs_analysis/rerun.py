@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.recording import RecordedStep
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.membership import Change
     from swarmabs_run.run import Outcome
 
@@ -55,7 +55,7 @@ class RepeatableRun:
     """
 
     bag: Path
-    scenario: Scenario
+    scenario: AnyScenario
     digest: str | None
     last_step: int
     complete: bool
@@ -189,7 +189,7 @@ def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Ite
             )
 
 
-def _differences(provenance: Mapping[str, Any], scenario: Scenario) -> Iterator[str]:
+def _differences(provenance: Mapping[str, Any], scenario: AnyScenario) -> Iterator[str]:
     if not provenance:
         yield "the bag does not record its software versions: the digest may differ"
         return

@@ -25,10 +25,11 @@ from swarmabs_bag.realtime import RECORDED, realtime_world
 from swarmabs_config import configure
 from swarmabs_config.graph import REALTIME
 from swarmabs_config.model.errors import show
+from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import tree_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints
-from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+from swarmabs_core.messages import EVENTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
     from swarmabs_analysis.verification.base import Verification
     from swarmabs_bag.reader import BagReader
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
 
 DRIVERS = ("lockstep", "simulate", REALTIME.value)
 """The drivers, as recorded in the provenance, whose bags can be verified."""
@@ -60,7 +61,7 @@ class BagToVerify:
     def __init__(self, path: Path, *, namespace: str | None = None, scenario: str | None = None) -> None:
         self._bag = open_bag(path, namespace=namespace, damaged=True)
         supply_scenario(self._bag, scenario)
-        missing = [topic.name for topic in MAIN_TOPICS if topic not in self._bag.topics()]
+        missing = [topic.name for topic in self._bag.family.main if topic not in self._bag.topics()]
         if missing and not self._bag.problem:
             raise NotABagError(f"{self._bag.path} is not the bag of a swarm: it lacks {', '.join(missing)}")
         self.scenario, self._from_outside = _scenario(self._bag)
@@ -81,7 +82,7 @@ class BagToVerify:
         verification: Verification = (
             LockstepVerification(self.scenario, tolerance=tolerance)
             if self._realtime is None
-            else RealtimeVerification(self.scenario, self._realtime, tolerance=tolerance)
+            else RealtimeVerification(on_plane(self.scenario, "real time"), self._realtime, tolerance=tolerance)
         )
         found = verification.found
         found.bag, found.scenario = str(self._bag.path), self.scenario.name
@@ -115,7 +116,8 @@ class BagToVerify:
     def _follow(self, verification: Verification, on_step: Callable[[int], None] | None) -> str | None:
         """Feed the bag's messages to the verification until it is decided; return the damage of the file, if any."""
         try:
-            topics = RECORDED if self._realtime else (*MAIN_TOPICS, EVENTS)
+            family = self.scenario.family
+            topics = RECORDED if self._realtime else (*family.once, *family.main, EVENTS)
             for topic, time, published, payload in self._bag.published(topics):
                 verification.add(topic, time, payload, published)
                 if verification.decided:
@@ -168,7 +170,7 @@ def open_to_verify(
         return VerificationResult(str(path), problem=str(error))
 
 
-def _scenario(bag: BagReader) -> tuple[Scenario, tuple[str, ...]]:
+def _scenario(bag: BagReader) -> tuple[AnyScenario, tuple[str, ...]]:
     """Return the scenario of a bag, and a note on requests from outside, which cannot be recomputed."""
     if bag.problem is not None and bag.attachment(SCENARIO_FILE) is None:
         raise DamagedBagError(f"{bag.path}: {bag.problem}; its scenario is lost with its end")

@@ -9,20 +9,25 @@ from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from swarmabs_bag.attached import event_time, is_realtime
+from swarmabs_bag.attached import description_of, event_time, is_realtime
 from swarmabs_bag.bag_summary import desired_angle, summarise_bag
 from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
 from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.recording import digest_head
-from swarmabs_core.arrays import LAYOUT, PADDING, RunArrays, Tables, run_arrays, run_event, table
-from swarmabs_core.cdr import ENCAPSULATION, FRAME
-from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, SwarmEvent, Topic
+from swarmabs_core.arrays import LAYOUT, LENGTH, PADDING, RunArrays, Tables, layout_of, run_arrays, run_event
+from swarmabs_core.cdr import ENCAPSULATION, FRAME, lengths_of
+from swarmabs_core.messages import EVENTS, ROBOT_STATES, SwarmEvent, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from swarmabs_core.systems import SystemTables
 
 MOST_ABSENT = 50_000_000
 """Most entries of an array (steps, agents) beyond four times the number of messages."""
@@ -44,7 +49,7 @@ def load_arrays(
     damaged: bool = False,
     stride: int = 1,
     every: int | None = None,
-) -> RunArrays:
+) -> RunArrays | Any:  # SystemArrays if the parent system is not the plane
     """Load a bag: a run folder, its ``bag/``, or an MCAP file.
 
     Parameters
@@ -72,13 +77,17 @@ def load_arrays(
 
 
 class LoadedMessages(NamedTuple):
-    """Messages of the main topics as rows of structured arrays, and the events, each in the order of the file."""
+    """Messages of the main topics as rows of structured arrays, and the events, each in the order of the file.
+
+    `description` is that of the parent system, None for the plane.
+    """
 
     tables: dict[Topic, NDArray[np.void]]
     events: tuple[SwarmEvent, ...]
+    description: SystemTables | None
 
 
-def arrays_since(bag: BagReader, messages: LoadedMessages) -> tuple[RunArrays, float]:
+def arrays_since(bag: BagReader, messages: LoadedMessages) -> tuple[RunArrays | Any, float]:
     """Arrange the messages of a bag by step; also return the start of the time axis, s."""
     time = event_time(bag)
     arrays = run_arrays(
@@ -86,6 +95,7 @@ def arrays_since(bag: BagReader, messages: LoadedMessages) -> tuple[RunArrays, f
         reference=desired_angle(bag),
         events=[run_event(event, time(event)) for event in messages.events],
         figures=partial(summarise_bag, bag.path, bag.namespace),
+        description=messages.description,
     )
     if not is_realtime(bag) or not len(arrays.time):
         return arrays, 0.0
@@ -99,14 +109,17 @@ def load_messages(bag: BagReader, *, stride: int = 1) -> LoadedMessages:
 
     A bag without its end may lack topics.
     """
-    missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
+    family = bag.family
+    missing = [topic.name for topic in (*family.main, *family.once) if topic not in bag.topics()]
     if missing and not bag.problem:
         raise NotABagError(f"{bag.path} is not the bag of a swarm: it lacks {', '.join(missing)}")
-    _check_memory(bag, stride)
-    sizes = {topic: layout.itemsize for topic, layout in LAYOUT.items()}
-    gathered = {topic: bytearray() for topic in MAIN_TOPICS}
+    firsts = {topic: _first(bag, topic) for topic in family.main}
+    layouts = {topic: layout_of(topic, first) for topic, first in firsts.items()}
+    sizes = {topic: layout.itemsize for topic, layout in layouts.items()}
+    _check_memory(bag, sizes, stride)
+    gathered = {topic: bytearray() for topic in family.main}
     events: list[tuple[Topic, int, bytes]] = []
-    for topic, log_time, payload in bag.messages((*MAIN_TOPICS, EVENTS)):
+    for topic, log_time, payload in bag.messages((*family.main, EVENTS)):
         if topic is EVENTS:
             events.append((topic, log_time, payload))
             continue
@@ -118,17 +131,21 @@ def load_messages(bag: BagReader, *, stride: int = 1) -> LoadedMessages:
             )
         if stride == 1 or _STEP.unpack_from(payload)[0] % stride == 0:
             gathered[topic] += payload[:size]
-    tables = {topic: table(topic, data) for topic, data in gathered.items()}
+    tables = {topic: np.frombuffer(data, dtype=layouts[topic]) for topic, data in gathered.items()}
     for topic, rows in tables.items():
-        _check_heads(bag, topic, rows)
+        _check_heads(bag, topic, rows, lengths_of(topic.message, firsts[topic]))
     _check_density(bag, tables)
-    return LoadedMessages(tables, tuple(event for _, _, event in bag.decode(events) if isinstance(event, SwarmEvent)))
+    found = tuple(event for _, _, event in bag.decode(events) if isinstance(event, SwarmEvent))
+    return LoadedMessages(tables, found, description_of(bag) if family.once else None)
 
 
-def _check_memory(bag: BagReader, stride: int) -> None:
-    size = sum(
-        LAYOUT[channel.topic].itemsize * channel.message_count for channel in bag.channels if channel.topic in LAYOUT
-    )
+def _first(bag: BagReader, topic: Topic) -> bytes:
+    """Return the first payload of a topic, from which the lengths of its lists follow; empty if it has no lists."""
+    return b"" if topic in LAYOUT else next((record.payload for record in bag.records((topic,))), b"")
+
+
+def _check_memory(bag: BagReader, sizes: Mapping[Topic, int], stride: int) -> None:
+    size = sum(sizes.get(channel.topic, 0) * channel.message_count for channel in bag.channels if channel.topic)
     events = sum(channel.message_count for channel in bag.channels if channel.topic is EVENTS)
     needed, available = int(_MEMORY_FACTOR * size / stride) + events * _EVENT_BYTES, available_memory()
     if needed > available:
@@ -139,9 +156,13 @@ def _check_memory(bag: BagReader, stride: int) -> None:
         )
 
 
-def _check_heads(bag: BagReader, topic: Topic, table: NDArray[np.void]) -> None:
-    for field, value in (("encapsulation", ENCAPSULATION), ("frame", FRAME)):
-        wrong = np.flatnonzero(table[field] != np.void(value))
+def _check_heads(bag: BagReader, topic: Topic, table: NDArray[np.void], lengths: tuple[int, ...]) -> None:
+    heads: dict[str, Any] = {"encapsulation": np.void(ENCAPSULATION), "frame": np.void(FRAME)}
+    names = table.dtype.names or ()
+    heads |= zip((name for name in names if name.startswith(LENGTH)), lengths, strict=True)
+    heads |= {name: table[name][:1] for name in names if name == "system"}
+    for field, value in heads.items():
+        wrong = np.flatnonzero(table[field] != value)
         if len(wrong):
             raise DamagedBagError(
                 f"{bag.path}: /{topic.name}, message {wrong[0] + 1}: its {field} is not that of a swarm's message"
@@ -153,7 +174,7 @@ def _check_heads(bag: BagReader, topic: Topic, table: NDArray[np.void]) -> None:
 def _check_density(bag: BagReader, tables: Tables) -> None:
     """Raise an error for a bag whose arrays would be far larger than its messages."""
     steps = len(np.unique(np.concatenate([table["step"] for table in tables.values()])))
-    states = tables[AGENT_STATE]
+    states = next(table for topic, table in tables.items() if topic.message in ROBOT_STATES)
     agents = len(np.unique(states["agent_id"]))
     if steps * agents > MOST_ABSENT + 4 * len(states):
         raise DamagedBagError(
@@ -167,12 +188,12 @@ def digest_of(tables: Tables) -> str:
     Padding counts as 0, because the digest covers canonical payloads.
     """
     found = sha256()
-    topics = sorted(MAIN_TOPICS, key=lambda topic: topic.name)
+    topics = sorted(tables, key=lambda topic: topic.name)
     steps = np.unique(np.concatenate([tables[topic]["step"] for topic in topics]))
     parts = []
     for topic in topics:
         rows = tables[topic]
-        keys = (rows["agent_id"], rows["step"]) if topic is AGENT_STATE else (rows["step"],)
+        keys = (rows["agent_id"], rows["step"]) if topic.message in ROBOT_STATES else (rows["step"],)
         rows = rows[np.lexsort(keys)]  # a copy
         for field in rows.dtype.names or ():
             if field.startswith(PADDING):

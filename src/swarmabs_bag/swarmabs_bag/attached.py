@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.reader import BagReader, open_bag
+from swarmabs_config.configure import plugins
 from swarmabs_config.graph import REALTIME
 from swarmabs_config.scenario import dump_scenario, parse_scenario
 from swarmabs_config.scenario.steered import as_planned
 from swarmabs_config.scenarios import find_scenario, names_bag
-from swarmabs_core.controllers import CONTROLLERS
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, MalformedMessageError
 from swarmabs_core.fingerprint import libm_fingerprint
-from swarmabs_core.messages import BASIS, EVENTS, SwarmEvent
-from swarmabs_core.swarm_law import LAWS
+from swarmabs_core.messages import BASIS, EVENTS, SYSTEM, SwarmEvent, SystemDescription
+from swarmabs_core.systems import SystemTables
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
 
 SCENARIO_FILE = "scenario.yaml"
 """Name of the attachment with the resolved scenario."""
@@ -53,14 +53,14 @@ def versions() -> dict[str, str]:
     return found
 
 
-def plugin_versions(scenario: Scenario) -> dict[str, str]:
-    """Return the versions of the packages that provide the scenario's parent controller and swarm law."""
-    packages = (CONTROLLERS.package(scenario.controller.type), LAWS.package(scenario.swarm.law.type))
+def plugin_versions(scenario: AnyScenario) -> dict[str, str]:
+    """Return the versions of the packages that provide the scenario's parent system, its controller and swarm law."""
+    packages = [registry.package(name) for registry, name in plugins(scenario)]
     return dict(package for package in packages if package is not None)
 
 
 def provenance(
-    scenario: Scenario,
+    scenario: AnyScenario,
     *,
     driver: str,
     replay: Mapping[str, object] | None = None,
@@ -97,13 +97,13 @@ def provenance(
     return own if replay is None else own | {"replay": dict(replay)}
 
 
-def attachments(scenario: Scenario, made: Mapping[str, object]) -> dict[str, bytes]:
+def attachments(scenario: AnyScenario, made: Mapping[str, object]) -> dict[str, bytes]:
     """Return the attachments of a new bag: the scenario and its `provenance`."""
     text = json.dumps(made, indent=2, sort_keys=True)
     return {SCENARIO_FILE: dump_scenario(scenario).encode(), PROVENANCE_FILE: text.encode() + b"\n"}
 
 
-def scenario_of(named: str, overrides: Sequence[str] = ()) -> Scenario:
+def scenario_of(named: str, overrides: Sequence[str] = ()) -> Any:
     """Load a scenario given by a user: a built-in one, a YAML file, or that of a bag.
 
     Raises
@@ -131,7 +131,7 @@ def supply_scenario(bag: BagReader, named: str | None) -> None:
     bag.supplied[SCENARIO_FILE] = dump_scenario(find_scenario(named).resolved()).encode()
 
 
-def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered: bool = True) -> Scenario:
+def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered: bool = True) -> Any:
     """Return the scenario of a bag; several swarms must share it.
 
     For a steered run, it includes all requests as planned faults, so that the recorded run follows from it. With
@@ -177,7 +177,7 @@ def step_period(bag: BagReader) -> int | None:
     if is_realtime(bag):
         return None
     try:
-        return attached_scenario(bag, steered=False).step_ns
+        return int(attached_scenario(bag, steered=False).step_ns)
     except (InputError, DamagedBagError):
         return None
 
@@ -186,6 +186,20 @@ def event_time(bag: BagReader) -> Callable[[SwarmEvent], float]:
     """Return a function from an event to its time (s): that of its step or, without a period, of its stamp."""
     period = step_period(bag)
     return lambda event: (event.stamp if period is None else event.step * period) / 1e9
+
+
+def description_of(bag: BagReader) -> SystemTables:
+    """Return the names and units of a bag's parent system, whose package need not be installed.
+
+    Raises `DamagedBagError` if they are missing or damaged.
+    """
+    for _, _, message in bag.decoded((SYSTEM,)):
+        if isinstance(message, SystemDescription):
+            try:
+                return SystemTables.read(message.description)
+            except MalformedMessageError as error:
+                raise DamagedBagError(f"{bag.path}: {error}") from error
+    raise DamagedBagError(f"{bag.path} does not describe its parent system: it has no message on /{SYSTEM.name}")
 
 
 def is_realtime(bag: BagReader) -> bool:

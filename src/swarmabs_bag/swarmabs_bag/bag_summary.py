@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import nan
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.attached import attached_scenario, is_realtime
+from swarmabs_bag.attached import attached_scenario, description_of, is_realtime
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.figures import RunFigures
+from swarmabs_bag.figures import PLANE_TRACKING, RunFigures, Tracking
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import law_begins, realtime_figures
 from swarmabs_bag.steps import DisorderError, recorded_steps
@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_bag.reader import BagReader
-    from swarmabs_config.scenario import Scenario
 
 
-def desired_angle(bag: BagReader) -> Callable[[int], float]:
-    """Return the desired angle (rad) of a bag's run as a function of the step, including offsets.
+def desired_angle(bag: BagReader) -> Callable[[int], Any]:
+    """Return the desired angle (rad), or the wanted values of another parent system, of a bag's run at a step.
+
+    It includes the offsets of the angle.
 
     It is NaN if the bag has no valid scenario, and in real time at steps without an answer of the parent controller.
     """
@@ -53,7 +54,9 @@ def summarise_bag(path: Path, namespace: str | None) -> dict[str, Any]:
     scenario = _scenario(bag)
     if scenario is not None and is_realtime(bag):
         return realtime_figures(bag, scenario).summary()
-    figures = RunFigures((lambda _: nan) if scenario is None else configure.reference(scenario))
+    tracking = Tracking.of(description_of(bag)) if bag.family.once else PLANE_TRACKING
+    unknown = (nan,) * len(tracking.followed)
+    figures = RunFigures((lambda _: unknown) if scenario is None else configure.reference(scenario), tracking)
     try:
         for step in recorded_steps(bag.records(), str(path), realtime=is_realtime(bag)):
             figures.add(step)
@@ -62,7 +65,7 @@ def summarise_bag(path: Path, namespace: str | None) -> dict[str, Any]:
     return figures.summary() | ({"digest": None} if is_realtime(bag) else {})
 
 
-def _scenario(bag: BagReader) -> Scenario | None:
+def _scenario(bag: BagReader) -> Any:
     try:
         return attached_scenario(bag)
     except (InputError, DamagedBagError):

@@ -30,6 +30,12 @@ READABLE = {
     ),
     "swarmabs_msgs/msg/SwarmEvent": ("RIHS01_fed027d673123455049e51599995fd5dc6fefa15802f457c22ec5640bc24a2ae",),
     "swarmabs_msgs/msg/Basis": ("RIHS01_1251f0667986052e75e8fc930c843c888e9779334f8dbb913468a7921d9366b7",),
+    "swarmabs_msgs/msg/RobotState": ("RIHS01_9a85044d40a2697251219c25b4b462ba33c5f507241274debae8e840be33170e",),
+    "swarmabs_msgs/msg/ParentState": ("RIHS01_bac92cfe9f90d7848e4e8a720037fb9f95740f5e51e1ec1746ea217b120ec9c3",),
+    "swarmabs_msgs/msg/SwarmAbstract": ("RIHS01_87004a96dcc261a8d4e62518df2b55f181ea05a7064370e042667518dc5069aa",),
+    "swarmabs_msgs/msg/SwarmAuxiliary": ("RIHS01_363d152a03bdafcf03ef68aef9f060871e0a9e4de0bae31cebf5f86e7fd6f6c5",),
+    "swarmabs_msgs/msg/SwarmDesired": ("RIHS01_14d4547108eaf7c9e58e558e9472aa0e2e82784160f1a0cf59ee18e36f6a445f",),
+    "swarmabs_msgs/msg/SystemDescription": ("RIHS01_f2899023e8687bf5f9b1a866527ee09a370eb818ec831ed10a4d4e4217d2804c",),
 }
 """Hashes of the recorded types, the current one last. None is ever removed (docs/reference/compatibility.md)."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_core.messages import Kind
+from swarmabs_core.messages import RobotKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -33,7 +33,11 @@ ABSENT = "#888888"
 
 ROBOTS = (DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR, TORQUE, INERTIA)
 """The first four robots, where each has its own colour instead of that of its kind."""
-KINDS: Mapping[Kind, str] = {Kind.SINGLE_INTEGRATOR: SINGLE_INTEGRATOR, Kind.DOUBLE_INTEGRATOR: DOUBLE_INTEGRATOR}
+KINDS: Mapping[int, str] = {
+    RobotKind.SINGLE_INTEGRATOR: SINGLE_INTEGRATOR,
+    RobotKind.DOUBLE_INTEGRATOR: DOUBLE_INTEGRATOR,
+    RobotKind.FIRST_ORDER_LAG: INERTIA,
+}
 
 
 def parts(colour: str) -> tuple[float, float, float]:

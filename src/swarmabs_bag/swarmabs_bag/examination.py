@@ -24,7 +24,7 @@ from swarmabs_config.scenario import ScenarioError
 from swarmabs_config.scenario.text_file import read_text
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Membership, Span
-from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, AgentState, Status, SwarmEvent
+from swarmabs_core.messages import ROBOT_STATES, Status, SwarmEvent
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -223,23 +223,23 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
         if is_realtime(bag):  # steps may lack messages
             return None
         scenario = attached_scenario(bag, steered=False)
-        members = configure.members(scenario)
+        members, family = configure.members(scenario), bag.family
         membership = Membership(members, configure.schedule(scenario))
         found: dict[tuple[Topic, int], _Spans] = {}
         for topic, _, message in bag.decoded():
             if isinstance(message, SwarmEvent):
                 membership.apply(message.kind, message.agent_id, message.step, message.detail)
                 continue
-            agent = message.agent_id if isinstance(message, AgentState) else 0
+            agent = message.agent_id if isinstance(message, ROBOT_STATES) else 0
             found.setdefault((topic, agent), _Spans()).add(message.step)
-            if isinstance(message, AgentState) and message.status == Status.LEFT and agent in membership:
+            if agent and agent in membership and getattr(message, "status", None) == Status.LEFT:
                 membership.end(agent, message.step, stays=False, reason="left")
     except (DamagedBagError, InputError):
         return None
 
     def first_missing(topic: Topic, start: int) -> int:
         missing = []
-        for agent in members if topic is AGENT_STATE else (0,):
+        for agent in members if topic is family.robot else (0,):
             span = membership.span(agent) if agent else Span()
             last = scenario.steps if span.last is None else min(span.last, scenario.steps)
             step = found.get((topic, agent), _Spans()).first_missing(max(span.first, start))
@@ -247,9 +247,9 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
         return min(missing)
 
     # The file may begin within a step, which then does not count as the first.
-    first = max((spans.first for (topic, _), spans in found.items() if topic is not AGENT_STATE), default=0)
-    first += first_missing(AGENT_STATE, first) == first and first_missing(AGENT_STATE, first + 1) > first + 1
-    last = {topic: first_missing(topic, first) - 1 for topic in MAIN_TOPICS}
+    first = max((spans.first for (topic, _), spans in found.items() if topic is not family.robot), default=0)
+    first += first_missing(family.robot, first) == first and first_missing(family.robot, first + 1) > first + 1
+    last = {topic: first_missing(topic, first) - 1 for topic in family.main}
     names = {channel.topic: channel.name for channel in bag.channels if channel.topic is not None}
     by_topic = {names[topic]: step for topic, step in last.items() if topic in names}
     return RecordedSteps(scenario.steps, first, min(last.values()), by_topic)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from math import isfinite
+from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.recording import Digest
+from swarmabs_config.scenario import SystemScenario
 from swarmabs_core.desired_state import fallen
 from swarmabs_core.messages import (
     MAIN_TOPICS,
@@ -24,10 +25,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_bag.recording import Step
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.record import Record
+    from swarmabs_core.systems.interface import ParentSystem, SystemTables, Vector
 
-    Reference = Callable[[float], float]
+    Reference = Callable[[float], float | Vector]
 
 TOLERANCE = 0.01
 """Error below which the plane counts as settled, rad."""
@@ -37,8 +40,36 @@ _ANSWERED = 10
 """Steps without such an answer after which the plane's angle is reported without an error."""
 
 
+class Tracking(NamedTuple):
+    """What of the parent's state follows the reference: indices, errors below which the numbers count as settled.
+
+    The first of them, or else of the state, is the number to show, with its name and unit.
+    """
+
+    followed: tuple[int, ...] = (0,)
+    tolerances: tuple[float, ...] = (TOLERANCE,)
+    name: str = "angle"
+    unit: str = "rad"
+
+    @classmethod
+    def of(cls, system: ParentSystem | SystemTables) -> Tracking:
+        """Return what a parent system tracks; if it tracks nothing, the first number of its state is shown."""
+        names = [quantity.name for quantity in system.parent]
+        followed = tuple(names.index(tracked.name) for tracked in system.tracked)
+        shown = system.parent[followed[0] if followed else 0]
+        return cls(followed, tuple(tracked.tolerance for tracked in system.tracked), shown.name, shown.unit)
+
+
+PLANE_TRACKING = Tracking()
+
+
+def tracking_of(scenario: AnyScenario) -> Tracking:
+    """Return what the parent system of a scenario tracks."""
+    return Tracking.of(scenario.named.made) if isinstance(scenario, SystemScenario) else PLANE_TRACKING
+
+
 class Latest(NamedTuple):
-    """The latest angle and its error, rad; the error is None without a reference."""
+    """The latest angle of the plane, or number to show of another parent, and its error; None without a reference."""
 
     step: int
     angle: float
@@ -51,7 +82,10 @@ class Figures:
     Parameters
     ----------
     reference : callable
-        Reference of the plane's angle (rad) at a time (s), in real time that of the law.
+        Reference of the plane's angle (rad), or of all that another parent tracks, at a time (s), in real time that of
+        the law.
+    tracking : Tracking
+        What the parent tracks.
 
     Attributes
     ----------
@@ -59,7 +93,8 @@ class Figures:
         The newest step, -1 before the first.
     """
 
-    def __init__(self, reference: Reference) -> None:
+    def __init__(self, reference: Reference, tracking: Tracking = PLANE_TRACKING) -> None:
+        self.tracking = tracking
         self._reference = reference
         self._settled_at: float | None = None
         self._error: float | None = None
@@ -72,25 +107,33 @@ class Figures:
 
     @property
     def latest(self) -> Latest | None:
-        """The latest angle and error."""
+        """The latest angle, or number to show, and its error."""
         return self._latest
 
     def reach(self, distance: float) -> None:
-        """Record the distance of a robot from the axis, m."""
+        """Record a coordinate of a robot without its sign: on the plane its distance from the axis, m."""
         if self._max_abs_position is None or not distance <= self._max_abs_position:
             self._max_abs_position = distance  # even if it is NaN
 
-    def follow(self, step: int, time: float, angle: float) -> None:
-        """Compare the plane's angle (rad) at a step with the reference at a time (s)."""
-        error = self._reference(time) - angle
-        if not abs(error) < TOLERANCE:  # NaN does not count as small
+    def follow(self, step: int, time: float, state: Vector) -> None:
+        """Compare the parent's state, on the plane its angle (rad), at a step with the reference at a time (s).
+
+        The error of several numbers is the Euclidean norm of their errors.
+        """
+        followed, tolerances, *_ = self.tracking
+        wanted = self._reference(time)
+        wanted = wanted if isinstance(wanted, tuple) else (wanted,)
+        errors = [value - state[place] for value, place in zip(wanted, followed, strict=True)]
+        if not errors or not all(map(_within, errors, tolerances)):
             self._settled_at = None
         elif self._settled_at is None:
             self._settled_at = time
+        error = errors[0] if len(errors) == 1 else sqrt(sum(each * each for each in errors)) if errors else None
         self._error = error
-        self._squares += error * error
-        self._steps += 1
-        self._latest = Latest(step, angle, error)
+        if error is not None:
+            self._squares += error * error
+            self._steps += 1
+        self._latest = Latest(step, state[followed[0] if followed else 0], error)
         self.newest = max(self.newest, step)
 
     def figures(self) -> dict[str, float | int | None]:
@@ -105,6 +148,10 @@ class Figures:
         }
 
 
+def _within(error: float, tolerance: float) -> bool:
+    return abs(error) < tolerance  # NaN is not
+
+
 def _finite(value: float | None) -> float | None:
     return value if value is not None and isfinite(value) else None
 
@@ -112,8 +159,8 @@ def _finite(value: float | None) -> float | None:
 class RunFigures(Figures):
     """Digest and figures of a run with ordered steps."""
 
-    def __init__(self, reference: Reference) -> None:
-        super().__init__(reference)
+    def __init__(self, reference: Reference, tracking: Tracking = PLANE_TRACKING) -> None:
+        super().__init__(reference, tracking)
         self._digest = Digest()
 
     def add(self, step: Step) -> None:
@@ -122,8 +169,10 @@ class RunFigures(Figures):
         self._messages += step.messages
         if step.max_abs_position is not None:
             self.reach(step.max_abs_position)
-        if step.plane is not None:
-            self.follow(step.plane.step, step.plane.stamp / 1e9, step.plane.angle)
+        parent = step.parent
+        if parent is not None:
+            state = (parent.angle,) if isinstance(parent, PlaneState) else parent.state
+            self.follow(parent.step, parent.stamp / 1e9, state)
 
     def digest(self) -> str:
         """Return the digest of the steps so far."""
@@ -213,7 +262,7 @@ class RealtimeFigures(Figures):
         """Compare the plane's angle with the reference once both angle and time of the law are known."""
         if step in self._angles and step in self._begun:
             periods = step - self._begun.pop(step)
-            self.follow(step, periods * self._schedule.period_ns / 1e9, self._angles.pop(step))
+            self.follow(step, periods * self._schedule.period_ns / 1e9, (self._angles.pop(step),))
         for waiting in (self._angles, self._begun):
             while len(waiting) > _PENDING:
                 del waiting[next(iter(waiting))]

@@ -19,6 +19,7 @@ from swarmabs_bag.metadata import ABORTED_KEY, custom_texts, load_yaml
 from swarmabs_bag.run_folder import SUFFIX, find_bag, missing_files, split_files
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.messages import FAMILIES, PLANE_FAMILY
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.metadata import BagChannel
     from swarmabs_bag.records import StoredMessage
-    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.messages import Family, Message, Topic
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """First bytes of a zstd frame; CDR payloads begin with a zero."""
@@ -89,6 +90,11 @@ class BagReader:
     def topics(self) -> tuple[Topic, ...]:
         """Return the topics of the swarm in the bag."""
         return tuple(channel.topic for channel in self.channels if channel.topic is not None)
+
+    @property
+    def family(self) -> Family:
+        """The topics of its run: those of a swarm on the plane unless it has others."""
+        return next((each for each in FAMILIES if set(each.main) & set(self.topics())), PLANE_FAMILY)
 
     def stored_messages(self) -> Iterator[tuple[BagChannel, StoredMessage]]:
         """Yield every message of the bag in file order, including those on topics outside of the swarm."""

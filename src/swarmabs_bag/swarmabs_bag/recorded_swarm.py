@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
 import numpy as np
 
@@ -16,36 +16,44 @@ from swarmabs_bag.swarm_state import (
     STATUS_NAMES,
     STATUSES,
     Instant,
+    InstantT,
     RobotHistory,
     ShownRobot,
+    ShownSystemRobot,
+    ShownT,
+    SystemInstant,
     TimedEvent,
+    finites,
     instant_of,
     is_silent,
     shown_robot,
+    shown_system_robot,
 )
 from swarmabs_core.arrays import MessageArrays
 from swarmabs_core.messages import (
-    AGENT_STATE,
-    NEVER,
-    PLANE_STATE,
+    PLANE_FAMILY,
+    SYSTEM_FAMILY,
     AbstractState,
-    AgentState,
     DesiredAbstractState,
+    Family,
     Kind,
     PlaneState,
+    RobotKind,
     Status,
     SwarmEvent,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.swarm_state import Members, RobotStatus
-    from swarmabs_config.scenario import Scenario
-    from swarmabs_core.arrays import RunArrays, Tables
+    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.arrays import RunArrays, SystemArrays, Tables
+    from swarmabs_core.systems import SystemTables
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
@@ -56,15 +64,19 @@ _DRAWABLE = 1e100
 
 
 @dataclass(frozen=True)
-class RecordedSwarm:
+class _Recorded(Generic[InstantT, ShownT]):
     """A swarm read from its bag, how the run ended, and its namespace if there are several.
 
     Values that cannot be drawn, such as infinity, are NaN in the arrays.
     """
 
+    family: ClassVar[Family]
+    _coordinates: ClassVar[str]
+    _robot: ClassVar[Callable[..., Any]]
+
     bag: Path
-    scenario: Scenario
-    arrays: RunArrays
+    scenario: Any
+    arrays: Any
     events: tuple[SwarmEvent, ...]
     status: str
     reason: str | None
@@ -85,31 +97,24 @@ class RecordedSwarm:
 
     def time_of(self, event: SwarmEvent) -> float:
         """Return the time of an event's step, s, because the clock of its sender may be wrong."""
-        return event.step * self.scenario.period
+        return event.step * float(self.scenario.period)
 
     def timed_events(self) -> list[TimedEvent]:
         """Return all events with their times."""
         return [TimedEvent(event, self.time_of(event)) for event in self.events]
 
-    def instant(self, row: int) -> Instant:
+    def instant(self, row: int) -> InstantT:
         """Return the state of the swarm to show at a row of the arrays."""
-        arrays, time = self.arrays, float(self.arrays.time[row])
-        stamp, step = round(time * 1e9), int(arrays.step[row])
-        return instant_of(
-            PlaneState(stamp, step, float(arrays.angle[row]), float(arrays.angular_velocity[row])),
-            AbstractState(stamp, step, *_fields(AbstractState, arrays.abstract, row)),
-            DesiredAbstractState(stamp, step, *_fields(DesiredAbstractState, arrays.desired, row)),
-            time=time,
-            reference=float(arrays.reference[row]),
-        )
+        raise NotImplementedError
 
-    def shown_robots(self, row: int) -> list[ShownRobot]:
+    def shown_robots(self, row: int) -> list[ShownT]:
         """Return the states of the robots to show at a row, in the order of the scenario."""
-        step, latest = int(self.arrays.step[row]), self._latest[row]
-        return [
-            shown_robot(self.timeline.out(agent.id, step), self._state(column, latest), step)
-            for agent, column in zip(self.scenario.agents, self._columns, strict=True)
-        ]
+        step, timeline = int(self.arrays.step[row]), self.timeline
+        shown = []
+        for agent, column in zip(self.scenario.agents, self._columns, strict=True):
+            last = int(np.searchsorted(self.arrays.step, timeline.last_step(agent.id, step), side="right")) - 1
+            shown.append(self._robot(timeline.out(agent.id, step), self._state(column, last), step))
+        return shown
 
     def members(self, row: int) -> Members:
         """Return the robots that take part at a row."""
@@ -121,13 +126,8 @@ class RecordedSwarm:
 
     @property
     def on_plane(self) -> Flags:
-        """Which robots are on the plane at each row, (n+1, N)."""
+        """Which robots act on the parent at each row, (n+1, N): on the plane, those that are on it."""
         return self._membership[1]
-
-    @property
-    def positions(self) -> Floats:
-        """Positions of the robots, m, (n+1, N): of a dead robot that of its event; NaN for robots not on the plane."""
-        return self._membership[2]
 
     @cached_property
     def _membership(self) -> tuple[NDArray[np.int8], Flags, Floats]:
@@ -135,8 +135,8 @@ class RecordedSwarm:
         step, agents = self.arrays.step, self.arrays.agents
         columns = np.arange(len(agents.ids))
         said = agents.status[self._latest, columns]
-        place = np.array(agents.position[self._latest, columns])
-        codes = np.full(place.shape, -1, dtype=np.int8)
+        place = np.array(getattr(agents, self._coordinates)[self._latest, columns])
+        codes = np.full(place.shape[:2], -1, dtype=np.int8)
         for known, name in STATUS_NAMES.items():
             codes[said == known] = STATUSES.index(name)
         codes[is_silent(step[self._latest], step[:, None])] = STATUSES.index("silent")
@@ -146,13 +146,14 @@ class RecordedSwarm:
         there = (self._latest >= 0) & ~((said == Status.LEFT) & (self._latest < np.arange(len(self))[:, None]))
         for column, robot in enumerate(agents.ids.tolist()):
             changes = self.timeline.changes(robot)
-            begins = [int(np.searchsorted(step, begin)) for begin, _ in changes]
+            begins: list[int] = [int(np.searchsorted(step, begin)) for begin, _ in changes]
             for (_, out), begin, end in zip(changes, begins, [*begins, len(self)][1:], strict=True):
                 if out is not None and out.status != "absent":
                     codes[begin:end, column] = STATUSES.index(out.status)
                     there[begin:end, column] = out.status == "dead"
-                    place[begin:end, column] = out.place
-        return codes, there, np.where(there, place, np.nan)
+                    place[begin:end, column] = out.place if place.ndim == 2 else place[max(0, begin - 1), column]
+        place[~there] = np.nan
+        return codes, there, place
 
     @cached_property
     def _columns(self) -> list[int]:
@@ -168,22 +169,72 @@ class RecordedSwarm:
         rows = np.where(heard, np.arange(len(heard))[:, None], -1)
         return np.asarray(np.maximum.accumulate(rows, axis=0))
 
-    def _state(self, column: int, latest: Integers) -> AgentState | None:
-        """Return the latest state of a robot, or None."""
-        row = -1 if column < 0 else int(latest[column])
+    def _state(self, column: int, last: int) -> Any:
+        """Return the latest state of a robot up to a row, or None."""
+        row = -1 if min(column, last) < 0 else int(self._latest[last, column])
         if row < 0:
             return None
-        agents = self.arrays.agents
-        numbers = (agents.mass, agents.damping, agents.position, agents.velocity, agents.command)
-        return AgentState(
-            0,
-            int(self.arrays.step[row]),
-            NEVER,
-            int(agents.ids[column]),
-            int(agents.kind[row, column]),
-            int(agents.status[row, column]),
-            *(float(values[row, column]) for values in numbers),
+        agents: MessageArrays = self.arrays.agents
+        made: Any = self.family.robot.message
+        known = {name: column_of[row, column].tolist() for name, column_of in agents.items() if name != "ids"}
+        head = {name: 0 for name in made._fields if name not in known}  # these are not shown
+        return made(**known | head | {"step": int(self.arrays.step[row])})
+
+
+@dataclass(frozen=True)
+class RecordedSwarm(_Recorded[Instant, ShownRobot]):
+    """A swarm on the plane read from its bag."""
+
+    family = PLANE_FAMILY
+    _coordinates = "position"
+    _robot = staticmethod(shown_robot)
+
+    arrays: RunArrays
+
+    def instant(self, row: int) -> Instant:
+        """Return the state of the swarm to show at a row of the arrays."""
+        arrays, time = self.arrays, float(self.arrays.time[row])
+        stamp, step = round(time * 1e9), int(arrays.step[row])
+        return instant_of(
+            PlaneState(stamp, step, float(arrays.angle[row]), float(arrays.angular_velocity[row])),
+            AbstractState(stamp, step, *_fields(AbstractState, arrays.abstract, row)),
+            DesiredAbstractState(stamp, step, *_fields(DesiredAbstractState, arrays.desired, row)),
+            time=time,
+            reference=float(arrays.reference[row]),
         )
+
+    @property
+    def positions(self) -> Floats:
+        """Positions of the robots, m, (n+1, N): of a dead robot that of its event; NaN for robots not on the plane."""
+        return self._membership[2]
+
+
+@dataclass(frozen=True)
+class RecordedSystem(_Recorded[SystemInstant, ShownSystemRobot]):
+    """A swarm on any parent system read from its bag."""
+
+    family = SYSTEM_FAMILY
+    _coordinates = "coordinates"
+    _robot = staticmethod(shown_system_robot)
+
+    arrays: SystemArrays
+
+    @property
+    def tables(self) -> SystemTables:
+        """Names and units of the numbers."""
+        return self.arrays.description
+
+    def instant(self, row: int) -> SystemInstant:
+        """Return the state of the swarm to show at a row of the arrays."""
+        arrays, time = self.arrays, float(self.arrays.time[row])
+        vectors = (arrays.parent, arrays.reference, arrays.abstract.value, arrays.desired.value)
+        known = (finites(vector[row].tolist()) for vector in vectors)
+        return SystemInstant(int(arrays.step[row]), round(time * 1e9), time, *known)
+
+    @property
+    def coordinates(self) -> Floats:
+        """Coordinates of the robots, (n+1, N, d): of a dead robot its last ones; NaN for robots that do not act."""
+        return self._membership[2]
 
 
 def column_points(column: Integers, values: Floats) -> Integers:
@@ -205,8 +256,8 @@ def column_points(column: Integers, values: Floats) -> Integers:
     return np.unique(np.concatenate([begins, ends - 1, gaps, gaps + 1, np.array(extremes, dtype=np.int64)]))
 
 
-def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm:
-    """Read the swarm of a bag, of an incomplete one as far as possible.
+def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm | Any:
+    """Read the swarm of a bag, of an incomplete one as far as possible; a `RecordedSystem` unless it is on the plane.
 
     Raises `InputError` if it is not the bag of a swarm or contains no valid scenario, `DamagedBagError` if it cannot be
     read or contains a robot of unknown kind.
@@ -216,16 +267,18 @@ def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm:
     return recorded_swarm(bag, messages, arrays_since(bag, messages)[0])
 
 
-def recorded_swarm(bag: BagReader, messages: LoadedMessages, arrays: RunArrays) -> RecordedSwarm:
-    """Return the swarm of an open bag whose messages and arrays are loaded; errors as for `read_swarm`."""
+def recorded_swarm(bag: BagReader, messages: LoadedMessages, arrays: Any) -> RecordedSwarm | Any:
+    """Return the swarm of an open bag whose messages and arrays are loaded; as `read_swarm`."""
     scenario, tables = attached_scenario(bag), messages.tables
+    if scenario.family is not bag.family:
+        raise DamagedBagError(f"{bag.path} has no messages of the parent system of its scenario")
     _check_kinds(bag, tables)
     events = tuple(sorted(messages.events, key=lambda event: event.step))
     realtime = is_realtime(bag)
     if realtime:
         events = _since_first(events, tables)
-    status, reason = _ending(bag, scenario, None if realtime else len(tables[PLANE_STATE]))
-    return RecordedSwarm(
+    status, reason = _ending(bag, scenario, None if realtime else len(tables[bag.family.parent]))
+    return (RecordedSwarm if bag.family is PLANE_FAMILY else RecordedSystem)(
         bag=bag.path,
         scenario=scenario,
         arrays=_drawable(arrays),
@@ -243,8 +296,8 @@ def _name(bag: BagReader) -> str | None:
 
 
 def _check_kinds(bag: BagReader, tables: Tables) -> None:
-    states = tables[AGENT_STATE]
-    wrong = states[~np.isin(states["kind"], [kind.value for kind in Kind])]
+    states, kinds = tables[bag.family.robot], Kind if bag.family is PLANE_FAMILY else RobotKind
+    wrong = states[~np.isin(states["kind"], [kind.value for kind in kinds])]
     if len(wrong):
         first = wrong[0]
         raise DamagedBagError(
@@ -260,19 +313,20 @@ def _since_first(events: tuple[SwarmEvent, ...], tables: Tables) -> tuple[SwarmE
     return tuple(event._replace(stamp=max(0, event.stamp - first)) for event in events)
 
 
-def _ending(bag: BagReader, scenario: Scenario, states: int | None) -> tuple[str, str | None]:
+def _ending(bag: BagReader, scenario: AnyScenario, states: int | None) -> tuple[str, str | None]:
     """Return how the run ended; `states` is the number of plane states, None if steps may lack one."""
     if bag.problem is not None:
         return "damaged", f"the end of the bag is missing: {bag.problem}"
     reason = bag.aborted()
     if reason is not None:
         return ("interrupted" if reason.startswith("interrupted") else "failed"), reason
+    of = "plane" if bag.family is PLANE_FAMILY else "parent"
     if states is not None and states != scenario.steps + 1:
-        return "incomplete", f"{states} of {scenario.steps + 1} states of the plane are recorded"
+        return "incomplete", f"{states} of {scenario.steps + 1} states of the {of} are recorded"
     return "ok", None
 
 
-def _drawable(run: RunArrays) -> RunArrays:
+def _drawable(run: Any) -> Any:
     """Replace values that cannot be drawn with NaN."""
     found = {field.name: getattr(run, field.name) for field in fields(run)}
     groups = {name: value for name, value in found.items() if isinstance(value, MessageArrays)}

@@ -1,7 +1,7 @@
 """Collection of a run step by step: the order in which a recorder writes messages, and their digest.
 
-A run is complete when every message of the five main topics is present exactly once. Identical repeats are dropped;
-different ones are errors.
+A run is complete when every message of the five main topics of its family is present exactly once. Identical repeats
+are dropped; different ones are errors.
 """
 
 from __future__ import annotations
@@ -14,11 +14,16 @@ from swarmabs_core.behaviours.steering import Orders
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
     EVENTS,
-    MAIN_TOPICS,
-    PLANE_STATE,
+    FAMILIES,
+    PARENT_STATES,
+    PLANE_FAMILY,
+    ROBOT_STATES,
     Action,
     AgentState,
+    AnyParentState,
+    AnyRobotState,
     EventKind,
+    Family,
     Message,
     PlaneState,
     Status,
@@ -35,8 +40,7 @@ if TYPE_CHECKING:
 
     from swarmabs_core.membership import Change
 
-_COORDINATED = MAIN_TOPICS[1:]
-"""The main topics with one message per step."""
+_NOT_IN_DIGEST = {EVENTS, *(topic for family in FAMILIES for topic in family.once)}
 
 
 class Step(Protocol):
@@ -51,18 +55,18 @@ class Step(Protocol):
         """Number of messages."""
 
     @property
-    def plane(self) -> PlaneState | None:
-        """State of the plane; None for a late event of an earlier step."""
+    def parent(self) -> AnyParentState | None:
+        """State of the parent system; None for a late event of an earlier step."""
 
     @property
     def max_abs_position(self) -> float | None:
-        """Largest distance of a robot from the axis, m."""
+        """Largest absolute coordinate of a robot: on the plane, its distance from the axis, m."""
 
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
         """The events of the step."""
 
-    def states(self) -> Iterable[AgentState]:
+    def states(self) -> Iterable[AnyRobotState]:
         """Return the robots' states."""
 
     def digest_text(self) -> bytes:
@@ -80,7 +84,7 @@ def digest_head(topic: Topic, size: int) -> bytes:
 class RecordedStep(NamedTuple):
     """All records of a step, in the order of a bag.
 
-    ``time`` (ns) is that of the step, for steps without a state of the plane: a robot's clock may be wrong.
+    ``time`` (ns) is that of the step, for steps without a state of the parent: a robot's clock may be wrong.
     """
 
     step: int
@@ -93,14 +97,20 @@ class RecordedStep(NamedTuple):
         return len(self.records)
 
     @property
+    def parent(self) -> AnyParentState | None:
+        """State of the parent system; None for a late event of an earlier step."""
+        return next((r.message for r in self.records if isinstance(r.message, PARENT_STATES)), None)
+
+    @property
     def plane(self) -> PlaneState | None:
-        """State of the plane; None for a late event of an earlier step."""
-        return next((r.message for r in self.records if isinstance(r.message, PlaneState)), None)
+        """State of the plane, if it is the parent system."""
+        parent = self.parent
+        return parent if isinstance(parent, PlaneState) else None
 
     @property
     def max_abs_position(self) -> float | None:
-        """Largest distance of a robot from the axis, m."""
-        return max((abs(state.position) for state in self.states()), default=None)
+        """Largest absolute coordinate of a robot: on the plane, its distance from the axis, m."""
+        return max((abs(x) for state in self.states() for x in coordinates_of(state)), default=None)
 
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
@@ -109,21 +119,26 @@ class RecordedStep(NamedTuple):
             return ()
         return tuple(r.message for r in self.records if isinstance(r.message, SwarmEvent))
 
-    def states(self) -> Iterator[AgentState]:
+    def states(self) -> Iterator[AnyRobotState]:
         """Return the robots' states."""
-        return (r.message for r in self.records if isinstance(r.message, AgentState))
+        return (r.message for r in self.records if isinstance(r.message, ROBOT_STATES))
 
     def digest_text(self) -> bytes:
         """Return the contribution of the step to the digest of a run."""
-        main = [r for r in self.records if r.topic is not EVENTS]
+        main = [r for r in self.records if r.topic not in _NOT_IN_DIGEST]
         main.sort(key=lambda r: (r.topic.name, r.agent_id))
         return b"".join(digest_head(r.topic, len(r.payload)) + r.payload for r in main)
 
     def stored(self) -> Iterator[tuple[Topic, int, bytes]]:
         """Return topic, time (ns) and bytes of every message, in the order of a bag."""
-        plane = self.plane
-        time = plane.stamp if plane is not None else self.time
+        parent = self.parent
+        time = parent.stamp if parent is not None else self.time
         return ((r.topic, r.message.stamp if time is None else time, r.payload) for r in self.records)
+
+
+def coordinates_of(state: AnyRobotState) -> tuple[float, ...]:
+    """Return the coordinates of a robot; on the plane its position, m."""
+    return (state.position,) if isinstance(state, AgentState) else state.coordinates
 
 
 class Digest:
@@ -166,6 +181,8 @@ class RunCollector:
     steered : bool
         Whether the run is steerable. Then a step is complete only when its request is known and the events that
         announce it have arrived, so that everything recorded can be repeated.
+    family : Family
+        The topics of the run.
     """
 
     def __init__(
@@ -176,7 +193,10 @@ class RunCollector:
         *,
         memory: int = 250,
         steered: bool = False,
+        family: Family = PLANE_FAMILY,
     ) -> None:
+        self._family = family
+        self._each = len(family.main) - 1  # topics with one message per step
         self._membership = Membership(members, schedule)
         self._last_step = last_step
         self._memory = memory
@@ -216,7 +236,7 @@ class RunCollector:
         slot = self._slots.get(step)
         if slot is None:
             slot = self._slots[step] = _Slot()
-        if isinstance(message, AgentState):
+        if isinstance(message, ROBOT_STATES):
             self._add_agent(slot, record, message)
         elif isinstance(message, SwarmEvent):
             return self._add_event(slot, record, message)
@@ -239,7 +259,7 @@ class RunCollector:
                 self._settings[known.step] = REFERENCE if known.action == Action.REFERENCE else DISTURBANCE
         return found, self._complete()
 
-    def _add_agent(self, slot: _Slot, record: Record, state: AgentState) -> None:
+    def _add_agent(self, slot: _Slot, record: Record, state: AnyRobotState) -> None:
         agent_id = state.agent_id
         known = slot.agents.get(agent_id)
         if known is not None:
@@ -262,7 +282,7 @@ class RunCollector:
         if event.step < self._step:  # its step is already recorded, so the event follows late
             if self._is_void(event):
                 return []
-            return [RecordedStep(event.step, (record,), slot.main[PLANE_STATE].message.stamp)]
+            return [RecordedStep(event.step, (record,), slot.main[self._family.parent].message.stamp)]
         return self._complete()
 
     def missing(self) -> tuple[str, ...]:
@@ -270,9 +290,13 @@ class RunCollector:
         if self.finished:
             return ()
         slot = self._slots.get(self._step, _Slot())
-        topics = [topic.name for topic in _COORDINATED if topic not in slot.main]
+        topics = [topic.name for topic in self._coordinated() if topic not in slot.main]
         ordered = self._orders is None or self._step <= self._orders.known
         return (*(() if ordered else (STEERER,)), *(f"agent {i}" for i in self.missing_agents()), *topics)
+
+    def _coordinated(self) -> tuple[Topic, ...]:
+        """Return the topics with one message in the current step, in the order of a bag."""
+        return self._family.main[1:] if self._step else (*self._family.once, *self._family.main[1:])
 
     def missing_agents(self) -> tuple[int, ...]:
         """Return the robots whose state is missing in the current step."""
@@ -285,7 +309,9 @@ class RunCollector:
         steps = []
         while not self.finished and (slot := self._slots.get(self._step)) is not None:
             expected = self._membership.publishing(self._step)
-            if len(slot.main) < len(_COORDINATED) or any(i not in slot.agents for i in expected):
+            if len(slot.main) < self._each + (0 if self._step else len(self._family.once)):
+                break
+            if any(i not in slot.agents for i in expected):
                 break
             if self._orders is not None and not self._announced(slot, self._orders):
                 break
@@ -293,8 +319,9 @@ class RunCollector:
                 RecordedStep(
                     self._step,
                     (
+                        *(slot.main[topic] for topic in self._family.once if not self._step),
                         *(slot.agents[i] for i in expected),
-                        *(slot.main[topic] for topic in _COORDINATED),
+                        *(slot.main[topic] for topic in self._family.main[1:]),
                         *(r for _, r in sorted(slot.events.items()) if not self._is_void(r.message)),
                     ),
                 )

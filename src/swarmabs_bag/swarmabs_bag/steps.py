@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.recording import RecordedStep
-from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, MAIN_TOPICS
+from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, FAMILIES, MAIN_TOPICS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -17,7 +17,9 @@ WINDOW = 8
 """Steps by which a message may be late: in bags of other recorders, topics overlap."""
 REALTIME_WINDOW = 300
 """The same in real time, where topics are received independently of each other."""
-ORDER = {topic: number for number, topic in enumerate((*MAIN_TOPICS, EVENTS))}
+ORDER = {
+    topic: number for family in FAMILIES for number, topic in enumerate((*family.once, *family.main), -len(family.once))
+} | {EVENTS: len(MAIN_TOPICS)}
 """Place of each recorded topic within a step of a bag."""
 
 

@@ -8,43 +8,63 @@ accepts messages in any order and with gaps.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right, insort
+from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args, overload
 
 from swarmabs_config import configure
+from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
+    PLANE_FAMILY,
+    SYSTEM_FAMILY,
     AbstractState,
     AgentState,
+    AnyRobotState,
     Basis,
     DesiredAbstractState,
     EventKind,
+    Family,
     Kind,
     Message,
+    ParentState,
     PlaneState,
+    RobotKind,
+    RobotState,
+    RobotStatus as SystemStatus,
     Source,
     Status,
     SwarmEvent,
+    SystemDescription,
 )
+from swarmabs_core.systems import SystemTables
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.steering import OffsetReference
 
     Integers = NDArray[np.int64]
     Flags = NDArray[np.bool_]
 
-RobotStatus: TypeAlias = Literal["active", "safe_stop", "left", "dead", "silent"]
+RobotStatus: TypeAlias = Literal["active", "safe_stop", "left", "dead", "silent", "limited"]
 STATUSES: tuple[RobotStatus, ...] = get_args(RobotStatus)
-STATUS_NAMES: dict[int, RobotStatus] = {Status.ACTIVE: "active", Status.SAFE_STOP: "safe_stop", Status.LEFT: "left"}
-"""The status that a robot publishes, by `AgentState.status`."""
+STATUS_NAMES: dict[int, RobotStatus] = {
+    SystemStatus.ACTIVE: "active",
+    SystemStatus.SAFE_STOP: "safe_stop",
+    SystemStatus.LEFT: "left",
+    SystemStatus.LIMITED: "limited",
+}
+"""The status that a robot publishes, by `AgentState.status` or `RobotState.status`."""
+
+ShownVector: TypeAlias = tuple[float | None, ...]
+"""A vector for display: unknown and non-finite values are None."""
 
 SILENT_STEPS = 50
 """Steps without a message after which a robot, the observer or the controller counts as silent."""
@@ -70,15 +90,24 @@ class RobotIdentity(NamedTuple):
     joins: bool = False
 
 
+class SystemIdentity(NamedTuple):
+    """Constant properties of a robot on any parent system: id, kind, constants, and whether it is absent at first."""
+
+    id: int
+    kind: RobotKind
+    constants: ShownVector
+    joins: bool = False
+
+
 class Out(NamedTuple):
-    """Why a robot does not take part; `place` (m) is the position of a dead robot."""
+    """Why a robot does not take part; `place` (m) is the position, or first coordinate, of a dead robot."""
 
     status: Literal["absent", "dead", "left"]
     place: float = 0.0
 
 
 class Members(NamedTuple):
-    """Ids of the robots that are commanded, and ids and positions (m) of the dead robots on the plane."""
+    """Ids of the robots that are commanded, and ids and places (`Out.place`) of the dead robots."""
 
     moving: tuple[int, ...]
     standing: tuple[tuple[int, float], ...]
@@ -93,6 +122,18 @@ class ShownRobot(NamedTuple):
     position: float | None = None
     velocity: float | None = None
     command: float | None = None
+    status: RobotStatus | None = None
+
+
+class ShownSystemRobot(NamedTuple):
+    """State of a robot on any parent system for display; empty where nothing is known.
+
+    A dead robot has the coordinates of its last state before its death, and no command.
+    """
+
+    coordinates: ShownVector = ()
+    velocities: ShownVector = ()
+    command: ShownVector = ()
     status: RobotStatus | None = None
 
 
@@ -120,6 +161,29 @@ class Instant(NamedTuple):
     desired: Abstract
 
 
+class SystemInstant(NamedTuple):
+    """State of a whole swarm on any parent system in a step, for display.
+
+    The stamp is in ns, the time in s. `reference` contains the wanted values of what the parent tracks, with offsets.
+    Vectors are empty if unknown.
+    """
+
+    step: int
+    stamp: int
+    time: float
+    parent: ShownVector
+    reference: ShownVector
+    abstract: ShownVector
+    desired: ShownVector
+
+
+AnyInstant: TypeAlias = Instant | SystemInstant
+AnyShownRobot: TypeAlias = ShownRobot | ShownSystemRobot
+_Identity = TypeVar("_Identity", RobotIdentity, SystemIdentity)
+InstantT = TypeVar("InstantT", Instant, SystemInstant)
+ShownT = TypeVar("ShownT", ShownRobot, ShownSystemRobot)
+
+
 class TimedEvent(NamedTuple):
     """An event and its time, s."""
 
@@ -132,6 +196,11 @@ def finite(value: float) -> float | None:
     return value if isfinite(value) else None
 
 
+def finites(values: Iterable[float]) -> ShownVector:
+    """Return the numbers of a vector, None for those that are not finite."""
+    return tuple(map(finite, values))
+
+
 @overload
 def is_silent(heard: int, step: int) -> bool: ...
 @overload
@@ -141,19 +210,36 @@ def is_silent(heard: int | Integers, step: int | Integers) -> bool | Flags:
     return step - heard > SILENT_STEPS
 
 
+def shown_status(out: Out | None, state: AnyRobotState | None, step: int) -> RobotStatus | None:
+    """Return the status of a robot to show in a step, from its latest state up to then."""
+    if out is not None and out.status != "absent":
+        return out.status
+    if state is None:
+        return None
+    return "silent" if is_silent(state.step, step) and state.status != Status.LEFT else STATUS_NAMES.get(state.status)
+
+
 def shown_robot(out: Out | None, state: AgentState | None, step: int) -> ShownRobot:
     """Return the state of a robot to show in a step: its latest one up to then, unless it no longer takes part.
 
     A dead robot stays at its place, whatever its process still publishes.
     """
-    if out is not None and out.status == "dead":
-        return ShownRobot(finite(out.place), 0.0, None, "dead")
-    if (out is not None and out.status == "left") or (state is not None and state.status == Status.LEFT):
-        return ShownRobot(status="left")
-    if state is None:
-        return ShownRobot()
-    status = "silent" if is_silent(state.step, step) else STATUS_NAMES.get(state.status)
+    status = shown_status(out, state, step)
+    if out is not None and status == "dead":
+        return ShownRobot(finite(out.place), 0.0, None, status)
+    if state is None or status == "left":
+        return ShownRobot(status=status)
     return ShownRobot(finite(state.position), finite(state.velocity), finite(state.command), status)
+
+
+def shown_system_robot(out: Out | None, state: RobotState | None, step: int) -> ShownSystemRobot:
+    """Return the state of a robot on any parent system, as `shown_robot`; for a dead one its last state is given."""
+    status = shown_status(out, state, step)
+    if state is None or status == "left":
+        return ShownSystemRobot(status=status)
+    if status == "dead":
+        return ShownSystemRobot(finites(state.coordinates), (0.0,) * len(state.coordinates), (), status)
+    return ShownSystemRobot(finites(state.coordinates), finites(state.velocities), finites(state.command), status)
 
 
 def instant_of(
@@ -177,6 +263,12 @@ def instant_of(
     )
 
 
+def system_instant(parent: ParentState, abstract: Any, desired: Any, *, time: float, reference: Any) -> SystemInstant:
+    """Return the same on any parent system; the reference is a vector."""
+    vectors = (parent.state, reference, abstract and abstract.value, desired and desired.value)
+    return SystemInstant(parent.step, parent.stamp, time, *(finites(vector or ()) for vector in vectors))
+
+
 class RobotHistory:
     """States and membership of robots by step.
 
@@ -198,12 +290,12 @@ class RobotHistory:
         self._robots = tuple(robots)
         self._changes: dict[int, list[tuple[int, Out | None]]] = {robot: [(-1, Out("absent"))] for robot in absent}
         self._most_changes = changes
-        self._states: dict[int, list[AgentState]] = {}
+        self._states: dict[int, list[AnyRobotState]] = {}
         self._most_states = states
         self._steps: list[int] | None = None
         self._members: dict[int, Members] = {}
 
-    def add(self, state: AgentState) -> None:
+    def add(self, state: AnyRobotState) -> None:
         """Process the state of a robot."""
         known = self._states.setdefault(state.agent_id, [])
         if not known or known[-1].step < state.step:
@@ -258,41 +350,53 @@ class RobotHistory:
             )
         return found
 
-    def shown(self, robot: int, step: int) -> ShownRobot:
-        """Return the state of a robot to show in a step."""
+    def last_step(self, robot: int, step: int) -> int:
+        """Return the last step, up to one, in which a robot was not dead."""
+        changes = self._changes.get(robot, [])
+        place = bisect_right(changes, step, key=itemgetter(0))
+        begun, out = changes[place - 1] if place else (0, None)
+        return begun - 1 if out is not None and out.status == "dead" else step
+
+    def latest(self, robot: int, step: int) -> Any:
+        """Return the latest state of a robot up to a step, for a dead one up to its death; None if there is none."""
         known = self._states.get(robot, [])
-        place = bisect_right(known, step, key=attrgetter("step"))
-        return shown_robot(self.out(robot, step), known[place - 1] if place else None, step)
+        place = bisect_right(known, self.last_step(robot, step), key=attrgetter("step"))
+        return known[place - 1] if place else None
 
 
 @dataclass(slots=True)
 class _Step:
     """The received messages of a step."""
 
-    plane: PlaneState | None = None
-    abstract: AbstractState | None = None
-    desired: DesiredAbstractState | None = None
+    parent: Any = None
+    abstract: Any = None
+    desired: Any = None
 
 
-class SwarmState:
+class _State(Generic[_Identity, InstantT, ShownT]):
     """The current state of a swarm.
 
-    It shows the latest step with messages of plane, observer and controller, and each robot's latest state up to it. If
-    observer or controller is silent, it shows the plane's latest step without it.
+    It shows the latest step with messages of parent, observer and controller, and each robot's latest state up to it.
+    If observer or controller is silent, it shows the parent's latest step without it.
 
     Unknown robots are added when they are first heard. Announced offsets are added to the reference. With a control
     period, times are those of the steps, independent of the clocks that stamp the messages. `version` changes with
     every message; `events` are the latest, in the order of arrival.
     """
 
+    family: ClassVar[Family]
+    _identity: ClassVar[Callable[..., Any]]
+    _instant_of: ClassVar[Callable[..., Any]]
+    _robot: ClassVar[Callable[..., Any]]
+
     def __init__(
         self,
-        robots: Sequence[RobotIdentity] = (),
+        robots: Sequence[_Identity] = (),
         *,
         reference: OffsetReference | None = None,
         period_ns: int | None = None,
     ) -> None:
-        self.robots = list(robots)
+        self.robots: list[_Identity] = list(robots)
         self.version = 0
         self.events: list[TimedEvent] = []
         self.event_count = 0
@@ -303,75 +407,74 @@ class SwarmState:
         self._begun: Basis | None = None
         self._first_stamp: int | None = None
         self._known_events: dict[tuple[int, int, int, str], None] = {}
-        self._plane: PlaneState | None = None
+        self._parent: Any = None
         self._shown = _Step()
         self._steps: dict[int, _Step] = {}
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Self:
+    def of(cls, scenario: AnyScenario) -> Self:
         """Return the initial state of a scenario's swarm; its robots must be listed."""
         there = {agent.id for agent in scenario.initial_agents}
-        robots = [
-            RobotIdentity(agent.id, Kind[agent.kind.upper()], agent.mass, agent.damping, joins=agent.id not in there)
-            for agent in scenario.agents
-        ]
+        configs = configure.agent_configs(scenario)
+        robots = [cls._identity(config, joins=config.agent_id not in there) for config in configs]
         return cls(robots, reference=configure.reference(scenario), period_ns=scenario.step_ns)
 
     @property
     def step(self) -> int | None:
-        """The latest step of the plane, None before its first message."""
-        return None if self._plane is None else self._plane.step
+        """The latest step of the parent, None before its first message."""
+        return None if self._parent is None else int(self._parent.step)
 
-    def add(self, message: Message) -> Instant | None:
+    def add(self, message: Message) -> InstantT | None:
         """Process a message, and return the step that it completes, if any.
 
         Outdated messages change nothing.
         """
         self.version += 1
-        if isinstance(message, AgentState):
+        if isinstance(message, self.family.robot.message):
             self._hear(message)
         elif isinstance(message, SwarmEvent):
             self._record_event(message)
         elif isinstance(message, Basis):
             if message.source == Source.CONTROLLER and _newer(message, self._begun):
                 self._begun = message
-        elif isinstance(message, PlaneState):
-            if _newer(message, self._plane):
-                self._plane = message
-            self._pending(message.step).plane = message
+        elif isinstance(message, self.family.parent.message):
+            if _newer(message, self._parent):
+                self._parent = message
+            self._pending(message.step).parent = message
             return self._complete(message.step)
-        elif isinstance(message, AbstractState):
+        elif isinstance(message, self.family.abstract.message):
             self._pending(message.step).abstract = message
             return self._complete(message.step)
-        elif isinstance(message, DesiredAbstractState):
+        elif isinstance(message, self.family.desired.message):
             self._pending(message.step).desired = message
             return self._complete(message.step)
         return None
 
-    def instant(self) -> Instant | None:
-        """Return the step to show, None before the first message of the plane."""
-        if self._plane is None:
+    def instant(self) -> InstantT | None:
+        """Return the step to show, None before the first message of the parent."""
+        if self._parent is None:
             return None
         shown = self._shown
-        if shown.plane is None or is_silent(shown.plane.step, self._plane.step):
-            shown = self._steps.get(self._plane.step, _Step(self._plane))
-        return self._instant(shown.plane or self._plane, shown)
+        if shown.parent is None or is_silent(shown.parent.step, self._parent.step):
+            shown = self._steps.get(self._parent.step, _Step())
+        return self._instant(shown.parent or self._parent, shown)
 
-    def shown_robots(self, step: int) -> list[ShownRobot]:
+    def shown_robots(self, step: int) -> list[ShownT]:
         """Return the states of all robots to show in a step, in order."""
-        return [self._history.shown(robot.id, step) for robot in self.robots]
+        history, ids = self._history, [robot.id for robot in self.robots]
+        return [self._robot(history.out(robot, step), history.latest(robot, step), step) for robot in ids]
 
     def members(self) -> Members:
         """Return the robots that take part in the step shown, of those known in advance."""
         instant = self.instant()
         return self._history.members(0 if instant is None else instant.step)
 
-    def _hear(self, state: AgentState) -> None:
+    def _hear(self, state: Any) -> None:
         if state.agent_id not in self._ids:
             if len(self.robots) >= MOST_ROBOTS:
                 return
             self._ids.add(state.agent_id)
-            insort(self.robots, _identity(state), key=lambda robot: robot.id)
+            insort(self.robots, self._identity(state), key=lambda robot: robot.id)
         self._history.add(state)
 
     def _record_event(self, event: SwarmEvent) -> None:
@@ -396,21 +499,21 @@ class SwarmState:
                 del self._steps[min(self._steps)]
         return found
 
-    def _complete(self, step: int) -> Instant | None:
+    def _complete(self, step: int) -> InstantT | None:
         """Return a step if it is complete, and drop those before it."""
         found = self._steps.get(step, _Step())
-        if found.plane is None or found.abstract is None or found.desired is None:
+        if found.parent is None or found.abstract is None or found.desired is None:
             return None
-        if _newer(found.plane, self._shown.plane):
+        if _newer(found.parent, self._shown.parent):
             self._shown = found
         for earlier in [one for one in self._steps if one <= step]:
             del self._steps[earlier]
-        return self._instant(found.plane, found)
+        return self._instant(found.parent, found)
 
-    def _instant(self, plane: PlaneState, found: _Step) -> Instant:
-        return instant_of(
-            plane, found.abstract, found.desired, time=self._time(plane), reference=self._reference_at(plane)
-        )
+    def _instant(self, parent: Any, found: _Step) -> InstantT:
+        time, reference = self._time(parent), self._reference_at(parent)
+        made: InstantT = self._instant_of(parent, found.abstract, found.desired, time=time, reference=reference)
+        return made
 
     def _time(self, message: Message) -> float:
         """Return the time of a message's step, s; without a period its stamp, relative to the first if from a clock."""
@@ -420,23 +523,69 @@ class SwarmState:
             self._first_stamp = message.stamp
         return (message.stamp - (self._first_stamp if self._first_stamp > CLOCK else 0)) / 1e9
 
-    def _reference_at(self, plane: PlaneState) -> float | None:
+    def _reference_at(self, parent: Any) -> Any:
         """Return the reference at a step, rad; in real time the controller announces when its law's time begins."""
-        if self._reference is None or (self._begun is None and plane.stamp > CLOCK):
+        if self._reference is None or (self._begun is None and parent.stamp > CLOCK):
             return None
         begun = 0 if self._begun is None else self._begun.begun
-        if begun > plane.step:
+        if begun > parent.step:
             return None
-        return self._reference(self._time(plane._replace(step=plane.step - begun)))
+        return self._reference(self._time(parent._replace(step=parent.step - begun)))
+
+
+def _identity(robot: Any, *, joins: bool = False) -> RobotIdentity:
+    kind = Kind.DOUBLE_INTEGRATOR if robot.kind == Kind.DOUBLE_INTEGRATOR else Kind.SINGLE_INTEGRATOR
+    return RobotIdentity(robot.agent_id, kind, finite(robot.mass), finite(robot.damping), joins)
+
+
+def _system_identity(robot: Any, *, joins: bool = False) -> SystemIdentity:
+    kind = robot.kind if robot.kind in set(RobotKind) else RobotKind.SINGLE_INTEGRATOR
+    return SystemIdentity(robot.agent_id, RobotKind(kind), finites(robot.constants), joins)
+
+
+class SwarmState(_State[RobotIdentity, Instant, ShownRobot]):
+    """The current state of a swarm on the plane."""
+
+    family = PLANE_FAMILY
+    _identity = staticmethod(_identity)
+    _instant_of = staticmethod(instant_of)
+    _robot = staticmethod(shown_robot)
+
+
+class SystemSwarmState(_State[SystemIdentity, SystemInstant, ShownSystemRobot]):
+    """The current state of a swarm on any parent system.
+
+    `tables` name its numbers, once they are known from the scenario or a message.
+    """
+
+    family = SYSTEM_FAMILY
+    tables: SystemTables | None = None
+    _identity = staticmethod(_system_identity)
+    _instant_of = staticmethod(system_instant)
+    _robot = staticmethod(shown_system_robot)
+
+    @classmethod
+    def of(cls, scenario: Any) -> Self:
+        """Return the initial state of a scenario's swarm."""
+        found = super().of(scenario)
+        found.tables = SystemTables.read(scenario.named.description)
+        return found
+
+    def add(self, message: Message) -> SystemInstant | None:
+        """Process a message, and return the step that it completes, if any."""
+        if isinstance(message, SystemDescription):
+            with suppress(MalformedMessageError):
+                self.tables = SystemTables.read(message.description)
+        return super().add(message)
+
+
+def state_of(scenario: AnyScenario) -> SwarmState | SystemSwarmState:
+    """Return the initial state of a scenario's swarm, of either family; its robots must be listed."""
+    return SwarmState.of(scenario) if scenario.family is PLANE_FAMILY else SystemSwarmState.of(scenario)
 
 
 def _newer(message: Message, known: Message | None) -> bool:
     return known is None or message.step > known.step
-
-
-def _identity(state: AgentState) -> RobotIdentity:
-    kind = Kind.DOUBLE_INTEGRATOR if state.kind == Kind.DOUBLE_INTEGRATOR else Kind.SINGLE_INTEGRATOR
-    return RobotIdentity(state.agent_id, kind, finite(state.mass), finite(state.damping))
 
 
 def _pair(state: AbstractState | DesiredAbstractState | None) -> Abstract:

@@ -13,6 +13,7 @@ from rich.console import Console, RenderableType
 
 from swarmabs_analysis.rerun import RepeatableRun, recorded_run
 from swarmabs_bag.errors import remedy
+from swarmabs_bag.figures import tracking_of
 from swarmabs_bag.run_folder import RunFolder, Split
 from swarmabs_cli.options import (
     COMMAND,
@@ -26,7 +27,7 @@ from swarmabs_cli.options import (
 )
 from swarmabs_cli.output import print_json, print_tables, print_warnings, results_folder
 from swarmabs_config.realtime import check_realtime
-from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenario import AnyScenario, Scenario, on_plane
 from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.errors import InputError, RunError
@@ -36,7 +37,7 @@ from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.summary import Times, summarise, summary_table
 from swarmabs_view.terminal import shown_progress
 
-Execute = Callable[[Scenario, RunFolder, RunOptions], Outcome]
+Execute = Callable[[AnyScenario, RunFolder, RunOptions], Outcome]
 """Runs a scenario and leaves its results in a folder, such as `swarmabs_run.simulated_run.simulate_run`."""
 SETUP = "SWARMABS_SETUP"
 """Environment variable in which ``scripts/swarm`` passes its process id and the duration of the set-up, s."""
@@ -99,7 +100,7 @@ def carry_out(
     max_bag_duration: int,
     as_json: bool,
     steered: bool = False,
-    check: Callable[[Scenario], object] = bool,
+    check: Callable[[AnyScenario], object] = bool,
 ) -> int:
     """Load and run a scenario, and print the summary; return the exit code."""
     if duration is not None:
@@ -113,7 +114,8 @@ def carry_out(
         _check_realtime(loaded, recorded)
     folder = results_folder(output, loaded.name)
     differences = recorded.differences if recorded is not None else ()
-    print_warnings((*loaded.warnings(), *check_scenario(loaded).warnings(), *differences))
+    theory = check_scenario(loaded).warnings() if isinstance(loaded, Scenario) else ()
+    print_warnings((*loaded.warnings(), *theory, *differences))
     loaded = loaded.resolved()
     if steered:
         click.echo(f"to steer the run: ./scripts/swarm steer {folder.path} ACTION VALUE", err=True)
@@ -128,25 +130,25 @@ def carry_out(
         return {"rerun_of": recorded.judge(outcome, folder.bag, changed=bool(overrides) or steered)}
 
     outcome, summary = summed_up(loaded, folder, run, judge)
-    print_summary(summary, folder, outcome, as_json=as_json)
+    print_summary(loaded, summary, folder, outcome, as_json=as_json)
     if summary["rerun_of"] is not None and summary["rerun_of"]["same"] is False:
         click.echo(f"error: the digest differs from that of {scenario}; see the warnings above, and compare", err=True)
         return 1
     return 0 if outcome.status == "ok" else 1
 
 
-def _check_realtime(scenario: Scenario, recorded: RepeatableRun | None) -> None:
+def _check_realtime(scenario: AnyScenario, recorded: RepeatableRun | None) -> None:
     """Reject what only lockstep supports, before the folder is made."""
     if recorded is not None:
         raise InputError(
             f"{recorded.bag}: a bag can be run again only in lockstep; remove --realtime, or name the scenario.yaml in "
             "its folder"
         )
-    check_realtime(scenario.resolved())
+    check_realtime(on_plane(scenario, "real time").resolved())
 
 
 def summed_up(
-    scenario: Scenario,
+    scenario: AnyScenario,
     folder: RunFolder,
     run: Callable[[Callable[[Progress], None]], Outcome],
     more: Callable[[Outcome], Mapping[str, object]],
@@ -165,14 +167,19 @@ def summed_up(
 
 
 def print_summary(
-    summary: Mapping[str, Any], folder: RunFolder, outcome: Outcome, *tables: RenderableType, as_json: bool
+    scenario: AnyScenario,
+    summary: Mapping[str, Any],
+    folder: RunFolder,
+    outcome: Outcome,
+    *tables: RenderableType,
+    as_json: bool,
 ) -> None:
     """Print the summary of a run, further tables, and the reason if it failed."""
     print_warnings(outcome.warnings)
     if as_json:
         print_json(summary)
     else:
-        Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder))
+        Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder, tracking_of(scenario)))
         if tables:
             print_tables(*tables)
         if folder.bag.exists():

@@ -33,9 +33,16 @@ from swarmabs_core.messages import (
     BROADCAST,
     DESIRED_ABSTRACT_STATE,
     EVENTS,
+    PARENT_STATE,
     PLANE_STATE,
     RECORDING_PROGRESS,
+    ROBOT_STATE,
     STEERING,
+    SWARM_ABSTRACT,
+    SWARM_AUXILIARY,
+    SWARM_BROADCAST,
+    SWARM_DESIRED,
+    SYSTEM,
     Topic,
 )
 from swarmabs_core.steering import STEERER
@@ -97,6 +104,8 @@ class Option(Enum):
     """The observer estimates the swarm's torque from the motion of the plane."""
     FEELING = "feeling"
     """The tilt of the plane acts on the robot's drive."""
+    SYSTEM = "system"
+    """The parent system is not the plane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,12 +148,25 @@ class End:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A topic with all its ends and what its publishers offer, by driver; a missing driver does not have the topic."""
+    """A topic with all its ends and what its publishers offer, by driver; a missing driver does not have the topic.
+
+    `system` is the topic that takes its place if the parent system is not the plane; None if there is none.
+    """
 
     topic: Topic
     offered: Mapping[Driver, Qos]
     writers: tuple[End, ...]
     readers: tuple[End, ...]
+    system: Topic | None = None
+
+    def topic_with(self, options: frozenset[Option]) -> Topic | None:
+        """Return the topic with these options, None if there is none."""
+        return self.system if Option.SYSTEM in options else self.topic
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """The topics with any options."""
+        return (self.topic,) if self.system in {None, self.topic} else (self.topic, self.system)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +221,7 @@ GRAPH = (
         _both(Qos("best_effort", 10), Qos("best_effort", 1, lease=LEASE)),
         (End(ROBOT),),
         (End(PLANE, _gathered), End(OBSERVER, _gathered), *_recorder(_recorded)),
+        system=ROBOT_STATE,
     ),
     Link(
         PLANE_STATE,
@@ -211,6 +234,7 @@ GRAPH = (
             End(STEERER),
             End(ROBOT, only=Option.FEELING),
         ),
+        system=PARENT_STATE,
     ),
     Link(
         ABSTRACT_STATE,
@@ -222,18 +246,21 @@ GRAPH = (
             *_recorder(),
             End(ROBOT, unless=Option.PACKED),
         ),
+        system=SWARM_ABSTRACT,
     ),
     Link(
         AUXILIARY_STATE,
         _STATE,
         (End(OBSERVER),),
         (End(CONTROLLER, only=Option.PACKED), *_recorder(), End(ROBOT, unless=Option.PACKED)),
+        system=SWARM_AUXILIARY,
     ),
     Link(
         DESIRED_ABSTRACT_STATE,
         _STATE,
         (End(CONTROLLER),),
         (*_recorder(), End(ROBOT, unless=Option.PACKED)),
+        system=SWARM_DESIRED,
     ),
     Link(
         EVENTS,
@@ -245,18 +272,21 @@ GRAPH = (
             *_recorder(reliable=True),
             End(STEERER, 1000, reliable=True),
         ),
+        system=EVENTS,
     ),
     Link(
         RECORDING_PROGRESS,
         {LOCKSTEP: Qos("best_effort", 10)},
         (End(RECORDER),),
         (End(CONTROLLER, 1, only=Option.CREDITED),),
+        system=RECORDING_PROGRESS,
     ),
     Link(
         BROADCAST,
         {LOCKSTEP: Qos("best_effort", 10)},
         (End(CONTROLLER, only=Option.PACKED),),
         (End(ROBOT, only=Option.PACKED),),
+        system=SWARM_BROADCAST,
     ),
     Link(
         BASIS,
@@ -275,11 +305,22 @@ GRAPH = (
             End(RECORDER, 1000, only=Option.STEERED),
             End(ROBOT, only=Option.STEERED),
         ),
+        system=STEERING,
+    ),
+    Link(
+        SYSTEM,
+        {LOCKSTEP: Qos("reliable", 1, "transient_local")},
+        (End(PLANE, only=Option.SYSTEM),),
+        (End(RECORDER, 10, reliable=True, only=Option.SYSTEM),),
+        system=SYSTEM,
     ),
 )
 """Every topic of the swarm, in the order of `swarmabs_core.messages.TOPICS`."""
 
-OFFERED = {driver: {link.topic: link.offered[driver] for link in GRAPH if driver in link.offered} for driver in Driver}
+OFFERED = {
+    driver: {topic: link.offered[driver] for link in GRAPH if driver in link.offered for topic in link.topics}
+    for driver in Driver
+}
 """What the publishers of a topic offer, by driver."""
 
 SERVICES = {CONTROLLER: ("swarm/stop", "swarm/reset"), ROBOT: ("~/leave", "~/join")}
@@ -291,17 +332,18 @@ DIAGNOSTICS = "diagnostics"
 
 def endpoints(node: str, driver: Driver, options: frozenset[Option] = frozenset(), *, robots: int = 0) -> Endpoints:
     """Return the endpoints of a node; some depths depend on the number of robots that ever take part."""
-    links = [link for link in GRAPH if driver in link.offered]
+    found = ((link.topic_with(options), link) for link in GRAPH if driver in link.offered)
+    links = [(topic, link) for topic, link in found if topic is not None]
     return Endpoints(
-        tuple(link.topic for link in links if any(_is(end, node, driver, options) for end in link.writers)),
+        tuple(topic for topic, link in links if any(_is(end, node, driver, options) for end in link.writers)),
         {
-            link.topic: requested(
-                link.topic,
+            topic: requested(
+                topic,
                 driver,
                 depth=end.depth if isinstance(end.depth, int) else end.depth(robots),
                 reliable=end.reliable,
             )
-            for link in links
+            for topic, link in links
             for end in link.readers
             if _is(end, node, driver, options)
         },
@@ -327,10 +369,11 @@ def options_of(parameters: Mapping[str, object]) -> frozenset[Option]:
         Option.CREDITED: parameters.get("recording_window"),
         Option.WATCHING: parameters.get("type") == "parent_response",
         Option.FEELING: parameters.get("feels_gravity") and parameters.get("kind") == "double_integrator",
+        Option.SYSTEM: "system.type" in parameters,
     }
     return frozenset(option for option, given in asked.items() if given)
 
 
 def writers(topic: Topic) -> tuple[str, ...]:
     """Return the nodes that publish a topic under any driver, with any options."""
-    return tuple(dict.fromkeys(end.node for link in GRAPH if link.topic is topic for end in link.writers))
+    return tuple(dict.fromkeys(end.node for link in GRAPH if topic in link.topics for end in link.writers))

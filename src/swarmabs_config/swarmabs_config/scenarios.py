@@ -7,7 +7,7 @@ import json
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from pydantic import AfterValidator
 
@@ -19,7 +19,6 @@ from swarmabs_core.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from swarmabs_config.scenario import Scenario
     from swarmabs_config.scenario.yaml_tree import Node
 
 LONGEST_PATH = 80
@@ -56,7 +55,7 @@ def described(path: Path) -> tuple[str, str]:
     return first.removeprefix("# "), second.removeprefix("# Figure: ")
 
 
-def find_scenario(named: str, overrides: Sequence[str] = ()) -> Scenario:
+def find_scenario(named: str, overrides: Sequence[str] = ()) -> Any:
     """Load the built-in scenario or the YAML file that a user has named, with overrides ``a.b=value``.
 
     Raises

@@ -6,13 +6,15 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
+from swarmabs_config.scenario import Scenario
 from swarmabs_core.faults import DelayFault
 from swarmabs_core.theory.check import check
 from swarmabs_core.theory.setting import Setting
 from swarmabs_core.theory.state_feedback import ANGLE_MAX
+from swarmabs_core.theory.systems import SystemSetting, check_system
 
 if TYPE_CHECKING:
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.model.scenario import AnyScenario
     from swarmabs_core.theory.report import Report
 
 
@@ -30,12 +32,19 @@ def setting(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Setting:
         period=scenario.period,
         robots=configure.agent_configs(scenario),
         duration=scenario.duration,
-        delay=max((fault.steps for fault in scenario.faults if isinstance(fault, DelayFault)), default=0),
+        delay=_delay(scenario),
         faulty=bool(scenario.faults),
         angle_max=angle_max,
     )
 
 
-def check_scenario(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Report:
-    """Evaluate the paper's theorems and further conditions for sampled time; the arguments are those of `setting`."""
-    return check(setting(scenario, angle_max))
+def _delay(scenario: AnyScenario) -> int:
+    return max((fault.steps for fault in scenario.faults if isinstance(fault, DelayFault)), default=0)
+
+
+def check_scenario(scenario: AnyScenario, angle_max: float = ANGLE_MAX) -> Report:
+    """Evaluate the paper's theorems and further conditions for sampled time; the bound is that of `setting`."""
+    if isinstance(scenario, Scenario):
+        return check(setting(scenario, angle_max))
+    robots = tuple(robot for robot in configure.agent_configs(scenario) if robot.life.first_step == 0)
+    return check_system(SystemSetting(scenario.name, robots, _delay(scenario), bool(scenario.faults)))

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, ItemsView, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeAlias
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmabs_core.cdr import places
+from swarmabs_core.cdr import lengths_of, places
 from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    AUXILIARY_STATE,
-    DESIRED_ABSTRACT_STATE,
+    FAMILIES,
     MAIN_TOPICS,
-    PLANE_STATE,
     EventKind,
     Field,
     SwarmEvent,
@@ -24,6 +21,9 @@ from swarmabs_core.messages import (
     fields_of,
     word_of,
 )
+
+if TYPE_CHECKING:
+    from swarmabs_core.systems import SystemTables
 
 Floats: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.int64]
@@ -33,16 +33,28 @@ PADDING = "padding"
 
 _NUMPY = {"i": "<i4", "I": "<u4", "B": "u1", "H": "<u2", "Q": "<u8", "d": "<f8"}
 
-LAYOUT: dict[Topic, np.dtype[np.void]] = {
-    topic: np.dtype(
-        [
-            (place.name or f"{PADDING}{number}", _NUMPY.get(place.code, f"V{place.size}"))
-            for number, place in enumerate(places(topic.message))
-        ]
-    )
-    for topic in MAIN_TOPICS
-}
-"""Canonical CDR of the main topics' messages, field by field; names of padding bytes start with `PADDING`."""
+LENGTH = "length of list "
+"""Prefix of the names of lengths of lists in a layout."""
+
+
+@lru_cache(maxsize=64)
+def _layout(topic: Topic, lengths: tuple[int, ...]) -> np.dtype[np.void]:
+    """Return the canonical CDR of a topic's messages with lists of these lengths, field by field."""
+    fields: list[Any] = []
+    for number, (name, code, size) in enumerate(places(topic.message, lengths)):
+        unique = {"": f"{PADDING}{number}", "count": f"{LENGTH}{number}"}.get(name, name)
+        listed = code[:-1].isdigit() and code.endswith("d")
+        fields.append((unique, "<f8", (size // 8,)) if listed else (unique, _NUMPY.get(code, f"V{size}")))
+    return np.dtype(fields)
+
+
+LAYOUT = {topic: _layout(topic, ()) for topic in MAIN_TOPICS}
+"""Canonical CDR of the messages on the main topics of the plane."""
+
+
+def layout_of(topic: Topic, payload: bytes | bytearray) -> np.dtype[np.void]:
+    """Return the layout of a topic's messages, with lists as long as in a payload; an empty list has no field."""
+    return _layout(topic, lengths_of(topic.message, payload))
 
 
 class MessageArrays:
@@ -152,13 +164,63 @@ class RunArrays:
         return self.figures()
 
 
+@dataclass(frozen=True, slots=True)
+class SystemArrays:
+    """A run with any parent system but the plane; ``run["roll"]`` is a quantity by its name.
+
+    What is not described here is as in `RunArrays`.
+
+    Attributes
+    ----------
+    parent : ndarray, (n+1, P)
+        State of the parent system.
+    reference : ndarray, (n+1, T)
+        Wanted values of the quantities that follow a reference; NaN where unknown.
+    abstract, auxiliary, desired, agents : MessageArrays
+        As for the plane; lists are the last axis, such as ``agents.coordinates`` of shape (n+1, N, d).
+    description : SystemTables
+        Names, units and scales of the quantities, and settings of the system.
+    """
+
+    step: Integers
+    time: Floats
+    parent: Floats
+    reference: Floats
+    abstract: MessageArrays
+    auxiliary: MessageArrays
+    desired: MessageArrays
+    agents: MessageArrays
+    description: SystemTables
+    events: tuple[RunEvent, ...]
+    figures: Callable[[], dict[str, Any]] = field(repr=False, compare=False)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the key figures of the run, named as in ``summary.json``; see `RunArrays.summary`."""
+        return self.figures()
+
+    def __getitem__(self, name: str) -> Floats:
+        """Return a quantity of the parent or of the abstract state, (n+1,), or of the robots, (n+1, N)."""
+        said, agents = self.description, self.agents
+        tables: tuple[tuple[Any, ...], ...] = (said.parent, said.abstract, said.robot, said.constants)
+        for table, values in zip(
+            tables, (self.parent, self.abstract.value, agents.coordinates, agents.constants), strict=True
+        ):
+            for number, quantity in enumerate(table):
+                if quantity.name == name:
+                    return values[..., number]
+        raise KeyError(f"no quantity {name!r}; see `description`")
+
+
 Tables = Mapping[Topic, "NDArray[np.void]"]
 """The messages of each main topic as rows of a structured array."""
 
 
 def table(topic: Topic, payloads: bytes | bytearray) -> NDArray[np.void]:
-    """Return messages of a main topic, given as concatenated canonical CDR, as a structured array."""
-    return np.frombuffer(payloads, dtype=LAYOUT[topic])
+    """Return messages of a main topic, given as concatenated canonical CDR, as a structured array.
+
+    Lists have the same lengths in all of them.
+    """
+    return np.frombuffer(payloads, dtype=layout_of(topic, payloads))
 
 
 def run_event(event: SwarmEvent, time: float) -> RunEvent:
@@ -169,34 +231,41 @@ def run_event(event: SwarmEvent, time: float) -> RunEvent:
 def run_arrays(
     tables: Tables,
     *,
-    reference: Callable[[int], float],
+    reference: Callable[[int], float | tuple[float, ...]],
     events: Iterable[RunEvent],
     figures: Callable[[], dict[str, Any]],
-) -> RunArrays:
+    description: SystemTables | None = None,
+) -> RunArrays | Any:  # SystemArrays with a description
     """Arrange the tables of a run, whose rows may be in any order, by step, those of the robots by step and id.
 
-    `reference` returns the desired angle (rad) of a step; `events` and `figures` are those of `RunArrays`.
+    `reference` returns the desired angle (rad) of a step, or the wanted values of a system; `events` and `figures` are
+    those of `RunArrays`; `description` is that of the system, None for the plane.
     """
+    family = next(family for family in FAMILIES if family.robot in tables)
     # The first message of a step determines its time. Robots come last, since their clocks may be wrong.
-    ordered = sorted(tables, key=lambda topic: topic is AGENT_STATE)
+    ordered = sorted(tables, key=lambda topic: topic is family.robot)
     step, first = np.unique(np.concatenate([tables[topic]["step"] for topic in ordered]), return_index=True)
     stamps = np.concatenate([tables[topic]["sec"] * 1e9 + tables[topic]["nanosec"] for topic in ordered])
     rows = {topic: np.searchsorted(step, table["step"]) for topic, table in tables.items()}
-    filled = {topic: _columns(topic, tables[topic], rows[topic], (len(step),)) for topic in MAIN_TOPICS[1:]}
-    plane = filled[PLANE_STATE]
-    return RunArrays(
-        step=step.astype(np.int64),
-        time=stamps[first] / 1e9,
-        angle=plane["angle"],
-        angular_velocity=plane["angular_velocity"],
-        reference=np.array([reference(number) for number in step.tolist()], dtype=np.float64),
-        abstract=MessageArrays(filled[ABSTRACT_STATE]),
-        auxiliary=MessageArrays(filled[AUXILIARY_STATE]),
-        desired=MessageArrays(filled[DESIRED_ABSTRACT_STATE]),
-        agents=_agents(tables[AGENT_STATE], rows[AGENT_STATE], len(step)),
-        events=tuple(sorted(events, key=lambda event: event.step)),
-        figures=figures,
-    )
+    filled = {topic: _columns(topic, tables[topic], rows[topic], (len(step),)) for topic in family.main[1:]}
+    parent = filled[family.parent]
+    wanted = [reference(number) for number in step.tolist()]
+    common: dict[str, Any] = {
+        "step": step.astype(np.int64),
+        "time": stamps[first] / 1e9,
+        "abstract": MessageArrays(filled[family.abstract]),
+        "auxiliary": MessageArrays(filled[family.auxiliary]),
+        "desired": MessageArrays(filled[family.desired]),
+        "agents": _agents(family.robot, tables[family.robot], rows[family.robot], len(step)),
+        "events": tuple(sorted(events, key=lambda event: event.step)),
+        "figures": figures,
+    }
+    if description is None:
+        return RunArrays(**{**common, **parent}, reference=np.array(wanted, dtype=np.float64))
+    size = len(description.tracked)
+    references = np.array([np.broadcast_to(values, size) for values in wanted], dtype=np.float64)
+    references = references.reshape(len(step), size)
+    return SystemArrays(parent=parent["state"], reference=references, description=description, **common)
 
 
 def _columns(
@@ -205,10 +274,11 @@ def _columns(
     """Scatter the fields of a topic's table into arrays of a shape, at the indices of its messages."""
     columns: dict[str, NDArray[Any]] = {}
     for name, declared in fields_of(topic.message).items():
-        if isinstance(declared, Field) and name not in {"stamp", "step", "agent_id"}:
-            real = declared.ros_type == "float64" or declared.missing is not None
-            columns[name] = np.full(shape, np.nan) if real else np.zeros(shape, dtype=np.int64)
-            found = table[name]
+        if isinstance(declared, Field) and name not in {"stamp", "step", "agent_id", "system"}:
+            found = table[name] if name in (table.dtype.names or ()) else np.empty((len(table), 0))
+            real = declared.ros_type.startswith("float64") or declared.missing is not None
+            filled = (*shape, *found.shape[1:])
+            columns[name] = np.full(filled, np.nan) if real else np.zeros(filled, dtype=np.int64)
             columns[name][places] = found if declared.missing is None else _known(found, declared.missing)
     return columns
 
@@ -217,7 +287,7 @@ def _known(values: NDArray[Any], missing: int) -> Floats:
     return np.where(values == missing, np.nan, values.astype(np.float64))
 
 
-def _agents(table: NDArray[np.void], rows: Integers, steps: int) -> MessageArrays:
+def _agents(topic: Topic, table: NDArray[np.void], rows: Integers, steps: int) -> MessageArrays:
     ids, columns = np.unique(table["agent_id"], return_inverse=True)
-    filled = _columns(AGENT_STATE, table, (rows, columns), (steps, len(ids)))
+    filled = _columns(topic, table, (rows, columns), (steps, len(ids)))
     return MessageArrays({"ids": ids.astype(np.int64), **filled})

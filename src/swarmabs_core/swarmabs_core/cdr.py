@@ -2,8 +2,9 @@
 
 A message consists of encapsulation header, ``std_msgs/Header``, ``uint64 step`` and its own fields. Since the frame id
 is always ``plane``, everything but strings and lists has a fixed offset, which follows from the declarations in
-`swarmabs_core.messages`; one `struct.Struct` per message describes it. A test compares these layouts with the
-serialization of ``swarmabs_msgs`` by ROS 2.
+`swarmabs_core.messages`; one `struct.Struct` per message describes it. The messages of any parent system have bounded
+lists, whose lengths do not change in a run, and one `struct.Struct` for these lengths. A test compares all layouts with
+the serialization of ``swarmabs_msgs`` by ROS 2.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import FRAME_ID, TOPICS, AgentState, Field, SwarmEvent, fields_of
+from swarmabs_core.messages import FRAME_ID, TOPICS, AgentState, Field, RobotState, SwarmEvent, fields_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,14 +45,15 @@ class Place(NamedTuple):
     size: int
 
 
-def places(message_type: type[Message]) -> tuple[Place, ...]:
+def places(message_type: type[Message], lengths: tuple[int, ...] = ()) -> tuple[Place, ...]:
     """Return the items in the fixed part of a message, in order.
 
     They are named after the fields, or `encapsulation`, `sec`, `nanosec` and `frame`; `count` is the length of the
-    string or of the first list that follows the fixed part.
+    string or of the first list that follows the fixed part. Bounded lists of the given `lengths` are part of it, each
+    after its `count`.
     """
     found = [Place("encapsulation", "2s", 2), Place("", "2x", 2)]
-    for name, code, alignment in _numbers(message_type):
+    for name, code, alignment in _numbers(message_type, iter(lengths)):
         size = struct.calcsize(f"<{code}")
         gap = -(sum(place.size for place in found) - _BEGIN) % alignment
         if gap:
@@ -60,12 +62,17 @@ def places(message_type: type[Message]) -> tuple[Place, ...]:
     return tuple(found)
 
 
-def _numbers(message_type: type[Message]) -> Iterator[tuple[str, str, int]]:
+def _numbers(message_type: type[Message], lengths: Iterator[int]) -> Iterator[tuple[str, str, int]]:
     """Yield name, format and alignment of the items in the fixed part, without the encapsulation."""
     yield from (("sec", "i", 4), ("nanosec", "I", 4), ("frame", f"{len(FRAME)}s", 4))
     for name, field in fields_of(message_type).items():
         if not isinstance(field, Field):
-            yield from _numbers(field)
+            yield from _numbers(field, lengths)
+        elif bound_of(field):
+            length = next(lengths, 0)
+            yield "count", "I", 4
+            if length:
+                yield name, f"{length}d", 8
         elif field.ros_type in _CODES:
             code = _CODES[field.ros_type]
             yield name, code, struct.calcsize(code)
@@ -74,11 +81,18 @@ def _numbers(message_type: type[Message]) -> Iterator[tuple[str, str, int]]:
             return
 
 
+def bound_of(field: Field) -> int:
+    """Return the largest length of a bounded list, 0 for any other field."""
+    return int(field.ros_type.partition("<=")[2].rstrip("]") or 0)
+
+
 class _Layout:
     """Byte layout of a message class.
 
     Attributes
     ----------
+    message : type of Message
+        The class.
     fixed : Struct
         The fixed part, item by item.
     content : Struct
@@ -89,11 +103,16 @@ class _Layout:
         Element formats of the lists.
     text : str
         Name of the string field, empty if there is none.
+    bounds : tuple of int
+        Largest lengths of the bounded lists; if there are any, a `_Shape` has the rest.
+    latest : dict
+        By size in bytes, the `_Shape` of the latest message.
     """
 
-    __slots__ = ("content", "fixed", "lists", "parts", "plain", "size", "text")
+    __slots__ = ("bounds", "content", "fixed", "latest", "lists", "message", "parts", "plain", "size", "text")
 
     def __init__(self, message_type: type[Message]) -> None:
+        self.message = message_type
         items = places(message_type)
         self.fixed = struct.Struct("<" + "".join(place.code for place in items))
         self.size = self.fixed.size
@@ -105,7 +124,17 @@ class _Layout:
         own = {name: field.ros_type for name, field in fields.items() if isinstance(field, Field)}
         self.lists = tuple(_CODES[kind.removesuffix("[]")] for kind in own.values() if kind.endswith("[]"))
         self.text = next((name for name, kind in own.items() if kind == "string"), "")
-        self.plain = not (self.parts or self.lists or self.text)
+        self.bounds = tuple(_bounds(message_type))
+        self.latest: dict[int, _Shape] = {}
+        self.plain = not (self.parts or self.lists or self.text or self.bounds)
+
+
+def _bounds(message_type: type[Message]) -> Iterator[int]:
+    for field in fields_of(message_type).values():
+        if not isinstance(field, Field):
+            yield from _bounds(field)
+        elif bound_of(field):
+            yield bound_of(field)
 
 
 @lru_cache(maxsize=64)
@@ -135,6 +164,118 @@ def _pieces(items: tuple[Place, ...]) -> Iterator[str]:
 _LAYOUTS = {topic.message: _Layout(topic.message) for topic in TOPICS}
 
 
+class _Shape:
+    """Byte layout of a message with bounded lists of given lengths.
+
+    Attributes
+    ----------
+    whole, content : Struct
+        The message item by item, and with the bytes between padding as one item each.
+    head : Struct
+        Only encapsulation, frame ids and lengths, which must be `expected`.
+    counts : list of int
+        Offsets of the lengths.
+    parts : list of (type of Message, int, list of int or slice)
+        The message without nested ones, then each of those: class, and where in `whole` are the seconds and the fields
+        behind the stamp.
+    """
+
+    __slots__ = ("content", "counts", "expected", "head", "parts", "whole")
+
+    def __init__(self, layout: _Layout, lengths: tuple[int, ...]) -> None:
+        items = places(layout.message, lengths)
+        self.whole = struct.Struct("<" + "".join(place.code for place in items))
+        self.content = struct.Struct("<" + "".join(_pieces(items)))
+        self.counts: list[int] = []
+        self.parts: list[tuple[type[Message], int, list[int | slice]]] = []
+        kinds, left = iter([layout.message, *(part for part, _ in layout.parts)]), iter(lengths)
+        form, known, size, index = "<", {"encapsulation": ENCAPSULATION, "frame": FRAME}, 0, 0
+        expected: list[bytes | int] = []
+        for name, code, width in items:
+            listed = code[0].isdigit() and code.endswith("d")
+            if name == "sec":
+                self.parts.append((next(kinds), index, []))
+            elif name == "count":
+                expected.append(length := next(left, 0))
+                self.counts.append(size)
+                self.parts[-1][2].append(slice(index + 1, index + 1 + length))
+            elif name in known:
+                expected.append(known[name])
+            elif name not in {"", "nanosec"} and not listed:
+                self.parts[-1][2].append(index)
+            form += code if name in known or name == "count" else f"{width}x"
+            size += width
+            index += width // 8 if listed else bool(name)
+        self.head, self.expected = struct.Struct(form), tuple(expected)
+
+
+@lru_cache(maxsize=256)
+def _shape(layout: _Layout, lengths: tuple[int, ...]) -> _Shape:
+    """Return the layout of a message with bounded lists of these lengths; those not given are empty.
+
+    Raises `MalformedMessageError` if one is too long.
+    """
+    for length, bound in zip(lengths, layout.bounds, strict=False):
+        if length > bound:
+            raise MalformedMessageError(layout.message.__name__, f"a list of {length} numbers, at most {bound}")
+    return _Shape(layout, lengths)
+
+
+def _shape_of(layout: _Layout, data: bytes) -> _Shape:
+    """Return the layout of serialized bytes, whose size, encapsulation and frame ids it checks."""
+    shape = layout.latest.get(len(data))
+    if shape is not None and shape.head.unpack_from(data) == shape.expected:
+        return shape
+    shape = _shape(layout, lengths_of(layout.message, data))
+    if not (size := shape.head.size) <= len(data) < size + _TRANSPORT_PADDING:
+        raise MalformedMessageError(layout.message.__name__, f"{len(data)} bytes, expected {size}")
+    if (head := shape.head.unpack_from(data)) != shape.expected:
+        _refuse_head(layout.message, head[0])
+    layout.latest[len(data)] = shape
+    return shape
+
+
+def lengths_of(message_type: type[Message], data: bytes | bytearray) -> tuple[int, ...]:
+    """Return the lengths of the bounded lists in serialized bytes, which may be longer than one message.
+
+    Raises `MalformedMessageError` if one is too long.
+    """
+    layout = _LAYOUTS[message_type]
+    lengths: tuple[int, ...] = ()
+    shape = _shape(layout, lengths)
+    for number in range(len(layout.bounds)):
+        place = shape.counts[number]
+        lengths = (*lengths, int.from_bytes(data[place : place + 4], "little"))
+        shape = _shape(layout, lengths)
+    return lengths
+
+
+def _encode_bounded(message: Any, parts: list[Any]) -> bytes:
+    """Serialize a message with bounded lists: its own fields, then the nested messages."""
+    values: list[Any] = [ENCAPSULATION]
+    lengths = []
+    for part in parts:
+        values += (*divmod(part[0], _SECOND), FRAME)
+        for value in part[1:]:
+            if isinstance(value, tuple):
+                lengths.append(len(value))
+                values += (len(value), *value)
+            else:
+                values.append(value)
+    return _shape(_LAYOUTS[type(message)], tuple(lengths)).whole.pack(*values)
+
+
+def _decode_bounded(layout: _Layout, data: bytes) -> Message:
+    """Deserialize a message with bounded lists."""
+    shape = _shape_of(layout, data)
+    values = shape.whole.unpack_from(data)
+    own, *parts = [
+        _new(kind, (values[first] * _SECOND + values[first + 1], *[values[place] for place in fields]))
+        for kind, first, fields in shape.parts
+    ]
+    return _new(layout.message, (*own, *parts)) if parts else own  # type: ignore[no-any-return]
+
+
 def encode(message: Message) -> bytes:
     """Serialize a message as canonical CDR with four-byte encapsulation header; equal messages give equal bytes.
 
@@ -148,6 +289,9 @@ def encode(message: Message) -> bytes:
     try:
         if layout.plain:
             return layout.fixed.pack(ENCAPSULATION, seconds, nanoseconds, FRAME, *message[1:])
+        if layout.bounds:
+            own = len(message) - len(layout.parts)
+            return _encode_bounded(message, [message[:own], *message[own:]])
         return _encode_parts(layout, message) if layout.parts else _encode_tail(layout, message)
     except (struct.error, UnicodeEncodeError) as error:
         raise MalformedMessageError(type(message).__name__, f"{error} in {message}") from error
@@ -198,6 +342,8 @@ def decode(message_type: type[Message], data: bytes) -> Message:
     """
     layout = _LAYOUTS[message_type]
     size = layout.size
+    if layout.bounds:
+        return _decode_bounded(layout, data)
     if layout.lists or layout.text:
         return _decode_tail(layout, message_type, data)
     if not size <= len(data) < size + _TRANSPORT_PADDING:
@@ -276,9 +422,9 @@ def canonical(message_type: type[Message], data: bytes) -> bytes:
     layout = _LAYOUTS[message_type]
     if layout.parts or data[_NANOSECONDS] >= _SECOND >> 24:  # rare: 1 s or more in the nanoseconds
         return encode(decode(message_type, data))
-    content, size = layout.content, layout.size
+    content, size = (_shape_of(layout, data) if layout.bounds else layout).content, layout.size
     fixed: bytes = content.pack(*content.unpack_from(data))
-    if layout.plain:
+    if layout.plain or layout.bounds:
         return fixed
     number = int.from_bytes(fixed[-4:], "little")
     if layout.text:
@@ -289,4 +435,4 @@ def canonical(message_type: type[Message], data: bytes) -> bytes:
 
 def agent_id_of(message: Message) -> int:
     """Return the id of the robot that a message concerns, 0 for messages of the coordinators."""
-    return message.agent_id if isinstance(message, (AgentState, SwarmEvent)) else 0
+    return message.agent_id if isinstance(message, (AgentState, RobotState, SwarmEvent)) else 0

@@ -52,6 +52,9 @@ class CommandFilter:
 class DesiredStateGenerator:
     """Asks the law for a torque, limits and filters it, and lifts it onto the manifold, once per period (ns)."""
 
+    no_offset = "the law has no method offset_torque"
+    """Why the reference of a law cannot be offset."""
+
     def __init__(self, period_ns: int, manifold: Manifold, law: ParentController) -> None:
         self._manifold = manifold
         self._law = law
@@ -59,6 +62,11 @@ class DesiredStateGenerator:
         self._filter = CommandFilter(self._period)
         self._state: tuple[float, float] | None = None
         self._clipped = False
+
+    @property
+    def offsettable(self) -> bool:
+        """Whether the reference of the law can be offset."""
+        return isinstance(self._law, OffsetController)
 
     def resume(self, torque: float, rate: float) -> None:
         """Continue from this state of the filter: torque (N m) and its rate (N m/s)."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from swarmabs_core.declaration import LONGEST_TIME, setting, setting_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import ChangeKind
+from swarmabs_core.messages import RobotState
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.plant import STEEPEST
 from swarmabs_core.steering import DISTURBANCE, REFERENCE
@@ -21,7 +22,7 @@ from swarmabs_core.steering import DISTURBANCE, REFERENCE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from swarmabs_core.messages import AgentState
+    from swarmabs_core.messages import AnyRobotState
 
 LARGEST_OFFSET = 1e6
 """Largest clock offset, s, that a float represents to the nanosecond."""
@@ -158,6 +159,13 @@ class ReferenceFault(SettingFault, kind=REFERENCE, description="the reference is
 
 
 @dataclass(frozen=True)
+class SystemReferenceFault(ReferenceFault):
+    """Adds an offset to the reference on a parent system other than the plane, where it need not be an angle."""
+
+    offset: float = setting(0.0, "offset added to each quantity of the reference, in its unit", required=True)
+
+
+@dataclass(frozen=True)
 class DisturbanceFault(
     SettingFault, kind=DISTURBANCE, description="a constant torque disturbs the plane", sets="torque"
 ):
@@ -199,6 +207,10 @@ class RobotFault(Fault):
         """Return the delay, in steps, with which the broadcasts of a step reach the robot."""
         return 0
 
+    def sticks(self) -> bool:
+        """Return whether the robot reports its last state."""
+        return False
+
     def doubles(self, draw: str) -> bool:  # noqa: ARG002
         """Return whether messages to or from the robot are duplicated in a step."""
         return False
@@ -207,7 +219,7 @@ class RobotFault(Fault):
         """Return how far the robot's clock is ahead, ns."""
         return 0
 
-    def falsified(self, state: AgentState) -> AgentState:
+    def falsified(self, state: AnyRobotState) -> AnyRobotState:
         """Return the state that the robot publishes."""
         return state
 
@@ -381,18 +393,41 @@ class FalsifiedStateFault(SingleRobotFault, kind="lie", description="the robot r
         )
         return tuple((value, text) for value, true, text in told if value != true)
 
-    def falsified(self, state: AgentState) -> AgentState:
-        """Falsify position and mass."""
+    def falsified(self, state: AnyRobotState) -> AnyRobotState:
+        """Falsify position and mass; on another parent system than the plane, the coordinates."""
+        if isinstance(state, RobotState):
+            false = tuple(x * self.position_factor + self.position_offset for x in state.coordinates)
+            return state._replace(coordinates=false)
         position = state.position * self.position_factor + self.position_offset
         return state._replace(position=position, mass=state.mass * self.mass_factor)
 
-    def true_state(self, state: AgentState) -> AgentState:
+    def true_state(self, state: AnyRobotState) -> AnyRobotState:
         """Return the true state for a falsified one.
 
         The position is recomputed from the published one, so its last bits may differ from the robot's own.
         """
+        if isinstance(state, RobotState):
+            true = tuple((x - self.position_offset) / self.position_factor for x in state.coordinates)
+            return state._replace(coordinates=true)
         position = (state.position - self.position_offset) / self.position_factor
         return state._replace(position=position, mass=state.mass / self.mass_factor)
+
+
+@dataclass(frozen=True)
+class DriveFailureFault(
+    SingleRobotFault,
+    kind="drive_failure",
+    description="the robot's drive fails, and nobody knows",
+    announcement="failure of the drive",
+):
+    """The drive of a robot gets no command any more, such as a failed rotor; the robot reports its last state.
+
+    A single integrator stands still, a double integrator coasts, and a lag decays, also after others have noticed it.
+    """
+
+    def sticks(self) -> bool:
+        """Return that its state does not change."""
+        return True
 
 
 _ROBOT_FAULTS = {kind: each for kind, each in FAULTS.items() if issubclass(each, RobotFault)}
@@ -452,8 +487,12 @@ class InjectedFault:
         )
 
 
+PARENT_FAULTS = (FalsifiedStateFault, DriveFailureFault)
+"""Faults of a robot that the simulated parent must know."""
+
+
 class Falsification(NamedTuple):
-    """A fault that falsifies the states of one robot."""
+    """A fault by which the states of one robot differ from its effect on the parent."""
 
     agent_id: int
     injected: InjectedFault
@@ -463,7 +502,7 @@ class Falsification(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Falsification:
-        """Read ``AGENT lie FIRST END OFFSET FACTOR FACTOR``.
+        """Read ``AGENT lie FIRST END OFFSET FACTOR FACTOR`` or ``AGENT drive_failure FIRST END``.
 
         Raises
         ------
@@ -472,12 +511,21 @@ class Falsification(NamedTuple):
         """
         agent_id, _, rest = text.partition(" ")
         injected = InjectedFault.parse(rest)
-        if not agent_id.isdecimal() or not isinstance(injected.fault, FalsifiedStateFault):
+        if not agent_id.isdecimal() or not isinstance(injected.fault, PARENT_FAULTS):
             raise InputError(f"falsification {text!r} is not of the form 'AGENT lie FIRST END OFFSET FACTOR FACTOR'")
         return cls(int(agent_id), injected)
 
 
-def true_state(state: AgentState, falsifications: Iterable[Falsification]) -> AgentState:
+def failed_drives(falsifications: Iterable[Falsification], step: int) -> set[int]:
+    """Return the robots whose drives get no command in the period that begins at a step."""
+    return {
+        agent_id
+        for agent_id, injected in falsifications
+        if isinstance(injected.fault, DriveFailureFault) and injected.acts(step)
+    }
+
+
+def true_state(state: AnyRobotState, falsifications: Iterable[Falsification]) -> AnyRobotState:
     """Return a robot's true state, with injected falsifications undone."""
     for agent_id, injected in falsifications:
         if agent_id == state.agent_id and injected.acts(state.step) and isinstance(injected.fault, FalsifiedStateFault):

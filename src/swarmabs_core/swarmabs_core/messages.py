@@ -34,8 +34,25 @@ class Status(IntEnum):
     LEFT = 3
 
 
+class RobotKind(IntEnum):
+    """Dynamics of a robot on any parent system (``RobotState.kind``)."""
+
+    SINGLE_INTEGRATOR = 1
+    DOUBLE_INTEGRATOR = 2
+    FIRST_ORDER_LAG = 3
+
+
+class RobotStatus(IntEnum):
+    """Status that a robot on any parent system reports (``RobotState.status``)."""
+
+    ACTIVE = 1
+    SAFE_STOP = 2
+    LEFT = 3
+    LIMITED = 4
+
+
 class Mode(IntEnum):
-    """Mode that the parent controller commands (``DesiredAbstractState.mode``)."""
+    """Mode that the parent controller commands (``DesiredAbstractState.mode``, ``SwarmDesired.mode``)."""
 
     RUN = 1
     STOP = 2
@@ -97,7 +114,21 @@ def said(value: IntEnum) -> str:
     return word(value).replace("_", " ")
 
 
-FieldType = Literal["time", "uint8", "uint16", "uint64", "float64", "string", "uint8[]", "uint16[]", "uint64[]"]
+FieldType = Literal[
+    "time",
+    "uint8",
+    "uint16",
+    "uint64",
+    "float64",
+    "string",
+    "uint8[]",
+    "uint16[]",
+    "uint64[]",
+    "float64[<=8]",
+    "float64[<=16]",
+    "float64[<=32]",
+    "float64[<=136]",
+]
 
 
 class Field(NamedTuple):
@@ -128,6 +159,10 @@ Stamp: TypeAlias = Annotated[int, Field("time", "ns", "time of creation, by the 
 StepNumber: TypeAlias = Annotated[int, Field("uint64", meaning="number of the control period")]
 EarlierStep: TypeAlias = Annotated[int, Field("uint64", meaning="a step", missing=NEVER)]
 RobotId: TypeAlias = Annotated[int, Field("uint16", meaning="robot")]
+SystemHash: TypeAlias = Annotated[int, Field("uint64", meaning="hash of the description of the parent system")]
+Vector: TypeAlias = tuple[float, ...]
+Coordinates: TypeAlias = Annotated[Vector, Field("float64[<=8]", "by system", "coordinate by coordinate")]
+Rows: TypeAlias = Annotated[Vector, Field("float64[<=16]", "by system", "row by row of the abstract state")]
 
 
 class PlaneState(NamedTuple):
@@ -263,6 +298,91 @@ class Steering(NamedTuple):
     value: Annotated[float, Field("float64", "by action")]
 
 
+class RobotState(NamedTuple):
+    """State of one robot on any parent system, and the command that led to it.
+
+    `command` was held over the period that ends at `step`; it is a velocity, a force or, for a lag, the value that the
+    coordinate approaches. `constants` are those that the system names. `velocities` of a robot in status `LIMITED` are
+    those with which it continues while it holds the limit.
+    """
+
+    stamp: Stamp
+    step: StepNumber
+    system: SystemHash
+    broadcast_step: Annotated[int, Field("uint64", meaning="step of the broadcasts used", missing=NEVER)]
+    agent_id: RobotId
+    kind: Annotated[int, Field("uint8", constants=RobotKind)]
+    status: Annotated[int, Field("uint8", constants=RobotStatus)]
+    coordinates: Coordinates
+    velocities: Coordinates
+    command: Coordinates
+    constants: Annotated[Vector, Field("float64[<=16]", "by system", "constants of the robot")]
+
+
+class ParentState(NamedTuple):
+    """State x_p of a parent system."""
+
+    stamp: Stamp
+    step: StepNumber
+    system: SystemHash
+    state: Annotated[Vector, Field("float64[<=32]", "by system", "state of the parent system")]
+
+
+class SwarmAbstract(NamedTuple):
+    """Abstract state a of a swarm on any parent system, and its rate."""
+
+    stamp: Stamp
+    step: StepNumber
+    system: SystemHash
+    agent_count: Annotated[int, Field("uint16", "1", "robots that contribute")]
+    value: Rows
+    rate: Rows
+
+
+class SwarmAuxiliary(NamedTuple):
+    """Auxiliary state of a swarm on any parent system: Gram matrix S, drift r, and curvature h, empty if not needed."""
+
+    stamp: Stamp
+    step: StepNumber
+    system: SystemHash
+    gram: Annotated[Vector, Field("float64[<=136]", "by system", "lower triangle of S by rows")]
+    drift: Annotated[Vector, Field("float64[<=16]", "by system", "rate of a that is not commanded")]
+    curvature: Annotated[Vector, Field("float64[<=16]", "by system", "acceleration of a at constant velocities")]
+
+
+class SwarmDesired(NamedTuple):
+    """Abstract state that the controller of any parent system requests, with its derivatives."""
+
+    stamp: Stamp
+    step: StepNumber
+    system: SystemHash
+    mode: Annotated[int, Field("uint8", constants=Mode)]
+    value: Rows
+    rate: Rows
+    mean_rate: Annotated[Vector, Field("float64[<=16]", "by system", "mean over the step")]
+    end_rate: Annotated[Vector, Field("float64[<=16]", "by system", "at the end of the step")]
+    mean_acceleration: Annotated[Vector, Field("float64[<=16]", "by system", "mean over the step")]
+
+
+class SwarmBroadcast(NamedTuple):
+    """The three broadcasts of a step on any parent system."""
+
+    stamp: Stamp
+    step: StepNumber
+    abstract: SwarmAbstract
+    auxiliary: SwarmAuxiliary
+    desired: SwarmDesired
+
+
+class SystemDescription(NamedTuple):
+    """Description of the parent system, sent once: JSON with names, units and scales; `system` is its hash."""
+
+    stamp: Stamp
+    step: StepNumber
+    system: SystemHash
+    description: Annotated[str, Field("string", "", "JSON")]
+
+
 Message = (
     PlaneState
     | AgentState
@@ -274,6 +394,13 @@ Message = (
     | Broadcast
     | Basis
     | Steering
+    | RobotState
+    | ParentState
+    | SwarmAbstract
+    | SwarmAuxiliary
+    | SwarmDesired
+    | SwarmBroadcast
+    | SystemDescription
 )
 """Any message of the swarm."""
 
@@ -310,13 +437,60 @@ RECORDING_PROGRESS = _topic("recording/progress", RecordingProgress)
 BROADCAST = _topic("swarm/broadcast", Broadcast)
 BASIS = _topic("recording/basis", Basis)
 STEERING = _topic("swarm/steering", Steering)
+ROBOT_STATE = _topic("swarm/robot_state", RobotState)
+PARENT_STATE = _topic("parent/state", ParentState)
+SWARM_ABSTRACT = _topic("swarm/abstract", SwarmAbstract)
+SWARM_AUXILIARY = _topic("swarm/auxiliary", SwarmAuxiliary)
+SWARM_DESIRED = _topic("swarm/desired", SwarmDesired)
+SWARM_BROADCAST = _topic("swarm/packed", SwarmBroadcast)
+SYSTEM = _topic("parent/system", SystemDescription)
 
-MAIN_TOPICS = (AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)
-"""The five topics that make up a run, in the order in which a bag holds them within a step."""
 
-BROADCASTS = (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)
-"""All that a robot receives from the swarm."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Family:
+    """The topics by which a swarm controls the plane, or any other parent system.
 
-TOPICS = (*MAIN_TOPICS, EVENTS, RECORDING_PROGRESS, BROADCAST, BASIS, STEERING)
+    Topics in `once` have one message per run, in step 0, which a bag holds before the others.
+    """
+
+    robot: Topic
+    parent: Topic
+    abstract: Topic
+    auxiliary: Topic
+    desired: Topic
+    packed: Topic
+    once: tuple[Topic, ...] = ()
+
+    @property
+    def main(self) -> tuple[Topic, ...]:
+        """The five topics that make up a run, in the order in which a bag holds them within a step."""
+        return (self.robot, self.parent, *self.broadcasts)
+
+    @property
+    def broadcasts(self) -> tuple[Topic, ...]:
+        """All that a robot receives from the swarm."""
+        return (self.abstract, self.auxiliary, self.desired)
+
+
+PLANE_FAMILY = Family(AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE, BROADCAST)
+SYSTEM_FAMILY = Family(
+    ROBOT_STATE, PARENT_STATE, SWARM_ABSTRACT, SWARM_AUXILIARY, SWARM_DESIRED, SWARM_BROADCAST, (SYSTEM,)
+)
+FAMILIES = (PLANE_FAMILY, SYSTEM_FAMILY)
+
+MAIN_TOPICS = PLANE_FAMILY.main
+BROADCASTS = PLANE_FAMILY.broadcasts
+
+AnyRobotState: TypeAlias = AgentState | RobotState
+AnyParentState: TypeAlias = PlaneState | ParentState
+AnyBroadcast: TypeAlias = Broadcast | SwarmBroadcast
+ROBOT_STATES = (AgentState, RobotState)
+PARENT_STATES = (PlaneState, ParentState)
+
+TOPICS = (
+    *MAIN_TOPICS,
+    *(EVENTS, RECORDING_PROGRESS, BROADCAST, BASIS, STEERING),
+    *(*SYSTEM_FAMILY.main, SWARM_BROADCAST, SYSTEM),
+)
 TOPIC_OF: dict[type[Message], Topic] = {topic.message: topic for topic in TOPICS}
 """The topic on which a message of a class is published."""

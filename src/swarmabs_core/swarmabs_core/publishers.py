@@ -7,18 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.desired_state import TORQUE_LIMITED
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AUXILIARY_STATE,
-    DESIRED_ABSTRACT_STATE,
-    PLANE_STATE,
-    TOPIC_OF,
-    AgentState,
-    EventKind,
-    SwarmEvent,
-)
+from swarmabs_core.messages import FAMILIES, ROBOT_STATES, TOPIC_OF, EventKind, SwarmEvent
 from swarmabs_core.robot_controller import COMMAND_LIMITED
 from swarmabs_core.steering import DISTURBANCE
+from swarmabs_core.systems.desired import NEED_LIMITED
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Message
@@ -64,10 +56,13 @@ class NodeName(NamedTuple):
 PLANE, OBSERVER, CONTROLLER = (NodeName(kind) for kind in (NodeKind.PLANE, NodeKind.OBSERVER, NodeKind.CONTROLLER))
 
 PUBLISHER = {
-    PLANE_STATE: PLANE,
-    ABSTRACT_STATE: OBSERVER,
-    AUXILIARY_STATE: OBSERVER,
-    DESIRED_ABSTRACT_STATE: CONTROLLER,
+    topic: node
+    for family in FAMILIES
+    for topic, node in (
+        *((topic, PLANE) for topic in (family.parent, *family.once)),
+        *((topic, OBSERVER) for topic in (family.abstract, family.auxiliary)),
+        (family.desired, CONTROLLER),
+    )
 }
 """Publisher of each topic with a single publisher."""
 _ANNOUNCED_BY_OBSERVER = (EventKind.JOINED, EventKind.LEFT, EventKind.DEAD)
@@ -76,7 +71,7 @@ _ANNOUNCED_BY_ROBOTS = (EventKind.SAFE_STOP, EventKind.RECOVERED, EventKind.FAUL
 
 def publisher_of(message: Message) -> NodeName:
     """Return the node that published an event, or a message of a main topic."""
-    if isinstance(message, AgentState):
+    if isinstance(message, ROBOT_STATES):
         return NodeName(NodeKind.AGENT, message.agent_id)
     if isinstance(message, SwarmEvent):
         return _announcer(message)
@@ -87,8 +82,9 @@ def _announcer(event: SwarmEvent) -> NodeName:
     """Return the node that announced an event. Three nodes report limits; their detail texts identify them."""
     if event.kind in _ANNOUNCED_BY_OBSERVER:
         return OBSERVER
-    if event.kind in _ANNOUNCED_BY_ROBOTS or event.detail == COMMAND_LIMITED:
+    if event.kind in _ANNOUNCED_BY_ROBOTS or (event.agent_id and event.detail == COMMAND_LIMITED):
         return NodeName(NodeKind.AGENT, event.agent_id)
     if event.kind == EventKind.STEERING:
         return PLANE if event.detail == DISTURBANCE else CONTROLLER
-    return PLANE if event.kind == EventKind.LIMIT_HIT and event.detail != TORQUE_LIMITED else CONTROLLER
+    asked = event.detail == TORQUE_LIMITED or event.detail.endswith(NEED_LIMITED.format(""))
+    return PLANE if event.kind == EventKind.LIMIT_HIT and not asked else CONTROLLER

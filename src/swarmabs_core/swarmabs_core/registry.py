@@ -81,7 +81,7 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         methods: tuple[str, ...],
     ) -> None:
         self._noun = noun
-        self._group = group
+        self.group = group
         self._shape = shape
         self.built_in: Mapping[str, Part[ContextT, MadeT]] = {part.name: part for part in built_in}
         self._methods = methods
@@ -158,7 +158,7 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         from importlib.metadata import entry_points  # noqa: PLC0415 - built-in parts do not need it
 
         found: dict[str, list[EntryPoint]] = {}
-        for point in entry_points(group=self._group):
+        for point in entry_points(group=self.group):
             if point.name in self.built_in:
                 raise PluginError(
                     f"{_origin(point)} provides a {self._noun} {point.name!r}, which is a built-in name",

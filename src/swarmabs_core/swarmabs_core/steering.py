@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from math import isfinite
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change, ChangeKind
@@ -94,20 +94,22 @@ class StepSchedule:
 class OffsetReference:
     """The desired angle: the reference of a law at a time (s) plus the offset of that step, both in rad.
 
-    The control period (ns) determines the step of a time.
+    For another parent system, the wanted values of all that it tracks; the offset is added to each of them. The control
+    period (ns) determines the step of a time.
     """
 
-    def __init__(self, reference: Callable[[float], float], offsets: StepSchedule, period_ns: int) -> None:
+    def __init__(self, reference: Callable[[float], Any], offsets: StepSchedule, period_ns: int) -> None:
         self._reference = reference
         self._offsets = offsets
         self._period_ns = period_ns
 
-    def __call__(self, time: float) -> float:
-        """Return the desired angle (rad) at the time (s) of a step."""
+    def __call__(self, time: float) -> Any:
+        """Return the desired angle (rad), or a tuple of the wanted values, at the time (s) of a step."""
         wanted = self._reference(time)
         if not self._offsets or not isfinite(time):
             return wanted
-        return wanted + self._offsets.at(round(time * 1e9 / self._period_ns))
+        offset = self._offsets.at(round(time * 1e9 / self._period_ns))
+        return tuple(value + offset for value in wanted) if isinstance(wanted, tuple) else wanted + offset
 
     def shift(self, step: int, offset: float) -> None:
         """Set the offset (rad) that takes effect at a step."""

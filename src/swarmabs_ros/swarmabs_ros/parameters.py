@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter as RosParameter
@@ -24,20 +24,32 @@ _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 """Parameters that every node of rclpy may have."""
 
 
+class BySystem(NamedTuple):
+    """The declaration of a node's parameters on the plane, and on the parent system that ``system.type`` names."""
+
+    plane: type
+    system: type
+
+    def chosen(self, given: Mapping[str, object]) -> type:
+        """Return the declaration that given values select."""
+        return self.system if "system.type" in given else self.plane
+
+
 def given_values(node: Node) -> dict[str, object]:
     """Return the parameter values that a node was given and has declared automatically, by name."""
     return {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
 
 
 def table_of(
-    given: Mapping[str, object], common: tuple[Parameter, ...], own: tuple[Parameter | type, ...]
+    given: Mapping[str, object], common: tuple[Parameter, ...], own: tuple[Parameter | type | BySystem, ...]
 ) -> tuple[Parameter, ...]:
     """Return the parameters of a node: those common to all nodes, its own, and those from declarations.
 
     Given values may select parts that add parameters. Raises `InputError` if there is no such part.
     """
     found = {parameter.name: parameter for parameter in common}
-    for each in own:
+    for declared in own:
+        each = declared.chosen(given) if isinstance(declared, BySystem) else declared
         for parameter in (each,) if isinstance(each, Parameter) else parameters_of(each, given):
             found.setdefault(parameter.name, parameter)
     return tuple(found.values())

@@ -14,7 +14,7 @@ from swarmabs_core.messages import TOPICS, Topic
 from swarmabs_core.parameters import Parameter, SettingError
 from swarmabs_ros.endpoints import advertise, receiver
 from swarmabs_ros.lockstep import FIRST, INTERRUPTED, SLICE, WINDOW, Lockstep
-from swarmabs_ros.parameters import declare, given_values, table_of
+from swarmabs_ros.parameters import BySystem, declare, given_values, table_of
 from swarmabs_ros.start import SwarmNode, run_program
 
 if TYPE_CHECKING:
@@ -93,6 +93,10 @@ class Settings:
         step = self.integer("last_step")
         return None if step < 0 else step
 
+    def chosen(self, declarations: BySystem) -> Any:
+        """Return the declaration for the parent system with these values; errors as for `made`."""
+        return self.made(declarations.chosen(self._values))
+
     def made(self, declaration: type[DeclarationT]) -> DeclarationT:
         """Return a declaration with these values; raises `InputError` if they contradict each other."""
         try:
@@ -112,7 +116,7 @@ class Settings:
 
 def run_node(
     name: str,
-    table: tuple[Parameter | type, ...],
+    table: tuple[Parameter | type | BySystem, ...],
     make: Callable[[Settings, StatusChannel], NodeSpec],
     args: list[str] | None = None,
 ) -> int:

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.recording import Step
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_run.run import Phase
 
 _PROGRESS_INTERVAL = 0.1
 """Time, s, between two reports of progress."""
 
 
-def simulate_run(scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> Outcome:
+def simulate_run(scenario: AnyScenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> Outcome:
     """Simulate a scenario that lists its generated robots, and record it in an empty folder."""
     folder.fill(scenario)
     with end_asked() as ended:  # entered before the bag is created, so that an interrupted bag is always completed
@@ -36,7 +36,7 @@ def simulate_run(scenario: Scenario, folder: RunFolder, options: RunOptions = DE
 
 def record_steps(
     steps: Iterator[Step],
-    scenario: Scenario,
+    scenario: AnyScenario,
     recording: Recording,
     *,
     on_progress: Callable[[Progress], None] | None = None,

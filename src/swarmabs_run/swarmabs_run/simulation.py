@@ -6,22 +6,23 @@ import os
 from collections import deque
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.attached import scenario_of
-from swarmabs_bag.figures import RunFigures
+from swarmabs_bag.figures import PLANE_TRACKING, RunFigures, Tracking
 from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, ROBOT, Option, endpoints
-from swarmabs_config.scenario import Scenario, dump_scenario, parse_scenario
+from swarmabs_config.scenario import AnyScenario, Scenario, dump_scenario, parse_scenario
 from swarmabs_config.scenarios import as_override
 from swarmabs_core.arrays import RunArrays, RunEvent, run_arrays, run_event, table
-from swarmabs_core.behaviours import Agent, Controller, Observer, Plane
-from swarmabs_core.errors import RunError
+from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
+from swarmabs_core.errors import RunError, SwarmabsError, raised
 from swarmabs_core.membership import with_ends
-from swarmabs_core.messages import MAIN_TOPICS, PLANE_STATE, TOPIC_OF
+from swarmabs_core.messages import PLANE_STATE, SYSTEM_FAMILY, TOPIC_OF
 from swarmabs_core.publishers import NodeKind, NodeName
 from swarmabs_core.record import Record
+from swarmabs_core.systems import SystemTables
 from swarmabs_run.vector_simulation import NotVectorisableError, VectorSimulation, vectorisable
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.recording import RecordedStep, Step
     from swarmabs_core.behaviours import AgentConfig, Behaviour
+    from swarmabs_core.behaviours.systems import SystemAgentConfig
     from swarmabs_core.membership import Change
     from swarmabs_core.messages import Message, Messages, Topic
 
@@ -41,30 +43,29 @@ class NodeInProcess(NamedTuple):
     hears: Collection[Topic]
 
 
-def nodes_in_process(scenario: Scenario) -> dict[NodeName, NodeInProcess]:
+def nodes_in_process(scenario: AnyScenario) -> dict[NodeName, NodeInProcess]:
     """Return all nodes of a scenario by name: observer, plane, parent controller, robots."""
-    controller = Controller(
-        configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
-    )
+    controller = Controller(configure.controller_config(scenario, recording_window=0))
     watching = configure.observer_config(scenario)
-    options = (Option.WATCHING,) if watching.watches_plane else ()
+    also = configure.options_for(scenario) | ({Option.WATCHING} if watching.watches_plane else set())
     nodes = {
-        NodeName(NodeKind.OBSERVER): _node(Observer(watching), OBSERVER, *options),
-        NodeName(NodeKind.PLANE): _node(Plane(configure.plane_config(scenario)), PLANE),
-        NodeName(NodeKind.CONTROLLER): _node(controller, CONTROLLER),
+        NodeName(NodeKind.OBSERVER): _node(Observer(watching), OBSERVER, also),
+        NodeName(NodeKind.PLANE): _node(Parent(configure.parent_config(scenario)), PLANE, also),
+        NodeName(NodeKind.CONTROLLER): _node(controller, CONTROLLER, also),
     }
     for config in configure.agent_configs(scenario):
         nodes[NodeName(NodeKind.AGENT, config.agent_id)] = robot_in_process(config)
     return nodes
 
 
-def robot_in_process(config: AgentConfig) -> NodeInProcess:
+def robot_in_process(config: AgentConfig | SystemAgentConfig) -> NodeInProcess:
     """Return the node of a robot."""
     agent = Agent(config)
-    return _node(agent, ROBOT, *((Option.FEELING,) if PLANE_STATE in agent.needs else ()))
+    feeling = {Option.FEELING} if PLANE_STATE in agent.needs else set()
+    return _node(agent, ROBOT, feeling | ({Option.SYSTEM} if config.family is SYSTEM_FAMILY else set()))
 
 
-def _node(behaviour: Behaviour, name: str, *options: Option) -> NodeInProcess:
+def _node(behaviour: Behaviour, name: str, options: Collection[Option]) -> NodeInProcess:
     return NodeInProcess(behaviour, tuple(endpoints(name, LOCKSTEP, frozenset(options)).subscriptions))
 
 
@@ -76,7 +77,7 @@ class Simulation:
     """
 
     def __init__(
-        self, scenario: Scenario, nodes: Iterable[NodeInProcess] | None = None, ends: Iterable[Change] = ()
+        self, scenario: AnyScenario, nodes: Iterable[NodeInProcess] | None = None, ends: Iterable[Change] = ()
     ) -> None:
         self._nodes = tuple(nodes_in_process(scenario).values() if nodes is None else nodes)
         self._subscribers: dict[Topic, list[Callable[[Message], Messages]]] = {topic: [] for topic in OFFERED[LOCKSTEP]}
@@ -84,7 +85,9 @@ class Simulation:
             for topic in node.hears:
                 self._subscribers[topic].append(node.behaviour.handle)
         schedule = with_ends(configure.schedule(scenario), ends)
-        self._collector = RunCollector(configure.members(scenario), schedule, scenario.steps, memory=2)
+        self._collector = RunCollector(
+            configure.members(scenario), schedule, scenario.steps, memory=2, family=scenario.family
+        )
 
     def steps(self, on_idle: Callable[[], Messages] = tuple, name: str = "run") -> Iterator[RecordedStep]:
         """Run, and yield every step as a bag would hold it.
@@ -93,27 +96,34 @@ class Simulation:
         `RunError` if the run fails, such as when the plane turns over, or stalls; `name` names the run in that error.
         """
         queue: deque[Message] = deque()
-        for node in self._nodes:
-            queue.extend(node.behaviour.start())
-        while queue:
-            message = queue.popleft()
-            yield from self._collector.add(Record.of(message))
-            for handle in self._subscribers[TOPIC_OF[type(message)]]:
-                queue.extend(handle(message))
-            if not queue:
-                queue.extend(on_idle())
+        try:
+            for node in self._nodes:
+                queue.extend(node.behaviour.start())
+            while queue:
+                message = queue.popleft()
+                yield from self._collector.add(Record.of(message))
+                for handle in self._subscribers[TOPIC_OF[type(message)]]:
+                    queue.extend(handle(message))
+                if not queue:
+                    queue.extend(on_idle())
+        except SwarmabsError:
+            raise
+        except Exception as error:
+            if what := raised(error):  # by a part from an installed package
+                raise RunError(f"step {self._collector.step}: {what}") from error
+            raise
         if not self._collector.finished:
             missing = ", ".join(self._collector.missing())
             raise RunError(f"the {name} stalls at step {self._collector.step}; missing: {missing}")
 
 
-def simulated_steps(scenario: Scenario) -> Iterator[Step]:
+def simulated_steps(scenario: AnyScenario) -> Iterator[Step]:
     """Simulate a scenario, on arrays if all robots always behave alike; the results are identical bit for bit.
 
     Raises `RunError` if the run fails, such as when the plane turns over.
     """
     done = 0
-    if vectorisable(scenario):
+    if isinstance(scenario, Scenario) and vectorisable(scenario):
         try:
             for step in VectorSimulation(scenario).steps():
                 yield step
@@ -125,19 +135,21 @@ def simulated_steps(scenario: Scenario) -> Iterator[Step]:
     yield from islice(Simulation(scenario).steps(), done, None)
 
 
-def simulate(scenario: Scenario | str | PathLike[str], overrides: Mapping[str, object] | None = None) -> RunArrays:
+def simulate(
+    scenario: AnyScenario | str | PathLike[str], overrides: Mapping[str, object] | None = None
+) -> RunArrays | Any:
     """Simulate a scenario in this process.
 
     Parameters
     ----------
-    scenario : Scenario, str or path
+    scenario : AnyScenario, str or path
         A scenario, the name of a built-in one, a YAML file, or a bag whose scenario to simulate.
     overrides : mapping, optional
         Values by their dotted paths in the scenario, as with ``--set``; lists and mappings replace the existing ones.
 
     Returns
     -------
-    RunArrays
+    RunArrays, or SystemArrays if the parent system is not the plane
         The run as arrays: angle, reference, abstract, auxiliary and desired state by step, robots by step and id;
         events and summary.
 
@@ -154,12 +166,13 @@ def simulate(scenario: Scenario | str | PathLike[str], overrides: Mapping[str, o
     >>> run = simulate("pd_het_4", {"plane.angle": 0.2})  # doctest: +SKIP
     >>> run.angle[-1], run.summary()["settled_at"]  # doctest: +SKIP
     """
-    scenario = _changed(scenario, [as_override(path, value) for path, value in (overrides or {}).items()])
-    reference, period_ns = configure.reference(scenario), scenario.step_ns
-    figures = RunFigures(reference)
+    changed = _changed(scenario, [as_override(path, value) for path, value in (overrides or {}).items()])
+    reference, period_ns = configure.reference(changed), changed.step_ns
+    system = getattr(changed, "named", None)
+    figures = RunFigures(reference, Tracking.of(system.made) if system else PLANE_TRACKING)
     events: list[RunEvent] = []
-    gathered = {topic: bytearray() for topic in MAIN_TOPICS}
-    for step in simulated_steps(scenario):
+    gathered = {topic: bytearray() for topic in changed.family.main}
+    for step in simulated_steps(changed):
         figures.add(step)
         events.extend(run_event(event, event.step * period_ns / 1e9) for event in step.events)
         for topic, _, payload in step.stored():
@@ -170,10 +183,11 @@ def simulate(scenario: Scenario | str | PathLike[str], overrides: Mapping[str, o
         reference=lambda step: reference(step * period_ns / 1e9),
         events=events,
         figures=partial(dict, figures.summary()),
+        description=SystemTables.read(system.description) if system else None,
     )
 
 
-def _changed(scenario: Scenario | str | PathLike[str], overrides: list[str]) -> Scenario:
-    if not isinstance(scenario, Scenario):
+def _changed(scenario: AnyScenario | str | PathLike[str], overrides: list[str]) -> Any:
+    if not isinstance(scenario, AnyScenario):
         return scenario_of(os.fspath(scenario), overrides)
     return parse_scenario(dump_scenario(scenario), overrides=overrides) if overrides else scenario

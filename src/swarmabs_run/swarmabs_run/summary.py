@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 from rich.text import Text
 
+from swarmabs_bag.figures import PLANE_TRACKING
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from swarmabs_bag.figures import Tracking
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_run.run import Outcome
 
 AGES_SHOWN = 3
@@ -29,7 +32,7 @@ class Times:
     startup: float | None = None
 
 
-def summarise(scenario: Scenario, outcome: Outcome, times: Times) -> dict[str, Any]:
+def summarise(scenario: AnyScenario, outcome: Outcome, times: Times) -> dict[str, Any]:
     """Return the content of ``summary.json``; `swarmabs_analysis.rerun` adds ``rerun_of``."""
     figures, run = outcome.figures, outcome.stepping_seconds
     complete = outcome.status == "ok" and run
@@ -52,13 +55,15 @@ def summarise(scenario: Scenario, outcome: Outcome, times: Times) -> dict[str, A
     }
 
 
-def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
-    """Return the summary as a table for the terminal."""
+def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Tracking = PLANE_TRACKING) -> Table:
+    """Return the summary as a table for the terminal; `tracking` is what the parent tracks."""
 
     def number(key: str, unit: str) -> str:
         value = summary[key]
-        return "-" if value is None else f"{value:.4g} {unit}"
+        return "-" if value is None else f"{value:.4g} {unit}".rstrip()
 
+    on_plane, unit = tracking is PLANE_TRACKING, tracking.unit
+    within = f"within {', '.join(f'{each:g}' for each in dict.fromkeys(tracking.tolerances))} {unit}"
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_column(style="dim")
     table.add_column(overflow="fold")
@@ -67,14 +72,16 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder) -> Table:
         "scenario": f"{summary['scenario']}, {summary['agents']} robots, {summary['steps']} steps",
         "status": summary["status"],
         "wall time": _wall_time(summary),
-        "settled": "not within 0.01 rad" if settled is None else f"within 0.01 rad from t = {settled:g} s",
-        "final error": number("final_error", "rad"),
-        "rms error": number("rms_error", "rad"),
-        "max |position|": number("max_abs_position", "m"),
+        "settled": f"not {within}" if settled is None else f"{within} from t = {settled:g} s",
+        "final error": number("final_error", unit),
+        "rms error": number("rms_error", unit),
+        "max |position|" if on_plane else "max |coordinate|": number("max_abs_position", "m" if on_plane else ""),
         "messages": str(summary["messages"] or 0),
         "digest": summary["digest"] or "-",
         "folder": str(folder.path),
     }
+    if not tracking.tolerances:  # nothing follows a reference
+        rows = {name: text for name, text in rows.items() if name not in {"settled", "final error", "rms error"}}
     if "realtime" in summary:
         del rows["digest"]  # it depends on timing
         rows |= _realtime_rows(summary["realtime"])

@@ -84,7 +84,7 @@ class ArrayStep(NamedTuple):
         return len(self.agents) + len(self.others)
 
     @property
-    def plane(self) -> PlaneState:
+    def parent(self) -> PlaneState:
         """State of the plane."""
         plane = self.others[0].message
         assert isinstance(plane, PlaneState)  # noqa: S101 - the records are in the order of a bag

@@ -11,14 +11,15 @@ from math import fsum, isfinite, nan
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.swarm_state import Members, SwarmState, finite
+from swarmabs_bag.swarm_state import Members, finite
+from swarmabs_config.scenario import Scenario
 from swarmabs_core.theory.constraint_sets import ConstraintSets
-from swarmabs_view.protocol import Manifold, Plane, Regions, RobotInfo, Sets
+from swarmabs_view.protocol import Manifold, Plane, Regions, Sets
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.model.scenario import AnyScenario
     from swarmabs_view.protocol import Hello
 
     Work = Callable[[], None]
@@ -38,12 +39,13 @@ UNKNOWN: dict[str, Any] = {**dict.fromkeys(("period", "last_step", "plane", "man
 """The result of `scenario_facts` while the scenario is not known."""
 
 
-def scenario_facts(scenario: Scenario) -> dict[str, Any]:
-    """Return the fields of a `Hello` that the scenario determines, including generated robots."""
+def scenario_facts(scenario: AnyScenario) -> dict[str, Any]:
+    """Return the fields of a `Hello` that the scenario determines, except for the robots."""
+    known = {**UNKNOWN, "period": scenario.period, "last_step": scenario.steps}
+    if not isinstance(scenario, Scenario):
+        return known
     return {
-        "period": scenario.period,
-        "last_step": scenario.steps,
-        "robots": [RobotInfo.of(robot) for robot in SwarmState.of(scenario).robots],
+        **known,
         "plane": Plane(length=scenario.plane.length, inertia=scenario.plane.inertia, gravity=scenario.plane.gravity),
         "manifold": Manifold(
             curvature=scenario.manifold.curvature,

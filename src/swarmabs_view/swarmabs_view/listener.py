@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_config.graph import Driver, requested
+from swarmabs_config.graph import OFFERED, Driver, requested
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, BASIS, DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE
+from swarmabs_core.messages import BASIS, EVENTS, FAMILIES
 from swarmabs_ros.endpoints import receiver
 
 if TYPE_CHECKING:
@@ -35,15 +35,22 @@ class Heard(NamedTuple):
 
 
 class Listener:
-    """Listens to a swarm with the number of robots known so far; counts malformed payloads."""
+    """Listens to a swarm on any parent system, with the number of robots known so far; counts malformed payloads."""
 
     def __init__(self, node: SwarmNode, robots: int) -> None:
         # The robots come last: when the broadcasts of a step are read, its states have arrived.
-        self._most = dict.fromkeys((BASIS, PLANE_STATE, ABSTRACT_STATE, DESIRED_ABSTRACT_STATE), DEPTH)
-        self._most |= {AGENT_STATE: max(DEPTH, ROBOT_STEPS * robots), EVENTS: 1000}
+        once = [topic for family in FAMILIES for topic in family.once]
+        topics = [topic for family in FAMILIES for topic in (family.parent, family.abstract, family.desired)]
+        self._most = dict.fromkeys((*once, BASIS, *topics), DEPTH)
+        self._most |= {family.robot: max(DEPTH, ROBOT_STEPS * robots) for family in FAMILIES} | {EVENTS: 1000}
         asked = {
-            # In real time all topics exist, and this QoS is compatible with publishers in lockstep too.
-            topic: requested(topic, Driver.REALTIME, depth=most, reliable=topic is EVENTS)
+            # In real time most topics exist, and this QoS is compatible with publishers in lockstep too.
+            topic: requested(
+                topic,
+                Driver.REALTIME if topic in OFFERED[Driver.REALTIME] else Driver.LOCKSTEP,
+                depth=most,
+                reliable=topic in {EVENTS, *once},
+            )
             for topic, most in self._most.items()
         }
         self._receiver = receiver(node, asked, "wait_set")

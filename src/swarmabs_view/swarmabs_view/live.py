@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from contextlib import suppress
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
+from swarmabs_bag.swarm_state import ShownRobot, SystemSwarmState
+from swarmabs_core.messages import SystemDescription
 from swarmabs_view.facts import Shading
+from swarmabs_view.presenter import Presenter
 from swarmabs_view.protocol import (
-    Curves,
     Event,
     Events,
-    Frame,
     Hello,
     Placed,
     Positions,
@@ -24,7 +26,7 @@ from swarmabs_view.protocol import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from swarmabs_bag.swarm_state import Instant, SwarmState
+    from swarmabs_bag.swarm_state import AnyInstant, SwarmState
     from swarmabs_core.messages import Message
     from swarmabs_view import protocol
     from swarmabs_view.listener import Listener
@@ -143,41 +145,53 @@ class LiveView:
     The hello contains what is known in advance; its robots are then those of the state.
     """
 
-    def __init__(self, hello: Hello, state: SwarmState) -> None:
+    def __init__(self, hello: Hello, state: SwarmState | SystemSwarmState) -> None:
         self.health: Health | None = None
         self.phase: Phase = "waiting"
         self.text = "waiting for the first step"
         self.facts = -1
         self.rate = StepRate()
         self._drawn = (-1, -1)
-        self._frame: Frame | None = None
+        self._frame: protocol.Message | None = None
         self.learn(hello, state)
 
-    def learn(self, hello: Hello, state: SwarmState) -> None:
+    def learn(self, hello: Hello, state: SwarmState | SystemSwarmState) -> None:
         """Restart with newly known facts."""
-        self._hello, self.state, self.shading = hello, state, Shading(hello)
-        self.curves: CurveBuffer[Instant] = CurveBuffer()
+        self.presenter = Presenter(state.tables if isinstance(state, SystemSwarmState) else None)
+        self._hello, self.state = hello, state
+        self.shading = Shading(self._greeting())
+        self.curves: CurveBuffer[AnyInstant] = CurveBuffer()
         # Fewer steps of many robots, which bounds the messages and the computation.
         stride = 1 + len(state.robots) // ROBOTS_A_STEP
         self.positions: CurveBuffer[Placed] = CurveBuffer(MOST_PLACES, stride)
-        self._complete: list[Instant] = []
+        self._complete: list[AnyInstant] = []
         self.facts += 1
 
-    def hello(self) -> Hello:
-        """Return the first message for a page."""
+    def hello(self) -> list[protocol.Message]:
+        """Return the first messages for a page."""
+        return [self._greeting(), *self.presenter.described(self.state.robots)]
+
+    def _greeting(self) -> Hello:
         return self._hello.model_copy(update={"robots": [RobotInfo.of(robot) for robot in self.state.robots]})
 
-    def frame(self, now: float) -> Frame | None:
+    def frame(self, now: float) -> protocol.Message | None:
         """Return the step to show at a time (s), computed once for all pages; None before the plane's first state."""
         if self._drawn != (self.facts, self.state.version):
             self._drawn = (self.facts, self.state.version)
-            shown = self.state.instant()
-            robots = [] if shown is None else self.state.shown_robots(shown.step)
-            self._frame = None if shown is None else Frame.of(shown, robots, self.rate.at(now))
+            state, shown = self.state, self.state.instant()
+            robots = [] if shown is None else state.shown_robots(shown.step)
+            rate = self.rate.at(now)
+            self._frame = None if shown is None else self.presenter.frame(shown, robots, state.robots, rate)
         return self._frame
 
     def add(self, message: Message) -> None:
-        """Process a message of the swarm."""
+        """Process a message of the swarm; the description of a parent system begins the view of that."""
+        if isinstance(message, SystemDescription) and not isinstance(self.state, SystemSwarmState):
+            state = SystemSwarmState()
+            state.add(message)
+            with suppress(LookupError, ValueError):  # of a description that is not one
+                if state.tables is not None:
+                    self.learn(self._hello, state)
         complete = self.state.add(message)
         if complete is not None:
             self.curves.add(complete)
@@ -196,7 +210,7 @@ class LiveView:
         else:
             self.phase, self.text = "silent", f"no step since {self.state.step}"
 
-    def begin(self, instants: Iterable[Instant], places: Iterable[Placed]) -> None:
+    def begin(self, instants: Iterable[AnyInstant], places: Iterable[Placed]) -> None:
         """Insert the data recorded before the first received step."""
         self.curves.begin(instants)
         self.positions.begin(places)
@@ -205,8 +219,9 @@ class LiveView:
         """Keep the positions of the complete steps: robots' states arrive after the rest of a step."""
         for instant in self._complete:
             shown = self.state.shown_robots(instant.step)
-            places = {robot.id: one.position for robot, one in zip(self.state.robots, shown, strict=True)}
-            self.positions.add(Placed(instant.step, instant.time, places))
+            ids = [robot.id for robot in self.state.robots]
+            places = [one.position if isinstance(one, ShownRobot) else one.coordinates for one in shown]
+            self.positions.add(Placed(instant.step, instant.time, dict(zip(ids, places, strict=True))))
         self._complete.clear()
 
     async def listen(self, listener: Listener, over: Callable[[], bool]) -> None:
@@ -239,7 +254,7 @@ class LiveSession(Session):
         self._known, self._events = (live.facts, len(live.state.robots)), 0
         self._curves = self._positions = (-1, 0)
         self._sent = {Sets: live.shading.first}
-        return [live.hello(), Events(replace=True, events=[])]
+        return [*live.hello(), Events(replace=True, events=[])]
 
     def poll(self, now: float) -> list[protocol.Message]:
         """Return the new messages at a time (s) of the clock."""
@@ -260,18 +275,20 @@ class LiveSession(Session):
         if self._after is not None:
             self._after.control(request)
 
-    def _new_curves(self) -> list[Curves]:
+    def _new_curves(self) -> list[protocol.Message]:
         buffer = self._live.curves
         found = buffer.since(*self._curves)
         self._curves = (buffer.epoch, len(buffer))
-        return [] if found is None else [Curves.of(found[0], replace=found[1])]
+        return [] if found is None else [self._live.presenter.curves(found[0], replace=found[1])]
 
-    def _new_positions(self) -> list[Positions]:
+    def _new_positions(self) -> list[protocol.Message]:
         buffer = self._live.positions
         found = buffer.since(*self._positions)
         self._positions = (buffer.epoch, len(buffer))
         robots = [robot.id for robot in self._live.state.robots]
-        return [] if found is None or not len(buffer) else [Positions.of(robots, found[0], replace=found[1])]
+        if found is None or not len(buffer):
+            return []
+        return [Positions.of(robots, found[0], replace=found[1], axes=self._live.presenter.axes)]
 
     def _new_events(self) -> list[Events]:
         state = self._live.state

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_bag.recorded_swarm import column_points, read_swarm
-from swarmabs_bag.swarm_state import MOST_EVENTS, finite
+from swarmabs_bag.recorded_swarm import RecordedSwarm, RecordedSystem, column_points, read_swarm
+from swarmabs_bag.swarm_state import MOST_EVENTS, state_of
 from swarmabs_view.facts import Shading, scenario_facts
 from swarmabs_view.ports import bound, need_web_server
+from swarmabs_view.presenter import Presenter
 from swarmabs_view.protocol import (
     Control,
-    Curves,
     Event,
     Events,
-    Frame,
     Hello,
     Message,
     Pause,
     Placed,
     Play,
     Positions,
+    RobotInfo,
     Seek,
     Session,
     Sets,
@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from swarmabs_bag.recorded_swarm import RecordedSwarm
+    from numpy.typing import NDArray
+
+    from swarmabs_bag.swarm_state import RobotIdentity, SystemIdentity
 
 COLUMNS = 1000
 """Columns of a chart; of each column the first, lowest, highest and last point of every curve are sent."""
@@ -45,15 +47,13 @@ def evenly(count: int, most: int) -> Sequence[int]:
     return range(0, count, -(-count // most) or 1)
 
 
-def places(swarm: RecordedSwarm, rows: Iterable[int]) -> list[Placed]:
+def places(swarm: RecordedSwarm | RecordedSystem, rows: Iterable[int]) -> list[Placed]:
     """Return the positions of the robots at rows of the arrays."""
     arrays, ids = swarm.arrays, swarm.arrays.agents.ids.tolist()
+    found = swarm.coordinates if isinstance(swarm, RecordedSystem) else swarm.positions
+    known = np.where(np.isfinite(found), found.astype(object), None)
     return [
-        Placed(
-            int(arrays.step[row]),
-            float(arrays.time[row]),
-            dict(zip(ids, map(finite, swarm.positions[row].tolist()), strict=True)),
-        )
+        Placed(int(arrays.step[row]), float(arrays.time[row]), dict(zip(ids, known[row].tolist(), strict=True)))
         for row in rows
     ]
 
@@ -61,8 +61,9 @@ def places(swarm: RecordedSwarm, rows: Iterable[int]) -> list[Placed]:
 class Recording:
     """A bag, read once, as messages of the page."""
 
-    def __init__(self, swarm: RecordedSwarm) -> None:
+    def __init__(self, swarm: RecordedSwarm | RecordedSystem) -> None:
         self.swarm = swarm
+        self.presenter = Presenter(swarm.tables if isinstance(swarm, RecordedSystem) else None)
 
     def __len__(self) -> int:
         return len(self.swarm)
@@ -73,10 +74,16 @@ class Recording:
         swarm = self.swarm
         facts = scenario_facts(swarm.scenario)
         facts["last_step"] = int(swarm.arrays.step[-1]) if len(self) else 0
+        facts["robots"] = [RobotInfo.of(robot) for robot in self.robots]
         title, place = swarm.scenario.name, str(swarm.bag)
         if swarm.name is not None:
             title, place = f"{title}, swarm {swarm.name}", f"{place}, namespace {swarm.name}"
         return Hello(source="bag", title=title, place=place, playback=True, **facts)
+
+    @cached_property
+    def robots(self) -> Sequence[RobotIdentity | SystemIdentity]:
+        """The robots, in the order of the scenario."""
+        return state_of(self.swarm.scenario).robots
 
     @cached_property
     def shading(self) -> Shading:
@@ -84,25 +91,29 @@ class Recording:
         return Shading(self.hello)
 
     @cached_property
-    def curves(self) -> Curves:
+    def curves(self) -> Message:
         """All curves, thinned without a visible change."""
-        arrays = self.swarm.arrays
+        arrays: Any = self.swarm.arrays
         abstract, desired = arrays.abstract, arrays.desired
-        columns = (
-            *(arrays.angle, arrays.reference, abstract.torque, desired.torque),
-            *(abstract.inertia, desired.inertia),
+        columns: Iterable[NDArray[np.float64]] = (
+            (
+                *(arrays.angle, arrays.reference, abstract.torque, desired.torque),
+                *(abstract.inertia, desired.inertia),
+            )
+            if isinstance(self.swarm, RecordedSwarm)
+            else np.hstack([arrays.parent, arrays.reference, abstract.value, desired.value]).T
         )
         chosen = np.arange(len(self))
         if len(self) > 2 * COLUMNS:
             column = np.arange(len(self)) * COLUMNS // len(self)
             chosen = np.unique(np.concatenate([column_points(column, values) for values in columns]))
-        return Curves.of([self.swarm.instant(row) for row in chosen.tolist()], replace=True)
+        return self.presenter.curves([self.swarm.instant(row) for row in chosen.tolist()], replace=True)
 
     @cached_property
     def positions(self) -> Positions:
         """The positions, at most at `COLUMNS` steps."""
         points = places(self.swarm, evenly(len(self), COLUMNS))
-        return Positions.of([robot.id for robot in self.hello.robots], points, replace=True)
+        return Positions.of([robot.id for robot in self.robots], points, replace=True, axes=self.presenter.axes)
 
     @cached_property
     def events(self) -> Events:
@@ -111,9 +122,9 @@ class Recording:
         left_out = max(0, len(found) - MOST_EVENTS)
         return Events(replace=True, events=[Event.of(one) for one in found[left_out:]], left_out=left_out)
 
-    def frame(self, row: int, step_rate: float | None = None) -> Frame:
+    def frame(self, row: int, step_rate: float | None = None) -> Message:
         """Return the frame at a row of the arrays."""
-        return Frame.of(self.swarm.instant(row), self.swarm.shown_robots(row), step_rate)
+        return self.presenter.frame(self.swarm.instant(row), self.swarm.shown_robots(row), self.robots, step_rate)
 
     def row_at(self, step: int) -> int:
         """Return the row of a step, or the row before a missing step."""
@@ -146,13 +157,14 @@ class PlaybackSession(Session):
         self._speed = 1.0
         self._time = 0.0
         self._now: float | None = None
-        self._drawn: tuple[int, Frame] | None = None
+        self._drawn: tuple[int, Message] | None = None
         self._sent = {Sets: recording.shading.first}
 
     def hello(self) -> list[Message]:
         """Return the initial messages for a page."""
         recording = self.recording
-        return [recording.hello, recording.curves, recording.positions, recording.events]
+        described = recording.presenter.described(recording.robots)
+        return [recording.hello, *described, recording.curves, recording.positions, recording.events]
 
     def poll(self, now: float) -> list[Message]:
         """Return the new messages at a time (s) of the clock."""

@@ -6,20 +6,21 @@ Numbers keep every bit: the page has the values of the bag.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
-from pydantic.json_schema import models_json_schema
+from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
 from swarmabs_bag.swarm_state import RobotStatus, ShownRobot, finite
 from swarmabs_core.messages import EventKind
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from typing_extensions import Self
 
-    from swarmabs_bag.swarm_state import Instant, RobotIdentity, TimedEvent
+    from swarmabs_bag.swarm_state import Instant, RobotIdentity, SystemIdentity, TimedEvent
 
 VERSION = 1
 """Version of the protocol, raised when a message is removed or changes its meaning. The server may add messages and
@@ -39,11 +40,14 @@ _KINDS = {kind.value: kind.name for kind in EventKind}
 
 
 class Placed(NamedTuple):
-    """Positions of the robots in a step: time (s), positions (m) by id; None for a robot that is not on the plane."""
+    """Positions of the robots in a step: time (s), positions (m) by id; None for a robot that is not on the plane.
+
+    On any other parent system, the places are coordinates; empty for a robot that is not there.
+    """
 
     step: int
     time: float
-    places: Mapping[int, float | None]
+    places: Mapping[int, float | Sequence[Number] | None]
 
 
 class Part(BaseModel):
@@ -62,15 +66,17 @@ class RobotInfo(Part):
     """The constant properties of a robot."""
 
     id: int
-    kind: Literal["single_integrator", "double_integrator"]
+    kind: Literal["single_integrator", "double_integrator", "first_order_lag"]
     mass: Number = Field(description="kg")
     damping: Number = Field(description="N s/m")
     joins: bool = Field(default=False, description="whether it takes part only after it joins")
 
     @classmethod
-    def of(cls, robot: RobotIdentity) -> Self:
-        """Return the constant properties of a robot."""
-        return cls(**{**robot._asdict(), "kind": robot.kind.name.lower()})
+    def of(cls, robot: RobotIdentity | SystemIdentity) -> Self:
+        """Return the constant properties of a robot; those of a robot that is not on the plane follow in `System`."""
+        known = {"mass": None, "damping": None, **robot._asdict(), "kind": robot.kind.name.lower()}
+        known.pop("constants", None)
+        return cls(**known)
 
 
 class Plane(Part):
@@ -117,6 +123,25 @@ class Hello(Message):
     playback: bool = Field(description="whether the page can control the playback: play, pause, seek, speed")
 
 
+class Row(Part):
+    """A number of a parent system other than the plane; a reference has the name of the quantity that follows it."""
+
+    role: Literal["parent", "reference", "abstract", "desired", "robot", "constant"]
+    name: str
+    unit: str
+    scale: float = Field(default=1.0, description="a typical magnitude")
+
+
+class System(Message):
+    """The parent system, if it is not the plane; follows the hello. Frames and curves are then those of systems."""
+
+    type: Literal["system"] = "system"
+    name: str
+    rows: list[Row] = Field(description="in the order of values, then of a robot's coordinates, then of its constants")
+    constants: list[list[Number]] = Field(description="by robot, in the order of the hello")
+    placed: bool = Field(description="whether the system itself places the robots in the picture")
+
+
 class Abstract(Part):
     """The abstract state."""
 
@@ -159,6 +184,28 @@ class Frame(Message):
         return cls(**shared, robots=RobotStates(**states), step_rate=step_rate)
 
 
+class SystemRobots(Part):
+    """States of all robots in the order of the hello, empty for robots without data and robots that left."""
+
+    position: list[list[float] | None] = Field(description="in the picture, along a line or in two dimensions")
+    coordinates: list[list[Number]]
+    velocities: list[list[Number]]
+    command: list[list[Number]]
+    status: list[RobotStatus | None]
+
+
+class SystemFrame(Message):
+    """The current step of a swarm on a parent system other than the plane."""
+
+    type: Literal["systemframe"] = "systemframe"
+    step: int
+    time: float = Field(description="s")
+    values: list[Number] = Field(description="in the order of the rows")
+    outline: list[list[list[float]]] = Field(description="lines of the picture of the system, each by its points")
+    robots: SystemRobots
+    step_rate: Number = Field(description="steps per second of wall time")
+
+
 class Sets(Message):
     """The sets for the robots that take part now; sent when these change."""
 
@@ -196,10 +243,20 @@ class Curves(Message):
         )
 
 
+class SystemCurves(Message):
+    """As the curves, of a swarm on a parent system other than the plane."""
+
+    type: Literal["systemcurves"] = "systemcurves"
+    replace: bool
+    time: list[float] = Field(description="s")
+    values: list[list[Number]] = Field(description="over time, in the order of the rows")
+
+
 class Positions(Message):
     """Positions over time, which are appended to the earlier ones or replace them.
 
-    A line is a robot or, for more than `MOST_LINES` robots, a percentile of all positions.
+    A line is a robot or, for more than `MOST_LINES` robots, a percentile of all positions. Of a parent system other
+    than the plane there are so many lines for each coordinate.
     """
 
     type: Literal["positions"] = "positions"
@@ -210,15 +267,22 @@ class Positions(Message):
     lines: list[list[Number]] = Field(description="m; null for a robot that is not on the plane")
 
     @classmethod
-    def of(cls, robots: Sequence[int], points: Sequence[Placed], *, replace: bool) -> Self:
-        """Return points of the lines of these robots, or of their percentiles."""
+    def of(cls, robots: Sequence[int], points: Sequence[Placed], *, replace: bool, axes: Sequence[int] = (0,)) -> Self:
+        """Return points of the lines of these robots, or of their percentiles, for each of the axes."""
         bands = len(robots) > MOST_LINES
-        rows = [[point.places.get(robot) for robot in robots] for point in points]
-        if bands:
-            rows = [_distribution(row) for row in rows]
         labels = list(BANDS) if bands else [f"robot {robot}" for robot in robots]
-        lines = [[row[index] for row in rows] for index in range(len(labels))]
+        lines: list[list[Number]] = []
+        for axis in axes:
+            rows = [[_along(point.places.get(robot), axis) for robot in robots] for point in points]
+            if bands:
+                rows = [_distribution(row) for row in rows]
+            lines += [[row[index] for row in rows] for index in range(len(labels))]
         return cls(replace=replace, bands=bands, labels=labels, time=[point.time for point in points], lines=lines)
+
+
+def _along(place: float | Sequence[Number] | None, axis: int) -> Number:
+    """Return a coordinate of a place."""
+    return (place[axis] if place else None) if isinstance(place, Sequence) else place
 
 
 def _distribution(positions: Sequence[Number]) -> list[Number]:
@@ -371,6 +435,7 @@ CONTROL: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminat
 
 FROM_SERVER: tuple[type[Message], ...] = (
     *(Hello, Frame, Sets, Curves, Positions, Events),
+    *(System, SystemFrame, SystemCurves),
     *(Health, State, Steering, Answer),
 )
 FROM_PAGE: tuple[type[Request], ...] = (Play, Pause, Seek, Speed, Unlock, Steer)
@@ -406,10 +471,31 @@ class Session:
         return found
 
 
+class _Untitled(GenerateJsonSchema):
+    """Leaves out the titles, which only repeat the names of the fields."""
+
+    def field_title_should_be_set(self, schema: object) -> bool:  # noqa: ARG002 - of the base class
+        return False
+
+
+def _short(schema: Any) -> Any:
+    """Return a schema with alternatives of simple types in one list."""
+    if isinstance(schema, list):
+        return [_short(one) for one in schema]
+    if not isinstance(schema, dict):
+        return schema
+    schema = {name: _short(value) for name, value in schema.items()}
+    if all(one.keys() == {"type"} for one in schema.get("anyOf", [{}])):
+        schema["type"] = [one["type"] for one in schema.pop("anyOf")]
+    return schema
+
+
 def json_schema() -> dict[str, object]:
     """Return the JSON Schema of all messages, by direction in ``from_server`` and ``from_page`` of its ``$defs``."""
-    _, schema = models_json_schema([(model, "serialization") for model in (*FROM_SERVER, *FROM_PAGE)])
-    definitions = schema["$defs"]
+    _, schema = models_json_schema(
+        [(model, "serialization") for model in (*FROM_SERVER, *FROM_PAGE)], schema_generator=_Untitled
+    )
+    definitions = _short(schema["$defs"])
     for name, models in (("from_server", FROM_SERVER), ("from_page", FROM_PAGE)):
         definitions[name] = {"oneOf": [{"$ref": f"#/$defs/{model.__name__}"} for model in models]}
     return {

@@ -20,7 +20,7 @@ import psutil
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.recorded_swarm import read_swarm
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_bag.swarm_state import SwarmState
+from swarmabs_bag.swarm_state import SwarmState, state_of
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_run.orchestration.run_files import RunOverError, environment_of_run, is_running, read_processes
@@ -41,7 +41,7 @@ with tracing_files_removed():
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from swarmabs_bag.swarm_state import Instant
+    from swarmabs_bag.swarm_state import AnyInstant
     from swarmabs_view.playback import Recording
     from swarmabs_view.protocol import Placed, Session
 
@@ -152,7 +152,7 @@ class RunView:
         scenario = find_scenario(str(self._folder.scenario))
         facts = await asyncio.to_thread(scenario_facts, scenario)
         hello = Hello(source="run", title=scenario.name, place=str(self._folder.path), playback=False, **facts)
-        self._live.learn(hello, SwarmState.of(scenario))
+        self._live.learn(hello, state_of(scenario))
 
     async def _fetch(self) -> None:
         """Read the steps before the first received one from the bag that is being written."""
@@ -169,7 +169,7 @@ class RunView:
                     self._live.begin(*found)
                     return
 
-    def _recorded(self, first: int) -> tuple[list[Instant], list[Placed]] | None:
+    def _recorded(self, first: int) -> tuple[list[AnyInstant], list[Placed]] | None:
         """Return the recorded data before a step, None if it is not written yet."""
         swarm = read_swarm(self._folder.path)
         steps, period = swarm.arrays.step, swarm.scenario.period

@@ -16,6 +16,7 @@ from rich.live import Live
 from rich.panel import Panel
 from rich.text import Text
 
+from swarmabs_bag.figures import tracking_of
 from swarmabs_bag.recorder.swarm_summary import LETTERS, THOUSAND
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from rich.console import ConsoleOptions, RenderResult
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_run.run import Progress
 
 _TERMINAL_INTERVAL, _LINE_INTERVAL = 0.2, 5.0
@@ -41,6 +42,7 @@ _BARS = " ▁▂▃▄▅▆▇█"
 _ASCII_BARS = " .:-=+*#@"
 _STATUS = {
     LETTERS["active"]: ("active", "green"),
+    LETTERS["limited"]: ("limited", "cyan"),
     LETTERS["safe_stop"]: ("in safe stop", "yellow"),
     LETTERS["left"]: ("left", "dim"),
     LETTERS["dead"]: ("dead", "magenta"),
@@ -53,7 +55,7 @@ _LABEL = 8
 
 
 @contextmanager
-def shown_progress(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
+def shown_progress(scenario: AnyScenario) -> Iterator[Callable[[Progress], None]]:
     """Show the progress of a run on standard error inside the block; pass it to the yielded function."""
     if sys.stderr.isatty():
         with _terminal(scenario) as show:
@@ -62,7 +64,7 @@ def shown_progress(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
         yield _lines(scenario)
 
 
-def describe(progress: Progress, scenario: Scenario) -> str:
+def describe(progress: Progress, scenario: AnyScenario) -> str:
     """Describe the progress of a run in a line."""
     if progress.phase == "starting":
         return f"{scenario.name}: starting, {progress.ready} of {progress.processes} processes ready"
@@ -72,13 +74,14 @@ def describe(progress: Progress, scenario: Scenario) -> str:
     elif progress.step_rate:
         parts.append(f"{progress.step_rate:.0f} steps/s, {progress.step_rate * scenario.period:.1f} x real time")
     if progress.angle is not None:
-        error = "" if progress.error is None else f", error {progress.error:+.4f} rad"
-        parts.append(f"angle {progress.angle:+.4f} rad{error}")
+        tracking = tracking_of(scenario)
+        error = "" if progress.error is None else f", error {progress.error:+.4f} {tracking.unit}"
+        parts.append(f"{tracking.name} {progress.angle:+.4f} {tracking.unit}{error}")
     return "; ".join(parts)
 
 
 @contextmanager
-def _terminal(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
+def _terminal(scenario: AnyScenario) -> Iterator[Callable[[Progress], None]]:
     console = Console(stderr=True, highlight=False)
     if console.is_dumb_terminal:  # it cannot move the cursor back
         yield _lines(scenario)
@@ -99,7 +102,7 @@ def _terminal(scenario: Scenario) -> Iterator[Callable[[Progress], None]]:
         yield show
 
 
-def _lines(scenario: Scenario) -> Callable[[Progress], None]:
+def _lines(scenario: AnyScenario) -> Callable[[Progress], None]:
     shown, phase = time.monotonic(), ""
 
     def show(progress: Progress) -> None:
@@ -115,8 +118,9 @@ def _lines(scenario: Scenario) -> Callable[[Progress], None]:
 class RunPanel:
     """Renders a run as a panel, or as one line in little space; it has no clock and does not print."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: AnyScenario) -> None:
         self._scenario = scenario
+        self._tracking = tracking_of(scenario)
         self._kinds = {agent.id: agent.kind for agent in scenario.agents}
         self._errors: list[float | None] = [None] * _BINS
         self._progress: Progress | None = None
@@ -150,7 +154,7 @@ class RunPanel:
     def _lines(self, progress: Progress, width: int, height: int, *, ascii_only: bool) -> list[Text]:
         lines = [
             self._bar(progress, width, ascii_only=ascii_only),
-            _line("angle", self._angle(progress)),
+            _line(self._tracking.name, self._angle(progress)),
             _line("error", self._sparkline(width - _LABEL - 12, progress, ascii_only=ascii_only)),
             _line("speed", self._speed(progress)),
         ]
@@ -177,10 +181,11 @@ class RunPanel:
     def _angle(self, progress: Progress) -> Text:
         if progress.angle is None:
             return Text("not known yet")
-        if progress.error is None:
-            return Text(f"{progress.angle:+.4f} rad")
-        reference = progress.angle + progress.error
-        return Text(f"{progress.angle:+.4f} rad, reference {reference:+.4f} rad, error {progress.error:+.4f} rad")
+        unit, error = self._tracking.unit, progress.error
+        shown = f"{progress.angle:+.4f} {unit}"
+        if error is not None and len(self._tracking.followed) == 1:
+            shown += f", reference {progress.angle + error:+.4f} {unit}"
+        return Text(shown if error is None else f"{shown}, error {error:+.4f} {unit}")
 
     def _sparkline(self, width: int, progress: Progress, *, ascii_only: bool) -> Text:
         """Draw |error| over the whole run, scaled to its largest value."""
@@ -198,7 +203,7 @@ class RunPanel:
         largest = max((error for error in columns if error is not None), default=0.0)
         bars = _ASCII_BARS if ascii_only else _BARS
         return Text("".join(_column(error, largest, bars) for error in columns)).append(
-            f" {largest:.4f} rad", style="dim"
+            f" {largest:.4f} {self._tracking.unit}", style="dim"
         )
 
     def _speed(self, progress: Progress) -> Text:
@@ -251,7 +256,7 @@ class RunPanel:
 
 
 def _line(label: str, content: Text) -> Text:
-    return Text.assemble((f"{label:<{_LABEL}}", "bold"), content, no_wrap=True, overflow="ellipsis")
+    return Text.assemble((f"{label[: _LABEL - 1]:<{_LABEL}}", "bold"), content, no_wrap=True, overflow="ellipsis")
 
 
 def _counts(seen: SwarmSummary) -> Text:

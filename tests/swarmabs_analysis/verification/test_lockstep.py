@@ -221,13 +221,14 @@ class Nudged(Agent):
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__(config)
-        law = self._controller.follow
+        controller = self._body._controller  # noqa: SLF001 - there is no other way to its law
+        law = controller.follow
 
         def nudged(p: float, v: float, abstract: msg.AbstractState, *others: Any) -> float:
             command = law(p, v, abstract, *others)
             return math.nextafter(command, math.inf) if abstract.step == 30 else command
 
-        self._controller.follow = nudged
+        controller.follow = nudged
 
 
 def otherwise(**settings: object) -> Callable[[AgentConfig], Agent]:

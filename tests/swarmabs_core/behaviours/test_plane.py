@@ -5,7 +5,7 @@ import pytest
 from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
 
 from swarmabs_core import messages as msg, plant
-from swarmabs_core.behaviours import Plane, PlaneConfig
+from swarmabs_core.behaviours import Parent, PlaneConfig
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError, UnknownAgentError
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import Change, ChangeKind
@@ -18,10 +18,10 @@ FRICTION, DISTURBANCE = Friction(0.01, 30.0, 20.0, 0.02, 30.0, 1.0), Disturbance
 PLANE = plant.Plane(inertia=0.5, friction=FRICTION, angle=0.1, angular_velocity=-0.2, disturbance=DISTURBANCE)
 
 
-def plane(*schedule: Change, **options: Any) -> Plane:
+def plane(*schedule: Change, **options: Any) -> Parent:
     body = replace(PLANE, **{name: options.pop(name) for name in ("end_stop", "sensor") if name in options})
     given = {"members": (1, 2, 3), "period_ns": PERIOD_NS, "plane": body, "schedule": schedule}
-    return Plane(PlaneConfig(**{**given, **options}))
+    return Parent(PlaneConfig(**{**given, **options}))
 
 
 def robots(step: int = 0, without: tuple[int, ...] = ()) -> list[msg.AgentState]:
@@ -36,11 +36,11 @@ def robots(step: int = 0, without: tuple[int, ...] = ()) -> list[msg.AgentState]
     return [state for state in moves if state.agent_id not in without]
 
 
-def feed(node: Plane, messages: list[msg.AgentState]) -> list[msg.Message]:
+def feed(node: Parent, messages: list[msg.AgentState]) -> list[msg.Message]:
     return [answer for message in messages for answer in node.handle(message)]
 
 
-def angle(node: Plane, messages: list[msg.AgentState]) -> tuple[float, float]:
+def angle(node: Parent, messages: list[msg.AgentState]) -> tuple[float, float]:
     """Feed the last messages of a step and return the plane's state."""
     *_, state = feed(node, messages)
     assert isinstance(state, msg.PlaneState)

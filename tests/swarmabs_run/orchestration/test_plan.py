@@ -123,7 +123,8 @@ def test_nodes_are_configured_as_the_scenario_says(scenario: str, monkeypatch: p
     assert observer.made(ObserverConfig) == configure.observer_config(loaded)
     assert observer.text("on_stall") == loaded.lockstep.on_stall
     assert observer.number("stall_timeout") == plane.number("stall_timeout") == loaded.lockstep.stall_timeout
-    config, law = made_by(processes[CONTROLLER], "Controller", monkeypatch)
+    (config,) = made_by(processes[CONTROLLER], "Controller", monkeypatch)
+    law = config.law.make(loaded.period, loaded.manifold)
     window = configure.recording_window(loaded)
     assert config == replace(configure.controller_config(loaded, recording_window=window), law=config.law)
     assert content(law) == content(configure.parent_controller(loaded))

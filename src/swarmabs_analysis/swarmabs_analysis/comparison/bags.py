@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from swarmabs_analysis.comparison.messages import MessageComparison, compare_steps
 from swarmabs_analysis.difference import plain
-from swarmabs_bag.attached import attached_provenance, attached_scenario, is_realtime
+from swarmabs_bag.attached import attached_provenance, attached_scenario, description_of, is_realtime
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.figures import RealtimeFigures, RunFigures
+from swarmabs_bag.figures import PLANE_TRACKING, RealtimeFigures, RunFigures, tracking_of
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.steps import REALTIME_WINDOW, recorded_steps
 from swarmabs_config import configure
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import EVENTS
+from swarmabs_core.messages import EVENTS, SYSTEM_FAMILY
 from swarmabs_core.realtime.base import Schedule
 
 if TYPE_CHECKING:
@@ -28,8 +28,9 @@ if TYPE_CHECKING:
     from swarmabs_bag.figures import Reference
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.recording import RecordedStep
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.record import Record
+    from swarmabs_core.systems import SystemTables
 
 
 _DEEPEST = 32
@@ -131,6 +132,8 @@ class Comparison:
         Fields in which the resolved scenarios differ; also empty if one of them is missing.
     provenance : tuple of SettingDifference
         Differences of the provenance: versions, machine, fingerprint.
+    system : SystemTables or None
+        Names and units of the quantities of bags on another parent system than the plane, if those of both are equal.
     """
 
     a: BagSummary
@@ -140,6 +143,7 @@ class Comparison:
     robots_only_in_b: tuple[int, ...]
     scenario: tuple[SettingDifference, ...]
     provenance: tuple[SettingDifference, ...]
+    system: SystemTables | None = None
 
     @property
     def damaged(self) -> bool:
@@ -198,6 +202,7 @@ def compare_bags(
         robots_only_in_b=tuple(sorted(right.robots - left.robots)),
         scenario=_scenario_differences(left.scenario, right.scenario),
         provenance=setting_differences(attached_provenance(left.bag), attached_provenance(right.bag)),
+        system=left.tables if left.tables == right.tables else None,
     )
 
 
@@ -209,23 +214,28 @@ class _Side:
             raise NotABagError(f"{bag.path} is not the bag of a swarm: it has none of its topics; name another bag")
         self.bag = bag
         self.robots: set[int] = set()
-        self.scenario: Scenario | None = None
+        self.scenario: AnyScenario | None = None
         self.found = found = BagSummary(
             str(bag.path),
             problem=bag.problem and f"{bag.path}: {bag.problem}",
             not_compared=tuple(channel.name for channel in bag.channels if channel.topic is None),
         )
+        self.tables: SystemTables | None = None
+        if bag.family is SYSTEM_FAMILY:
+            with suppress(DamagedBagError):
+                self.tables = description_of(bag)._replace(settings={})
         reference: Reference = _unknown
+        tracking = PLANE_TRACKING
         period_ns = 1
         try:
             self.scenario = attached_scenario(bag)
             found.period, period_ns = self.scenario.period, self.scenario.step_ns
-            reference = configure.reference(self.scenario)
+            reference, tracking = configure.reference(self.scenario), tracking_of(self.scenario)
         except (InputError, DamagedBagError) as error:
             found.scenario_problem = str(error)
         with suppress(DamagedBagError):
             found.aborted = bag.aborted()
-        self._run = RunFigures(reference)
+        self._run = RunFigures(reference, tracking)
         self._realtime = RealtimeFigures(reference, Schedule(period_ns)) if is_realtime(bag) else None
 
     def steps(self) -> Iterator[RecordedStep]:
@@ -262,7 +272,7 @@ def _unknown(_time: float) -> float:
     return math.nan
 
 
-def _scenario_differences(a: Scenario | None, b: Scenario | None) -> tuple[SettingDifference, ...]:
+def _scenario_differences(a: AnyScenario | None, b: AnyScenario | None) -> tuple[SettingDifference, ...]:
     if a is None or b is None:
         return ()
     ours, theirs = (scenario.resolved().model_dump(mode="json", by_alias=True) for scenario in (a, b))

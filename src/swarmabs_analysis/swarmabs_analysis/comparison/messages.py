@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_analysis.difference import MESSAGE, Difference, Side, differing_fields
+from swarmabs_analysis.difference import MESSAGE, Difference, Side, component_of, differing_fields
 from swarmabs_bag.steps import ORDER
 from swarmabs_core.messages import EVENTS
 
@@ -44,7 +44,7 @@ class FieldDeviation:
     Attributes
     ----------
     field : str
-        The field.
+        The field; of a vector the component, such as ``value[0]``.
     differing : int
         Number of messages in which its bits differ.
     largest : float or None
@@ -108,8 +108,10 @@ class TopicComparison:
         return self._fields.setdefault(name, FieldDeviation(name))
 
     def finish(self, order: Iterable[str]) -> None:
-        """Compute the results of the fields, in this order."""
-        self.fields = tuple(self._fields[name] for name in order if name in self._fields)
+        """Compute the results of the fields, in this order; those of vectors by component."""
+        places = {name: place for place, name in enumerate(order)}
+        components = {component_of(name): field for name, field in self._fields.items()}
+        self.fields = tuple(components[key] for key in sorted(components, key=lambda key: (places[key[0]], key[1])))
         for field in self.fields:
             field.finish(self.compared)
 
@@ -182,11 +184,16 @@ def compare_steps(a: Iterable[RecordedStep], b: Iterable[RecordedStep]) -> Messa
     found = MessageComparison()
     events = _Events(found)
     for x, y in side_by_side(_main_steps(a, events, "A"), _main_steps(b, events, "B")):
-        ours, theirs = ({(ORDER[r.topic], r.agent_id): r for r in step.records} if step else {} for step in (x, y))
+        ours, theirs = ({_place(record): record for record in step.records} if step else {} for step in (x, y))
         for place in sorted(ours.keys() | theirs.keys()):
             found.take(ours.get(place), theirs.get(place))
     events.finish()
     return found.finish()
+
+
+def _place(record: Record) -> tuple[int, str, int]:
+    """Return the place of a message in its step; topics of different families have places of their own."""
+    return ORDER[record.topic], record.topic.name, record.agent_id
 
 
 def _main_steps(steps: Iterable[RecordedStep], events: _Events, side: Side) -> Iterator[RecordedStep]:

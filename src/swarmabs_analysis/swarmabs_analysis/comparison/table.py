@@ -13,7 +13,10 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
+from swarmabs_analysis.difference import component_of
 from swarmabs_config.model.errors import printable, shorten
+from swarmabs_core.messages import ROBOT_STATE, TOPICS
+from swarmabs_core.systems.components import components, labelled
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
 
     from swarmabs_analysis.comparison.bags import BagSummary, Comparison, SettingDifference
     from swarmabs_analysis.comparison.messages import TopicComparison
+    from swarmabs_core.systems import SystemTables
 
 _MOST_ROWS = 40
 _FIGURES = {
@@ -59,7 +63,7 @@ def render(comparison: Comparison) -> RenderableType:
     """Return the comparison as tables: both bags, verdict, deviations, then the differences other than messages."""
     parts: list[RenderableType] = [_sides(comparison), _verdict(comparison)]
     if not comparison.messages.equal:
-        parts += [_topics(comparison.messages.topics), _fields(comparison.messages.topics)]
+        parts += [_topics(comparison.messages.topics), _fields(comparison.messages.topics, comparison.system)]
     for name, differences in (("scenario", comparison.scenario), ("provenance", comparison.provenance)):
         if differences:
             parts.append(_settings(name, differences))
@@ -95,7 +99,10 @@ def _facts(comparison: Comparison) -> Iterator[tuple[str, str, str]]:
     yield "period, s", _number(a.period), _number(b.period)
     yield "robots", str(a.robots), str(b.robots)
     yield "robots only in this bag", _ids(comparison.robots_only_in_a), _ids(comparison.robots_only_in_b)
-    for key, name in _FIGURES.items():
+    names = labelled(_FIGURES, comparison.system) if comparison.system else _FIGURES
+    if comparison.system is None and any(topic.topic == ROBOT_STATE.name for topic in comparison.messages.topics):
+        names = {key: name.partition(",")[0] for key, name in names.items()}  # different systems have different units
+    for key, name in names.items():
         yield name, _number(a.figures[key]), _number(b.figures[key])
     yield "not compared", ", ".join(a.not_compared), ", ".join(b.not_compared)
 
@@ -111,13 +118,27 @@ def _topics(topics: Sequence[TopicComparison]) -> ResponsiveTable:
     return table
 
 
-def _fields(topics: Sequence[TopicComparison]) -> ResponsiveTable | str:
+def _fields(topics: Sequence[TopicComparison], system: SystemTables | None) -> ResponsiveTable | str:
     """Return a table by topic and field that fits 80 characters unless a deviation is not finite."""
-    rows = [{"topic": topic.topic, **asdict(field)} for topic in topics for field in topic.fields]
+    rows = [
+        {"topic": topic.topic, **asdict(field), "field": _named(topic.topic, field.field, system)}
+        for topic in topics
+        for field in topic.fields
+    ]
     columns = {"differing": "differ", "largest": "largest", "step": "at step", "agent": "agent", "rms": "rms"}
     if any(row["undefined"] for row in rows):
         columns["undefined"] = "not finite"
     return _deviations(rows, columns) if rows else ""
+
+
+def _named(topic: str, field: str, system: SystemTables | None) -> str:
+    """Return a field with the name and unit of its quantity, if it is known."""
+    vector, index = component_of(field)
+    if system is None or index < 0:
+        return field
+    message = next(each.message for each in TOPICS if each.name == topic)
+    named = components(system, message)[vector]
+    return _shown(f"{field} {named[index].name}, {named[index].unit}") if index < len(named) else field
 
 
 def _deviations(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> ResponsiveTable:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_analysis.export.tables import TABLES, WORD
+from swarmabs_analysis.export.tables import WORD, tables_of
 from swarmabs_bag.arrays import arrays_since, available_memory, load_messages
 from swarmabs_bag.attached import event_time
 from swarmabs_bag.errors import BagTooLargeError
 from swarmabs_bag.reader import open_bag
-from swarmabs_core.arrays import MessageArrays
+from swarmabs_core.arrays import MessageArrays, RunArrays
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS, Field, SwarmEvent, fields_of, word
 
@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from swarmabs_analysis.export.tables import BagTable
     from swarmabs_bag.reader import BagReader
-    from swarmabs_core.arrays import RunArrays
+    from swarmabs_core.arrays import SystemArrays
 
 
 def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None) -> Path:
@@ -32,8 +33,9 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
 
     Names are those of `RunArrays` and of the fields, joined by underscores, such as ``agents_position`` of shape (n+1,
     N); the fields of the E events, in the order of the bag, are ``events_step``, ``events_detail`` and so on of shape
-    (E,), strings as fixed-width unicode. ``units``, ``words`` (the names of the values in arrays of constants such as
-    ``agents_kind``) and ``summary`` are JSON texts. Nothing is pickled.
+    (E,), strings as fixed-width unicode. On another parent system than the plane, they are named by table and column,
+    such as ``parent_roll`` and ``agents_position``. ``units``, ``words`` (the names of the values in arrays of
+    constants such as ``agents_kind``) and ``summary`` are JSON texts. Nothing is pickled.
 
     Raises
     ------
@@ -49,9 +51,10 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
     bag = open_bag(path, namespace=namespace)
     messages = load_messages(bag)
     run, start = arrays_since(bag, messages)
-    arrays: dict[str, NDArray[Any]] = {**dict(_named(run)), **_events(bag, messages.events, start)}
-    units = {name: unit for name, unit in _units().items() if name in arrays}
-    described = {"units": units, "words": _words(), "summary": run.summary()}
+    tables = tables_of(bag)
+    arrays: dict[str, NDArray[Any]] = {**dict(_named(run, tables)), **_events(bag, messages.events, start)}
+    units = {name: unit for name, unit in _units(tables).items() if name in arrays}
+    described = {"units": units, "words": _words(tables), "summary": run.summary()}
     texts = {name: np.array(json.dumps(content)) for name, content in described.items()}
     part = file.with_name(f".{file.name}.part")
     try:
@@ -66,13 +69,30 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
     return file
 
 
-def _named(run: RunArrays) -> Iterator[tuple[str, NDArray[Any]]]:
+def _named(run: RunArrays | SystemArrays, tables: Sequence[BagTable]) -> Iterator[tuple[str, NDArray[Any]]]:
+    if not isinstance(run, RunArrays):
+        yield from _components(run, tables)
+        return
     for field in fields(run):
         value = getattr(run, field.name)
         if isinstance(value, MessageArrays):
             yield from ((f"{field.name}_{name}", array) for name, array in value.items())
         elif isinstance(value, np.ndarray):
             yield field.name, value
+
+
+def _components(run: SystemArrays, tables: Sequence[BagTable]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the arrays of a run on any parent system, an array for each component of a vector."""
+    yield from (("step", run.step), ("time", run.time))
+    for table in tables:
+        group = {"state": run.parent, "reference": run.reference} if table.name == "parent" else {}
+        if table.topic is not EVENTS and not group:
+            group = dict(getattr(run, table.name).items())
+        vectors = {field for field, _ in table.vectors.values()}
+        yield from ((f"{table.name}_{name}", array) for name, array in group.items() if name not in vectors)
+        for name, (field, index) in table.vectors.items():
+            if index < group[field].shape[-1]:
+                yield f"{table.name}_{name}", group[field][..., index]
 
 
 def _events(bag: BagReader, events: Sequence[SwarmEvent], start: float) -> dict[str, NDArray[Any]]:
@@ -90,11 +110,11 @@ def _events(bag: BagReader, events: Sequence[SwarmEvent], start: float) -> dict[
     return arrays
 
 
-def _words() -> dict[str, dict[int, str]]:
+def _words(tables: Sequence[BagTable]) -> dict[str, dict[int, str]]:
     """Return the names of the values in arrays of constants."""
     return {
         f"{table.name}_{name}": {value.value: word(value) for value in field.constants}
-        for table in TABLES
+        for table in tables
         for name, field in fields_of(table.topic.message).items()
         if isinstance(field, Field) and field.constants is not None
     }
@@ -109,10 +129,10 @@ def _check_memory(bag: BagReader, needed: int) -> None:
         )
 
 
-def _units() -> dict[str, str]:
+def _units(tables: Sequence[BagTable]) -> dict[str, str]:
     """Return the units by name of the array; arrays of the plane have no prefix."""
     units = {"agents_ids": "1"}
-    for table in TABLES:
+    for table in tables:
         for column in table.columns:
             if column.name == "stamp" and table.topic is not EVENTS:
                 continue

@@ -10,31 +10,33 @@ from math import isnan
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from swarmabs_bag.attached import step_period
+from swarmabs_bag.attached import description_of, step_period
 from swarmabs_bag.bag_summary import desired_angle, summarise_bag
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_folder
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    AUXILIARY_STATE,
-    DESIRED_ABSTRACT_STATE,
     EVENTS,
-    PLANE_STATE,
+    PLANE_FAMILY,
+    SYSTEM_FAMILY,
     Field,
+    PlaneState,
     Topic,
     fields_of,
     word,
     word_of,
 )
+from swarmabs_core.systems import Quantity
+from swarmabs_core.systems.components import MAIN_FIELDS, REFERENCE, components
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from swarmabs_bag.reader import BagReader
     from swarmabs_core.messages import Message
+    from swarmabs_core.systems import SystemTables
 
     AddRow = Callable[[Sequence[Any]], object]
 
@@ -55,77 +57,97 @@ class Column(NamedTuple):
 
 
 class BagTable(NamedTuple):
-    """A topic as a table: time, stamp, the fields of the message by name, and for the plane also the reference.
+    """A topic as a table: time, stamp, the fields of the message by name, and for the parent also the reference.
 
-    Constants appear as words; a value that means "none" is missing.
+    Constants appear as words; a value that means "none" is missing. `vectors` are field and index of the columns that
+    contain a component of a vector, or of the reference.
     """
 
     name: str
     topic: Topic
     columns: tuple[Column, ...]
+    vectors: Mapping[str, tuple[str, int]]
 
 
 _TIME = Column("time", "float64", "s", "time of the step; in real time the stamp")
-_REFERENCE = Column("reference", "float64", "rad", "desired angle with its offsets; missing if unknown")
 WORD = "word"
 """Type of columns of constants: text, in Parquet dictionary-encoded."""
 
 
-def _table(name: str, topic: Topic) -> BagTable:
+def _table(name: str, topic: Topic, system: SystemTables | None = None) -> BagTable:
     """Return a topic as a table: step, time, robot, the fields of the message in order, and the stamp last."""
-    stamp, *others = _columns(topic)
-    added = (_REFERENCE,) if topic is PLANE_STATE else ()
-    columns = {column.name: column for column in (_TIME, *others, *added, stamp)}
+    declared = {field: each for field, each in fields_of(topic.message).items() if field != "system"}
+    parts = {} if system is None else components(system, topic.message)
+    if topic.message is PlaneState:
+        parts[REFERENCE] = (Quantity(REFERENCE, "rad"),)
+    columns = {"time": _TIME} | {field: _column(field, each) for field, each in declared.items() if field not in parts}
+    vectors = {}
+    for field, several in parts.items():
+        for index, (quantity, unit, _) in enumerate(several):
+            key = quantity if field in MAIN_FIELDS or system is None else f"{field}_{quantity}"
+            while key in columns or key in declared:
+                key = f"{field}_{key}"
+            what = "desired angle" if system is None else "wanted value"
+            what = f"{what} with its offsets; missing if unknown" if field == REFERENCE else f"{field}[{index}]"
+            columns[key] = Column(key, "float64", unit, what)
+            vectors[key] = field, index
+    stamp = columns.pop("stamp")
     first = [columns.pop(key) for key in ("step", "time", "agent_id") if key in columns]
-    return BagTable(name, topic, (*first, *columns.values()))
+    return BagTable(name, topic, (*first, *columns.values(), stamp), vectors)
 
 
-def _columns(topic: Topic) -> Iterator[Column]:
-    for name, field in fields_of(topic.message).items():
-        assert isinstance(field, Field)  # noqa: S101 - recorded messages are never nested
-        if field.ros_type == "time":
-            yield Column(name, "float64", "s", field.meaning)
-        elif field.constants is not None:
-            yield Column(name, WORD, "", f"one of {', '.join(map(word, field.constants))}")
-        else:
-            none = "; missing if none" if field.missing is not None else ""
-            yield Column(name, field.ros_type, field.unit, field.meaning + none)
+def _column(name: str, field: Field | type[Message]) -> Column:
+    assert isinstance(field, Field)  # noqa: S101 - recorded messages are never nested
+    if field.ros_type == "time":
+        return Column(name, "float64", "s", field.meaning)
+    if field.constants is not None:
+        return Column(name, WORD, "", f"one of {', '.join(map(word, field.constants))}")
+    none = "; missing if none" if field.missing is not None else ""
+    return Column(name, field.ros_type, field.unit, field.meaning + none)
 
 
-TABLES = (
-    _table("agents", AGENT_STATE),
-    _table("plane", PLANE_STATE),
-    _table("abstract", ABSTRACT_STATE),
-    _table("auxiliary", AUXILIARY_STATE),
-    _table("desired", DESIRED_ABSTRACT_STATE),
-    _table("events", EVENTS),
-)
-"""All tables, in the order of a bag."""
+def _tables(system: SystemTables | None = None) -> tuple[BagTable, ...]:
+    family, parent = (PLANE_FAMILY, "plane") if system is None else (SYSTEM_FAMILY, "parent")
+    topics = zip(("agents", parent, "abstract", "auxiliary", "desired"), family.main, strict=True)
+    return (*(_table(name, topic, system) for name, topic in topics), _table("events", EVENTS))
 
 
-def _row_of(
-    table: BagTable, period: int | None, reference: Callable[[int], float]
-) -> Callable[[Message], Sequence[Any]]:
+TABLES = _tables()
+"""All tables of a swarm on the plane, in the order of a bag."""
+
+
+def tables_of(bag: BagReader) -> tuple[BagTable, ...]:
+    """Return all tables of a bag.
+
+    On another parent system than the plane, a column is named after its quantity, such as ``roll``; if the field is not
+    the quantity itself, or the name is taken, after field and quantity, such as ``rate_torque``.
+    """
+    return TABLES if bag.family is PLANE_FAMILY else _tables(description_of(bag))
+
+
+def _row_of(table: BagTable, period: int | None, reference: Callable[[int], Any]) -> Callable[[Message], Sequence[Any]]:
     """Return a function that turns a message into a row; `reference` returns the desired angle (rad) of a step.
 
-    The time is that of the step, because a robot's clock may be wrong in lockstep; without a period (ns), as in real
-    time, it is the stamp.
+    For another parent system than the plane, `reference` returns a tuple. The time is that of the step, because a
+    robot's clock may be wrong in lockstep; without a period (ns), as in real time, it is the stamp.
     """
     fields = table.topic.message._fields
     names = [column.name for column in table.columns]
-    computed = {"time", "stamp", _REFERENCE.name}
-    pick = itemgetter(*(0 if name in computed else fields.index(name) for name in names))
+    wanted = [(names.index(name), index) for name, (field, index) in table.vectors.items() if field == REFERENCE]
+    taken = [table.vectors.get(name, (name, 0))[0] for name in names]
+    pick = itemgetter(*(fields.index(field) if field in fields else 0 for field in taken))
     time, stamp = names.index("time"), names.index("stamp")
-    wanted = names.index(_REFERENCE.name) if _REFERENCE in table.columns else None
-    shown = [(names.index(name), show) for name, show in _shown(table.topic)]
+    shown = [(names.index(name), show) for name, show in _shown(table)]
 
     def row(message: Message) -> Sequence[Any]:
         picked = list(pick(message))
         picked[time] = (message.stamp if period is None else message.step * period) / 1e9
         picked[stamp] = message.stamp / 1e9
-        if wanted is not None:
-            angle = reference(message.step)
-            picked[wanted] = None if isnan(angle) else angle
+        if wanted:
+            values = reference(message.step)
+            for place, index in wanted:
+                value = _component(index, values if isinstance(values, tuple) else (values,))
+                picked[place] = None if value is None or isnan(value) else value
         for place, show in shown:
             picked[place] = show(picked[place])
         return picked
@@ -133,9 +155,12 @@ def _row_of(
     return row
 
 
-def _shown(topic: Topic) -> Iterator[tuple[str, Callable[[int], Any]]]:
-    """Yield the fields whose numbers are not shown as such, with a function that returns what to show."""
-    for name, field in fields_of(topic.message).items():
+def _shown(table: BagTable) -> Iterator[tuple[str, Callable[[Any], Any]]]:
+    """Yield the columns whose values are not shown as such, with a function that returns what to show."""
+    for name, (vector, index) in table.vectors.items():
+        if vector != REFERENCE:
+            yield name, partial(_component, index)
+    for name, field in fields_of(table.topic.message).items():
         assert isinstance(field, Field)  # noqa: S101 - recorded messages are never nested
         if field.constants is not None:
             yield name, cache(partial(word_of, field.constants))
@@ -145,6 +170,10 @@ def _shown(topic: Topic) -> Iterator[tuple[str, Callable[[int], Any]]]:
 
 def _unless(missing: int, value: int) -> int | None:
     return None if value == missing else value
+
+
+def _component(index: int, vector: Sequence[float]) -> float | None:
+    return vector[index] if index < len(vector) else None
 
 
 def export_tables(
@@ -166,15 +195,15 @@ def export_tables(
         raise NotABagError(f"{bag.path} is not the bag of a swarm: it has none of its topics; name another bag")
     opened = _parquet if table_format == "parquet" else _csv
     with new_folder(folder) as part, ExitStack() as stack:
-        period, reference = step_period(bag), desired_angle(bag)
+        period, reference, tables = step_period(bag), desired_angle(bag), tables_of(bag)
         files = {
             table.topic: (stack.enter_context(opened(part, table)), _row_of(table, period, reference))
-            for table in TABLES
+            for table in tables
         }
         for topic, _, message in bag.decoded(tuple(files)):
             add, row = files[topic]
             add(row(message))
-        write_columns(part / COLUMNS_FILE)
+        write_columns(part / COLUMNS_FILE, tables)
         summary = json.dumps(summarise_bag(bag.path, bag.namespace), indent=2)
         (part / SUMMARY_FILE).write_text(summary + "\n", encoding="utf-8")
     return tuple(sorted(folder.iterdir()))
@@ -199,7 +228,7 @@ def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
             f"Parquet needs the package pyarrow ({error}); install it, or use --format csv or numpy"
         ) from error
     optional = (name for name, field in fields_of(table.topic.message).items() if _may_be_missing(field))
-    nullable = {_REFERENCE.name, *optional}
+    nullable = {*table.vectors, *optional}
     schema = pa.schema(
         pa.field(
             column.name,
@@ -232,9 +261,9 @@ def _may_be_missing(field: Field | type[Message]) -> bool:
     return isinstance(field, Field) and field.missing is not None
 
 
-def write_columns(path: Path) -> None:
-    """Write the description of the columns of all tables."""
+def write_columns(path: Path, tables: Sequence[BagTable] = TABLES) -> None:
+    """Write the description of the columns of tables."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["table", "column", "type", "unit", "meaning"])
-        writer.writerows([table.name, *column] for table in TABLES for column in table.columns)
+        writer.writerows([table.name, *column] for table in tables for column in table.columns)

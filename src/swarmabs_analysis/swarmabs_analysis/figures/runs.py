@@ -14,7 +14,7 @@ from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import RunFolder, find_bag, new_run_folder
 from swarmabs_config.model.errors import printable, shorten
-from swarmabs_config.scenario import Scenario, dump_scenario
+from swarmabs_config.scenario import Scenario, dump_scenario, on_plane
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
@@ -161,7 +161,7 @@ def _complete(bag: Path) -> CompleteBag:
     reason = opened.problem or opened.aborted()
     if reason is not None:
         raise InputError(f"{bag} is not complete: {printable(shorten(reason, _LONGEST_REASON))}")
-    scenario = attached_scenario(opened)
+    scenario = on_plane(attached_scenario(opened), "a figure of the paper")
     states = sum(channel.message_count for channel in opened.channels if channel.topic is PLANE_STATE)
     if states != scenario.steps + 1:
         raise InputError(f"{bag} is not complete: {states} of {scenario.steps + 1} states of the plane")

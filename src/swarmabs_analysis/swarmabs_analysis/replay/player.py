@@ -12,16 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AGENT_STATE,
-    AUXILIARY_STATE,
-    DESIRED_ABSTRACT_STATE,
     EVENTS,
-    MAIN_TOPICS,
     NEVER,
-    PLANE_STATE,
+    PLANE_FAMILY,
     RECORDING_PROGRESS,
     TOPIC_OF,
+    Family,
     Message,
     Messages,
     RecordingProgress,
@@ -35,19 +31,18 @@ if TYPE_CHECKING:
     from swarmabs_bag.recording import RecordedStep
     from swarmabs_core.record import Record
 
-_GATHERED_BY = (PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
-"""Topics whose messages require the states of all robots of their step."""
 
-
-def answered(live: Collection[NodeName]) -> tuple[Topic, ...]:
+def answered(live: Collection[NodeName], family: Family = PLANE_FAMILY) -> tuple[Topic, ...]:
     """Return the topics on which the nodes under test answer."""
     robots = any(name.kind is NodeKind.AGENT for name in live)
-    return tuple(topic for topic in MAIN_TOPICS if (topic is AGENT_STATE and robots) or PUBLISHER.get(topic) in live)
+    topics = (*family.main, *family.once)
+    return tuple(topic for topic in topics if (topic is family.robot and robots) or PUBLISHER.get(topic) in live)
 
 
-def played(live: Collection[NodeName]) -> tuple[Topic, ...]:
+def played(live: Collection[NodeName], family: Family = PLANE_FAMILY) -> tuple[Topic, ...]:
     """Return the topics that the player publishes: all others, and those of robots and events, which are shared."""
-    return (EVENTS, *(topic for topic in MAIN_TOPICS if topic is AGENT_STATE or topic not in answered(live)))
+    others = set(answered(live, family)) - {family.robot}
+    return (EVENTS, *(topic for topic in (*family.main, *family.once) if topic not in others))
 
 
 class _Key(NamedTuple):
@@ -79,12 +74,21 @@ class Player:
     player checks instead that no node has answered a message that is only published now.
 
     The recorded steps are in order, up to `last_step`, which ends the replay. The player may be `window` steps ahead of
-    the recorder; 0 means that no recorder reports its progress. `hears` are the topics to subscribe to.
+    the recorder; 0 means that no recorder reports its progress. `family` are the topics of the run, `hears` those to
+    subscribe to.
     """
 
     def __init__(
-        self, steps: Iterator[RecordedStep], live: Collection[NodeName], *, last_step: int, window: int = 0
+        self,
+        steps: Iterator[RecordedStep],
+        live: Collection[NodeName],
+        *,
+        last_step: int,
+        window: int = 0,
+        family: Family = PLANE_FAMILY,
     ) -> None:
+        self._family = family
+        self._gathered_by = (family.parent, family.abstract, family.auxiliary)
         self._steps = steps
         self._live = frozenset(live)
         self._last_step = last_step
@@ -95,7 +99,8 @@ class Player:
         self._awaited: frozenset[_Key] = frozenset()
         self._heard: dict[tuple[Topic, int], int] = {}
         self._newest: dict[Topic, Message] = {}
-        self.hears = (*answered(live), RECORDING_PROGRESS) if window else answered(live)
+        answers = answered(live, family)
+        self.hears = (*answers, RECORDING_PROGRESS) if window else answers
 
     def start(self) -> Messages:
         """Publish the messages before the first answer."""
@@ -127,7 +132,7 @@ class Player:
         """Wait for the nodes under test, then, if the recorder is too far behind, for the recorder."""
         missing = {key.topic for key in self._lacking()}
         if missing:
-            others = _GATHERED_BY if AGENT_STATE in missing else ()
+            others = self._gathered_by if self._family.robot in missing else ()
             return tuple(topic for topic in self.hears if topic in missing or topic in others)
         return () if self._finished() else (RECORDING_PROGRESS,)
 
@@ -152,9 +157,9 @@ class Player:
         """
         if self._heard.get((key.topic, key.agent_id), -1) >= key.step:
             return True
-        if key.topic is not AGENT_STATE:
+        if key.topic is not self._family.robot:
             return False
-        return any(self._newest[topic].step >= key.step for topic in _GATHERED_BY if topic in self._newest)
+        return any(self._newest[topic].step >= key.step for topic in self._gathered_by if topic in self._newest)
 
     def _proceed(self) -> Messages:
         """Publish phase by phase until an awaited message is missing."""
@@ -167,11 +172,12 @@ class Player:
 
     def _refuse_early(self, phase: _Phase) -> None:
         """Raise `StepAheadError` for answers to messages that are only published now."""
-        latest = dict.fromkeys(_GATHERED_BY, phase.step - 1) if AGENT_STATE in phase.played else {}
-        if phase.played & {AGENT_STATE, PLANE_STATE}:
-            latest[DESIRED_ABSTRACT_STATE] = phase.step - 1
+        family = self._family
+        latest = dict.fromkeys(self._gathered_by, phase.step - 1) if family.robot in phase.played else {}
+        if phase.played & {family.robot, family.parent}:
+            latest[family.desired] = phase.step - 1
         if phase.played:
-            latest[AGENT_STATE] = phase.step
+            latest[family.robot] = phase.step
         for topic, step in latest.items():
             heard = self._newest.get(topic)
             if heard is not None and heard.step > step:
@@ -185,9 +191,9 @@ class Player:
         if step is None:
             raise RunError(f"the recording ends with step {self._step}, before step {self._last_step}")
         self._step = max(self._step, step.step)  # an event that was recorded late is of an earlier step
-        coordinators = [r for r in step.records if r.topic is not AGENT_STATE and r.topic is not EVENTS]
-        # An event precedes the states that it explains.
-        others = [r for r in step.records if r.topic is EVENTS] + [r for r in step.records if r.topic is AGENT_STATE]
+        events, robots = ([r for r in step.records if r.topic is topic] for topic in (EVENTS, self._family.robot))
+        coordinators = [r for r in step.records if r.topic not in {EVENTS, self._family.robot}]
+        others = events + robots  # an event precedes the states that it explains
         self._phases.extend((self._phase(step.step, others), self._phase(step.step, coordinators)))
         return True
 

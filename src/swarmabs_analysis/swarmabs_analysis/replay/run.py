@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from swarmabs_analysis.replay.source import ReplaySource
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.membership import Change
     from swarmabs_core.messages import Messages
     from swarmabs_run.run import Outcome, Progress
@@ -48,7 +48,7 @@ class ReplayRun:
     source: ReplaySource
     nodes: tuple[NodeName, ...]
     overrides: tuple[str, ...]
-    scenario: Scenario
+    scenario: Any
 
     @property
     def _ends(self) -> tuple[Change, ...]:
@@ -72,7 +72,7 @@ class ReplayRun:
             namespace=self.source.namespace,
             replay=self.provenance(),
         )
-        steps = replayed_steps(self.scenario, self.nodes, self.source.steps(), self._ends)
+        steps = replayed_steps(self.scenario, self.nodes, self.source.steps(self.scenario), self._ends)
         return record_steps(steps, self.scenario, recording, on_progress=on_progress)
 
     def live(self, folder: RunFolder, on_progress: Callable[[Progress], None] | None = None) -> Outcome:
@@ -95,9 +95,10 @@ class ReplayRun:
                 "nodes": tuple(map(str, self.nodes)),
                 "window": configure.recording_window(self.scenario),
                 "ends": tuple(map(str, self.source.ends)),
+                "overrides": self.overrides,
             },
-            played(self.nodes),
-            (*answered(self.nodes), RECORDING_PROGRESS),
+            played(self.nodes, self.scenario.family),
+            (*answered(self.nodes, self.scenario.family), RECORDING_PROGRESS),
         )
         told = {"replay": json.dumps(self.provenance()), "ends": tuple(map(str, self._ends))}
         tested = [
@@ -115,7 +116,7 @@ class ReplayRun:
     def result(self, folder: RunFolder, digest: str | None) -> dict[str, Any]:
         """Return the differences between the replay in a folder, with its digest, and the recording."""
         recorded = Digest()
-        replayed = complete_steps(open_bag(folder.path), self.scenario, self._ends)
+        replayed = complete_steps(open_bag(folder.path), self.scenario, self._ends, self.source.recorded)
         found = compare_steps(self._answers(self._recorded(recorded)), self._answers(replayed))
         first = None
         if found.first is not None:
@@ -150,7 +151,7 @@ class ReplayRun:
 
 
 def replayed_steps(
-    scenario: Scenario, live: Collection[NodeName], recorded: Iterator[RecordedStep], ends: Collection[Change] = ()
+    scenario: AnyScenario, live: Collection[NodeName], recorded: Iterator[RecordedStep], ends: Collection[Change] = ()
 ) -> Iterator[RecordedStep]:
     """Connect a player and the nodes under test by a queue, and yield every step as recorded in a bag.
 
@@ -163,7 +164,7 @@ def replayed_steps(
         If a node under test fails, or does not answer.
     """
     silent = {change.agent_id: change.step + 1 for change in ends}
-    player = Player(recorded, live, last_step=scenario.steps)
+    player = Player(recorded, live, last_step=scenario.steps, family=scenario.family)
     nodes = nodes_in_process(scenario)
     for config in configure.agent_configs(scenario):
         if config.agent_id in silent:

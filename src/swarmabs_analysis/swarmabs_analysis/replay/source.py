@@ -13,16 +13,19 @@ from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import SILENT, Change, ChangeKind, with_ends
-from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, EventKind, SwarmEvent
+from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent, SystemDescription
 from swarmabs_core.publishers import NodeKind
+from swarmabs_core.record import Record
+from swarmabs_core.systems import SystemTables
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from pathlib import Path
 
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.messages import Message
     from swarmabs_core.publishers import NodeName
+    from swarmabs_core.systems.interface import NamedSystem
 
 WINDOW = 1000
 """Most steps kept in memory while an earlier one is incomplete."""
@@ -37,7 +40,7 @@ class ReplaySource:
     """
 
     bag: BagReader
-    recorded: Scenario
+    recorded: AnyScenario
     digest: str
     last_step: int
     ends: tuple[Change, ...]
@@ -48,11 +51,11 @@ class ReplaySource:
         """Namespace of the recorded swarm."""
         return (self.bag.namespace or "/").rstrip("/") or "/"
 
-    def steps(self) -> Iterator[RecordedStep]:
-        """Yield the complete steps in order; an event that was recorded late is yielded late too."""
-        return complete_steps(self.bag, self.recorded, self.ends)
+    def steps(self, played: AnyScenario | None = None) -> Iterator[RecordedStep]:
+        """Yield the complete steps in order, for a scenario; an event that was recorded late is yielded late too."""
+        return complete_steps(self.bag, self.recorded, self.ends, played)
 
-    def scenario(self, nodes: Collection[NodeName], overrides: Sequence[str]) -> Scenario:
+    def scenario(self, nodes: Collection[NodeName], overrides: Sequence[str]) -> AnyScenario:
         """Return the scenario of a replay: the recorded one with changes, up to the last complete step.
 
         Raises
@@ -71,6 +74,7 @@ class ReplaySource:
             ("control period", lambda scenario: scenario.step_ns),
             ("robots", configure.members),
             ("faults that end robots or let them join", configure.schedule),
+            ("quantities of the parent system", _quantities),
         ):
             if of(changed) != of(self.recorded):
                 raise InputError(
@@ -95,7 +99,8 @@ def open_source(path: Path, *, namespace: str | None = None) -> ReplaySource:
             f"{bag.path} was recorded in real time, so the times at which a node received messages cannot be "
             "reproduced; use verify to recompute its answers, or leave out --node to play the bag"
         )
-    missing = [topic.name for topic in MAIN_TOPICS if topic not in bag.topics()]
+    family = bag.family
+    missing = [topic.name for topic in (*family.main, *family.once) if topic not in bag.topics()]
     if missing:
         raise InputError(f"{bag.path} has no topic {missing[0]}, which re-execution needs; leave out --node")
     scenario = attached_scenario(bag).resolved()
@@ -113,7 +118,7 @@ def open_source(path: Path, *, namespace: str | None = None) -> ReplaySource:
                 if end.agent_id not in members:
                     raise InputError(f"{bag.path}: robot {end.agent_id} fell silent, but the scenario lacks it")
                 ends.append(end)
-            elif record.topic is AGENT_STATE:
+            elif record.topic is family.robot:
                 robots.add(record.agent_id)
     if last < 1:
         raise InputError(f"{bag.path} has {last + 1} complete steps, too few for a replay")
@@ -127,19 +132,24 @@ def unplanned_end(message: Message) -> Change | None:
     return None
 
 
-def complete_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] = ()) -> Iterator[RecordedStep]:
+def complete_steps(
+    bag: BagReader, scenario: AnyScenario, ends: Collection[Change] = (), played: AnyScenario | None = None
+) -> Iterator[RecordedStep]:
     """Yield the complete steps of a bag in order, up to one that lacks a message for the next `WINDOW` steps.
 
-    The scenario defines whose states a complete step has; `ends` are the unplanned ends known in advance.
+    The scenario defines whose states a complete step has; `ends` are the unplanned ends known in advance. Messages
+    refer to the parent system of this scenario or of the `played` one, whose settings may differ from those in the bag.
     """
     schedule = with_ends(configure.schedule(scenario), ends)
-    collector = RunCollector(configure.members(scenario), schedule, scenario.steps)
+    family, system = scenario.family, getattr(played or scenario, "named", None)
+    topics = (*family.once, *family.main, EVENTS)
+    collector = RunCollector(configure.members(scenario), schedule, scenario.steps, family=family)
     held: RecordedStep | None = None  # the events of a step follow its other messages
     waiting = 0
-    for record in bag.records((*MAIN_TOPICS, EVENTS)):
-        complete = collector.add(record)
+    for record in bag.records(topics):
+        complete = collector.add(_of_system(record, system))
         waiting = 0 if complete else waiting + 1
-        if waiting > WINDOW * (len(scenario.agents) + len(MAIN_TOPICS)):
+        if waiting > WINDOW * (len(scenario.agents) + len(family.main)):
             break
         for step in complete:
             if held is not None and step.step == held.step:
@@ -154,6 +164,15 @@ def complete_steps(bag: BagReader, scenario: Scenario, ends: Collection[Change] 
         yield held
 
 
+def _of_system(record: Record, system: NamedSystem | None) -> Record:
+    """Return the record of a message as if it referred to a parent system."""
+    message: Any = record.message
+    if system is None or getattr(message, "system", system.hash) == system.hash:
+        return record
+    also = {"description": system.description} if isinstance(message, SystemDescription) else {}
+    return Record.of(message._replace(system=system.hash, **also))
+
+
 def _with_events(step: RecordedStep, more: RecordedStep) -> RecordedStep:
     """Return a step with further events."""
     main = [record for record in step.records if record.topic is not EVENTS]
@@ -161,7 +180,13 @@ def _with_events(step: RecordedStep, more: RecordedStep) -> RecordedStep:
     return RecordedStep(step.step, (*main, *sorted(events, key=lambda record: record.payload)))
 
 
-def _shortened(scenario: Scenario, last_step: int) -> Scenario:
+def _quantities(scenario: Any) -> object:
+    """Return names and units in the messages of a scenario's parent system, None for the plane."""
+    system = getattr(scenario, "named", None)
+    return system and SystemTables.read(system.description)._replace(settings={})
+
+
+def _shortened(scenario: AnyScenario, last_step: int) -> AnyScenario:
     """Return the scenario of the first steps of a run, without later faults and robots."""
     if last_step == scenario.steps:
         return scenario
@@ -180,7 +205,7 @@ def _shortened(scenario: Scenario, last_step: int) -> Scenario:
         and fault.get("agent") not in later
         and not (fault.get("agents") and later.issuperset(fault["agents"]))
     ]
-    return parse_scenario(dump_yaml(text), source="scenario of the replay").resolved()
+    return parse_scenario(dump_yaml(text), source="scenario of the replay").resolved()  # type: ignore[no-any-return]
 
 
 def _of_those_left(fault: dict[str, Any], later: Collection[int]) -> dict[str, Any]:

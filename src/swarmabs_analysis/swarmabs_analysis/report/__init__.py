@@ -72,7 +72,12 @@ def make_report(path: Path, *, namespace: str | None = None, scenario: str | Non
 
 
 def _numbers(recorded: Recorded) -> dict[str, Any]:
-    margin = recorded.margins
+    if recorded.system is not None:
+        margins = {"gram": recorded.rank_margin}
+    else:
+        margin = recorded.margins
+        margins = {"end": margin.end, "abstract_state": margin.actual, "desired_abstract_state": margin.desired}
+        margins["spread"] = margin.spread
     return {
         "scenario": recorded.scenario.name,
         "status": recorded.swarm.status,
@@ -81,12 +86,7 @@ def _numbers(recorded: Recorded) -> dict[str, Any]:
         "steps": recorded.steps,
         **recorded.metrics,
         "events": len(recorded.swarm.events),
-        "margins": {
-            "end": lowest(margin.end),
-            "abstract_state": lowest(margin.actual),
-            "desired_abstract_state": lowest(margin.desired),
-            "spread": lowest(margin.spread),
-        },
+        "margins": {name: lowest(values) for name, values in margins.items()},
     }
 
 

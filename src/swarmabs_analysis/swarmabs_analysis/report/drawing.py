@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from swarmabs_analysis.figures.responses import SUBSCRIPTS, same_limits
 from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, ROBOTS, SOLID
 from swarmabs_analysis.report.percentile_bands import density, draw_bands
 from swarmabs_bag.colours import ABSENT, FAILED, KINDS, PLANE, REFERENCE, SAFE_STOP, TORQUE
-from swarmabs_core.messages import EventKind, Kind, said
+from swarmabs_core.messages import EventKind, RobotKind, said
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
         return draw_bands(axes, recorded, values)
     agents, drawn = recorded.arrays.agents, set()
     for column, number in enumerate(agents.ids.tolist()):
-        kind = Kind(max(agents.kind[:, column].tolist()))
+        kind = RobotKind(max(agents.kind[:, column].tolist()))
         if np.isfinite(values[:, column]).any():
             drawn.add(kind)
         axes.plot(
@@ -170,30 +171,53 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
         )
     if count <= NAMED:
         return axes.lines
-    return [Line2D([], [], color=colour, label=said(kind)) for kind, colour in KINDS.items() if kind in drawn]
+    return [
+        Line2D([], [], color=colour, label=said(RobotKind(kind))) for kind, colour in KINDS.items() if kind in drawn
+    ]
 
 
 def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
-    """Return a function that draws angle and positions in a span of time, s."""
-    time = recorded.arrays.time
+    """Return a function that draws what is tracked, and positions or first coordinates, in a span of time, s."""
+    time, system = recorded.arrays.time, recorded.system
+    name, unit = ("θ", "rad") if system is None else recorded.tracking[2:]
+    (symbol, metre, _), *_ = (("p", "m", 1.0),) if system is None else system.robot
     inside = (time >= begin) & (time <= end)
 
     def draw(figure: FigureBase) -> None:
         upper, lower = figure.subplots(2, 1, sharex=True)
-        upper.plot(time[inside], recorded.arrays.reference[inside], color=REFERENCE, linestyle=DASHED)
-        upper.plot(time[inside], recorded.arrays.angle[inside], color=PLANE)
-        upper.set_ylabel("θ, rad")
+        upper.plot(time[inside], recorded.wanted[inside], color=REFERENCE, linestyle=DASHED)
+        upper.plot(time[inside], recorded.tracked[inside], color=PLANE)
+        upper.set_ylabel(f"{name}, {unit}" if len(recorded.tracking.followed) == 1 else unit)
         _linear(lower, float(time[-1]))
-        named = _robots(lower, recorded, np.where(inside[:, None], recorded.arrays.agents.position, np.nan), "p")
+        named = _robots(lower, recorded, np.where(inside[:, None], recorded.coordinates[..., 0], np.nan), symbol)
         if len(recorded.arrays.agents.ids) <= MANY:
             _legend(upper, named)
-        lower.set(xlabel="time, s", ylabel="p, m", xlim=(begin, end))
+        lower.set(xlabel="time, s", ylabel=f"{symbol}, {metre}", xlim=(begin, end))
         upper.grid(visible=True)
         for axes in (upper, lower):
             for event in recorded.swarm.events:
                 if event.kind in _EVENT_COLOURS and begin <= recorded.swarm.time_of(event) <= end:
                     moment = recorded.swarm.time_of(event)
                     axes.axvline(moment, color=_EVENT_COLOURS[event.kind], linewidth=1.0, linestyle=DOTTED)
+
+    return draw
+
+
+def paths(recorded: Recorded, labels: Sequence[str]) -> Draw:
+    """Return a function that draws the paths of robots with two coordinates, which end in a dot."""
+
+    def draw(figure: FigureBase) -> None:
+        axes = figure.add_subplot()
+        agents = recorded.arrays.agents
+        for column in range(len(agents.ids)):
+            x, y = recorded.coordinates[:, column].T
+            colour = KINDS[RobotKind(max(agents.kind[:, column].tolist()))]
+            axes.plot(x, y, color=colour, linewidth=0.9)
+            last = np.flatnonzero(np.isfinite(x))[-1:]
+            axes.plot(x[last], y[last], "o", color=colour, markersize=3.5)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set(xlabel=labels[0], ylabel=labels[1])
+        axes.grid(visible=True)
 
     return draw
 
@@ -247,7 +271,7 @@ def statuses(recorded: Recorded, looks: Mapping[str, tuple[Flags, str]]) -> Draw
         return [Patch(color=colour, label=name) for name, (flags, colour) in looks.items() if flags.any()]
 
     def counts(axes: Axes) -> Sequence[Line2D]:
-        for (name, (flags, colour)), dashes in zip(looks.items(), ("-", DASHED, DOTTED, "-", DASHED), strict=False):
+        for (name, (flags, colour)), dashes in zip(looks.items(), cycle(("-", DASHED, DOTTED)), strict=False):
             axes.step(time, flags.sum(axis=1), where="post", color=colour, linestyle=dashes, label=name)
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel("robots")

@@ -12,7 +12,7 @@ from swarmabs_analysis.report.formatting import counted, printable_lines, senten
 from swarmabs_analysis.report.pictures import page_picture
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.theory import check_scenario
-from swarmabs_core.messages import EventKind, Kind, SwarmEvent, said
+from swarmabs_core.messages import EventKind, RobotKind, SwarmEvent, said
 from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ MOST_EVENTS = 60
 SECTIONS = {
     "metrics": "Metrics",
     "plane": "Plane",
+    "parent": "Parent system",
     "zooms": "Around the events",
     "robots": "Robots",
     "abstract": "Abstract state",
@@ -66,31 +67,34 @@ def page(recorded: Recorded, panels: Sequence[Panel]) -> str:
     for panel in panels:
         pictures[panel.section].append(Picture(panel, page_picture(panel)))
     scenario, agents = recorded.scenario, recorded.arrays.agents
-    singles = int((agents.kind == Kind.SINGLE_INTEGRATOR).any(axis=0).sum())
+    counts = {kind: int((agents.kind == kind).any(axis=0).sum()) for kind in RobotKind}
+    singles, doubles, lags = counts.values()
     time = recorded.arrays.time
     groups, whole = _groups(recorded)
-    theory = check_scenario(scenario)
+    theory = check_scenario(scenario) if recorded.system is None else None
+    texts = tuple(key for key in TEXTS if key != "theory" or theory)
     return (
         _environment()
         .get_template("report.html.j2")
         .render(
             generator=GENERATOR,
             policy=POLICY,
-            sections=[(key, heading) for key, heading in SECTIONS.items() if key in TEXTS or key in pictures],
-            texts=TEXTS,
+            sections=[(key, heading) for key, heading in SECTIONS.items() if key in texts or key in pictures],
+            texts=texts,
             pictures=pictures,
             recorded=recorded,
             swarm=recorded.swarm,
             scenario=scenario,
-            margin=recorded.margins,
+            margin=None if theory is None else recorded.margins,
             singles=singles,
-            doubles=len(agents.ids) - singles,
+            doubles=doubles,
+            lags=lags,
             end=round(float(time[-1]), 6) if len(time) else 0.0,
             realtime=_realtime(recorded),
             groups=groups,
             whole=whole,
             theory=theory,
-            theorems=(*theory.theorems, theory.beyond),
+            theorems=() if theory is None else (*theory.theorems, theory.beyond),
             dump=dump_scenario(scenario.resolved()),
             versions=_versions(recorded),
             counts=[(f"/{topic}", f"{count:,}") for topic, count in recorded.counts.items()],

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,31 +22,32 @@ from swarmabs_analysis.report.drawing import (
     mass_density,
     of_all_robots,
     pair_over_time,
+    paths,
     statuses,
     zoom,
 )
 from swarmabs_analysis.report.formatting import counted, joined, quantity, span
 from swarmabs_bag.colours import (
     ABSENT,
-    DOUBLE_INTEGRATOR,
     ERROR,
     FAILED,
     INERTIA,
+    KINDS,
     PLANE,
     REFERENCE,
     SAFE_STOP,
-    SINGLE_INTEGRATOR,
     TORQUE,
 )
-from swarmabs_core.messages import EventKind, Kind, said
+from swarmabs_core.messages import EventKind, Kind, RobotKind, said
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from matplotlib.figure import FigureBase
     from numpy.typing import NDArray
 
     from swarmabs_analysis.report.record import Recorded
+    from swarmabs_core.systems import Quantity, SystemTables
 
     Floats = NDArray[np.float64]
 
@@ -73,6 +75,11 @@ SENSED = "These are the true states; each robot's law used the measurements of i
 ESTIMATED = "The recorded τ is an estimate from the plane's motion; the dotted line follows from the robots' states."
 SETS = "Shaded: A_A, where all arrangements of the robots are on the plane, and A_P, where only some are."
 FIRST_SETS = "The sets are those of the initial robots."
+RANK = (
+    "The smallest eigenvalue of the Gram matrix in units of the scales, by its largest diagonal entry: at 0 the robots "
+    "cannot control all rows of the abstract state, and stop."
+)
+PALETTE = (PLANE, ERROR, TORQUE, INERTIA, *KINDS.values())
 NORM = "Below 0, the state also admits positions off the plane. The norm adds N m and kg m², as the paper does."
 
 
@@ -94,13 +101,77 @@ class Panel:
 
 def panels(recorded: Recorded) -> Iterator[Panel]:
     """Yield the pictures of a run, in the order of a report."""
-    yield from _plane(recorded)
-    yield from _zooms(recorded)
-    yield from _robots(recorded)
-    yield from _abstract(recorded)
-    yield from _margins(recorded)
-    yield _sums(recorded)
+    if recorded.system is not None:
+        yield from _of_system(recorded, recorded.system)
+    else:
+        yield from _plane(recorded)
+        yield from _zooms(recorded)
+        yield from _robots(recorded)
+        yield from _abstract(recorded)
+        yield from _margins(recorded)
+        yield _sums(recorded)
     yield _membership(recorded)
+
+
+def _of_system(recorded: Recorded, system: SystemTables) -> Iterator[Panel]:
+    """Yield the pictures of a run on another parent system than the plane."""
+    arrays, followed = recorded.arrays, list(recorded.tracking.followed)
+    wanted = dict(zip(followed, recorded.wanted.T, strict=True))
+    groups = [followed] if followed else []
+    for number, group in enumerate([*groups, *_by_unit(system.parent, followed)]):
+        curves = [(system.parent[place], arrays.parent[:, place], wanted.get(place)) for place in group]
+        yield _curves(recorded, f"parent-{number}", "State of the parent system", "recorded", curves)
+    for group in groups:
+        curves = [(system.parent[place], wanted[place] - arrays.parent[:, place], None) for place in group]
+        panel = _curves(recorded, "parent-error", "Tracking error, reference minus state", "error of", curves)
+        settled = recorded.metrics["settled_at"]
+        when = "it does not settle" if settled is None else f"it stays within the tolerance from {settled:g} s on"
+        yield replace(panel, about=joined(panel.about, when))
+    yield from _zooms(recorded)
+    count = len(arrays.agents.ids)
+    note = joined(BANDS if count > MANY else "", recorded.falsified_note, by=" ")
+    if len(system.robot) == 2:
+        draw = paths(recorded, [f"{row.name}, {row.unit}" for row in system.robot])
+        about = f"each of {counted(count, 'robot')} ends in a dot"
+        yield Panel("robots-paths", "robots", "Paths of the robots", draw, about, height=2.9)
+    for place, (name, unit, _) in enumerate(system.robot):
+        for what, values, of in (("coordinate", recorded.coordinates, unit), ("command", arrays.agents.command, "")):
+            draw = of_all_robots(recorded, values[..., place], name, f"{name}, {of}".removesuffix(", "))
+            about = span(f"{what}s {name}", values[..., place], of, over_time=False)
+            yield Panel(
+                f"robots-{what}-{place}", "robots", f"{what.capitalize()}s of the robots: {name}", draw, about, note
+            )
+    rows, actual, desired = system.abstract, arrays.abstract.value, arrays.desired.value
+    for number, group in enumerate(_by_unit(rows)):
+        curves = [(rows[place], actual[:, place], desired[:, place]) for place in group]
+        yield _curves(recorded, f"abstract-{number}", "Abstract state of the swarm", "actual", curves)
+    margin = recorded.rank_margin
+    draw = lines_over_time(recorded, "smallest eigenvalue", [Line("_", margin, BLACK)], positive=True)
+    about = joined(span("smallest eigenvalue", margin, ""), _lowest(margin, arrays.time, ""))
+    yield Panel("margins-gram", "margins", "Distance of the Gram matrix from singularity", draw, about, RANK)
+
+
+def _by_unit(rows: Sequence[Quantity], without: Sequence[int] = ()) -> list[list[int]]:
+    """Return the places of the other rows, grouped by unit."""
+    others = [place for place in range(len(rows)) if place not in without]
+    units = dict.fromkeys(rows[place].unit for place in others)
+    return [[place for place in others if rows[place].unit == unit] for unit in units]
+
+
+def _curves(
+    recorded: Recorded, key: str, heading: str, what: str, curves: Sequence[tuple[Quantity, Floats, Floats | None]]
+) -> Panel:
+    """Return a panel of quantities of the same unit over time, with their wanted values if there are any."""
+    lines, texts = [], []
+    for ((name, unit, _), values, wanted), colour in zip(curves, cycle(PALETTE), strict=False):
+        lines.append(Line(name, values, colour))
+        texts.append(span(f"{what} {name}", values, unit))
+        if wanted is not None:
+            lines.append(Line(f"{name} wanted", wanted, REFERENCE if len(curves) == 1 else colour, DASHED))
+            texts.append(span("wanted", wanted, unit))
+    heading = f"{heading}: {', '.join(name for (name, _, _), _, _ in curves)}"
+    draw = lines_over_time(recorded, f"{name}, {unit}" if len(curves) == 1 else unit, lines)
+    return Panel(key, key.partition("-")[0], heading, draw, joined(*texts))
 
 
 def _plane(recorded: Recorded) -> Iterator[Panel]:
@@ -165,8 +236,10 @@ def _zooms(recorded: Recorded) -> Iterator[Panel]:
         first, *others = moments[moment]
         further = joined(*others[:MOST_NAMED], f"{len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else "")
         about = joined(
-            "angle with its dashed reference, and positions",
-            f"largest error {quantity(largest(moment), 'rad')}",
+            "angle with its dashed reference, and positions"
+            if recorded.system is None
+            else "what is tracked with its dashed reference, and the first coordinate of the robots",
+            f"largest error {quantity(largest(moment), recorded.tracking.unit)}",
             f"then {further}" if further else "",
         )
         draw = zoom(recorded, max(0.0, moment - BEFORE), min(last, moment + AFTER))
@@ -289,17 +362,20 @@ def _membership(recorded: Recorded) -> Panel:
     count, reporting, stopped = len(agents.ids), agents.kind > 0, swarm.have_status("safe_stop")
     dead, silent = swarm.have_status("dead"), swarm.have_status("silent")
     follows = swarm.on_plane & ~stopped & ~dead & ~silent
-    single = (agents.kind == Kind.SINGLE_INTEGRATOR).any(axis=0)
+    kinds = agents.kind.max(axis=0, initial=0)
     looks = {
-        "single integrator follows": (follows & single, SINGLE_INTEGRATOR),
-        "double integrator follows": (follows & ~single, DOUBLE_INTEGRATOR),
+        **{
+            f"{said(kind)} follows": (follows & (kinds == kind), KINDS[kind])
+            for kind in (Kind if recorded.system is None else RobotKind)
+        },
+        **({} if recorded.system is None else {"at a limit": (swarm.have_status("limited"), ERROR)}),
         "safe stop": (stopped, SAFE_STOP),
         "dead": (dead, FAILED),
         "silent": (silent & ~dead, ABSENT),
     }
-    there = swarm.on_plane.sum(axis=1)
+    there, where = swarm.on_plane.sum(axis=1), "plane" if recorded.system is None else "parent system"
     about = joined(
-        f"robots on the plane: initially {there[0]}, finally {there[-1]}" if len(there) else "",
+        f"robots on the {where}: initially {there[0]}, finally {there[-1]}" if len(there) else "",
         f"robots that report: initially {reporting[0].sum()}, finally {reporting[-1].sum()}" if len(there) else "",
         f"robots ever in a safe stop: {stopped.any(axis=0).sum()}",
     )

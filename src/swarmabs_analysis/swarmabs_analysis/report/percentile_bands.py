@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, SOLID
 from swarmabs_bag.colours import KINDS
-from swarmabs_core.messages import Kind
+from swarmabs_core.messages import RobotKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,10 +42,11 @@ def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | 
         chosen = np.flatnonzero(there & ((_start(recorded) > 0) == positive))
         if len(chosen):
             _draw_band(axes, recorded, values[:, chosen], colour)
-            legend.append(Patch(color=colour, alpha=0.5, label=f"initially p {'>' if positive else '≤'} 0"))
+            symbol = "p" if recorded.system is None else recorded.system.robot[0].name
+            legend.append(Patch(color=colour, alpha=0.5, label=f"initially {symbol} {'>' if positive else '≤'} 0"))
     named = _named(recorded, values, there).items() if there.any() else ()
     for (name, column), dashes in zip(named, (SOLID, DASHED, DOTTED), strict=False):
-        colour = KINDS[Kind(int(recorded.arrays.agents.kind[:, column].max()))]
+        colour = KINDS[RobotKind(int(recorded.arrays.agents.kind[:, column].max()))]
         legend += axes.plot(
             recorded.arrays.time, values[:, column], color=colour, linestyle=dashes, linewidth=1.0, label=name
         )
@@ -70,9 +71,9 @@ def _draw_band(axes: Axes, recorded: Recorded, values: Floats, colour: str) -> N
 
 
 def _start(recorded: Recorded) -> Floats:
-    """Return the first position of each robot, m."""
+    """Return the first position of each robot, m, or its first coordinate."""
     agents = recorded.arrays.agents
-    return np.asarray(agents.position[(agents.kind > 0).argmax(axis=0), np.arange(len(agents.ids))])
+    return np.asarray(recorded.coordinates[..., 0][(agents.kind > 0).argmax(axis=0), np.arange(len(agents.ids))])
 
 
 def density(axes: Axes, recorded: Recorded) -> QuadMesh:
@@ -111,13 +112,11 @@ def _named(recorded: Recorded, values: Floats, there: NDArray[np.bool_]) -> dict
     """Return the columns of the lightest and the heaviest robot, and of the one with the largest value, by name."""
     agents = recorded.arrays.agents
     columns = np.flatnonzero(there)
-    mass = np.nanmax(agents.mass[:, columns], axis=0)
     farthest = np.nanmax(np.abs(values[:, columns]), axis=0)
-    chosen = {
-        "largest": columns[int(np.argmax(farthest))],
-        "heaviest": columns[int(np.argmax(mass))],
-        "lightest": columns[int(np.argmin(mass))],
-    }
+    chosen = {"largest": columns[int(np.argmax(farthest))]}
+    if recorded.system is None:
+        mass = np.nanmax(agents.mass[:, columns], axis=0)
+        chosen |= {"heaviest": columns[int(np.argmax(mass))], "lightest": columns[int(np.argmin(mass))]}
     names: dict[int, list[str]] = defaultdict(list)
     for name, column in chosen.items():
         names[int(column)].append(name)

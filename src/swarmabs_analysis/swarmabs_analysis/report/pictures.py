@@ -31,7 +31,14 @@ if TYPE_CHECKING:
 
 WIDTH = 3.6
 """Width of a panel in the page, inches: about that of a phone, so that its text is legible there."""
-OVERVIEW = (("plane",), ("mass", "positions"), ("abstract-error",), ("tracking",), ("space",), ("margin-end",))
+OVERVIEW = (
+    *(
+        ("plane", "parent-0"),
+        ("mass", "positions", "robots-paths", "robots-coordinate-0"),
+        ("abstract-error", "abstract-0"),
+    ),
+    *(("tracking", "parent-error"), ("space", "abstract-1"), ("margin-end", "margins-gram")),
+)
 """The panels of the PNG, row by row; of several for one place, the first that exists."""
 COLOURS = {
     style.BLACK: "ink",
@@ -128,7 +135,7 @@ def _title(recorded: Recorded) -> str:
         f"{len(recorded.arrays.agents.ids)} robots",
         f"{recorded.steps} steps",
         recorded.swarm.status,
-        f"rms error {quantity(rms, 'rad')}" if isinstance(rms, float) else "",
+        f"rms error {quantity(rms, recorded.tracking.unit)}" if isinstance(rms, float) else "",
         f"digest {str(metrics['digest'])[:16]}…" if metrics["digest"] else "",
     ]
     return "   ·   ".join(part for part in parts if part)

@@ -12,12 +12,12 @@ import numpy as np
 from swarmabs_analysis.figures.runs import RecordedRun
 from swarmabs_bag.arrays import arrays_since, digest_of, load_messages
 from swarmabs_bag.attached import attached_provenance, is_realtime, supply_scenario
-from swarmabs_bag.figures import RunFigures
+from swarmabs_bag.figures import RunFigures, Tracking, tracking_of
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import realtime_figures
 from swarmabs_bag.recorded_swarm import recorded_swarm
 from swarmabs_config import configure
-from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+from swarmabs_core.messages import EVENTS
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.general_theorems import clearance
 
@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_bag.recorded_swarm import RecordedSwarm
-    from swarmabs_config.scenario import Scenario
-    from swarmabs_core.arrays import RunArrays
+    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.systems import SystemTables
 
     Floats = NDArray[np.float64]
 
@@ -64,7 +63,7 @@ class Recorded:
     that name in the summary of a run in real time.
     """
 
-    swarm: RecordedSwarm
+    swarm: Any  # RecordedSwarm or RecordedSystem
     metrics: Mapping[str, float | int | str | None]
     counts: Mapping[str, int]
     provenance: Mapping[str, Any]
@@ -78,18 +77,47 @@ class Recorded:
         return RecordedRun(self.scenario, self.arrays)
 
     @property
-    def scenario(self) -> Scenario:
+    def scenario(self) -> Any:
         """The scenario of the run."""
         return self.swarm.scenario
 
     @property
-    def arrays(self) -> RunArrays:
+    def arrays(self) -> Any:
         """The recorded steps."""
         return self.swarm.arrays
 
     @property
+    def system(self) -> SystemTables | None:
+        """Names and units of another parent system than the plane."""
+        return getattr(self.swarm, "tables", None)
+
+    @cached_property
+    def tracking(self) -> Tracking:
+        """What of the parent's state follows the reference."""
+        return tracking_of(self.scenario)
+
+    @property
+    def tracked(self) -> Floats:
+        """The numbers of the parent's state that follow the reference, (n+1, T): of the plane the angle, rad."""
+        arrays = self.arrays
+        found: Floats = arrays.angle[:, None] if self.system is None else arrays.parent[:, self.tracking.followed]
+        return found
+
+    @property
+    def wanted(self) -> Floats:
+        """Their reference, (n+1, T)."""
+        return np.reshape(self.arrays.reference, self.tracked.shape)
+
+    @property
+    def coordinates(self) -> Floats:
+        """Coordinates of the robots, (n+1, N, d): on the plane the position, m."""
+        agents = self.arrays.agents
+        found: Floats = agents.position[..., None] if self.system is None else agents.coordinates
+        return found
+
+    @property
     def steps(self) -> int:
-        """Number of steps of the plane."""
+        """Number of steps of the parent."""
         return max(len(self.swarm) - 1, 0)
 
     @property
@@ -99,8 +127,9 @@ class Recorded:
 
     @cached_property
     def error(self) -> Floats:
-        """Reference minus recorded angle at each step, rad."""
-        return self.arrays.reference - self.arrays.angle
+        """Reference minus recorded angle at each step, rad; of several tracked numbers, the norm of the errors."""
+        errors: Floats = self.wanted - self.tracked
+        return errors[:, 0] if errors.shape[1] == 1 else np.asarray(np.linalg.norm(errors, axis=1))
 
     @cached_property
     def masses(self) -> Floats:
@@ -111,7 +140,7 @@ class Recorded:
     @property
     def torque(self) -> Floats:
         """The torque of the weights on the plane at each step, N m; dead robots count, robots that left do not."""
-        return np.nansum(self.masses * self.swarm.positions, axis=1) * self.scenario.plane.gravity
+        return np.asarray(np.nansum(self.masses * self.swarm.positions, axis=1) * self.scenario.plane.gravity)
 
     def spans(self) -> Iterator[tuple[int, int, tuple[float, ...]]]:
         """Yield spans of rows [begin, end) with the same robots on the plane, and their masses, kg."""
@@ -146,10 +175,21 @@ class Recorded:
             spread = arrays.auxiliary.s3 / arrays.auxiliary.s0**2
         return Margins(end_margin, np.where(np.isfinite(spread), spread, np.nan), rows, actual, desired)
 
+    @cached_property
+    def rank_margin(self) -> Floats:
+        """Smallest eigenvalue of the scaled Gram matrix of another parent system, by its largest diagonal entry."""
+        scales = np.array([row.scale for row in self.system.abstract] if self.system else [])
+        rows, columns = np.tril_indices(len(scales))
+        matrix = np.zeros((len(self.arrays.step), len(scales), len(scales)))
+        scaled = np.nan_to_num(self.arrays.auxiliary.gram) / (scales[rows] * scales[columns])
+        matrix[:, rows, columns] = matrix[:, columns, rows] = scaled
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.linalg.eigvalsh(matrix)[:, 0] / np.diagonal(matrix, axis1=1, axis2=2).max(axis=1)
+
     @property
     def estimated(self) -> bool:
         """Whether the recorded torque of the swarm is an estimate from the plane's motion."""
-        return self.scenario.observer.type == "parent_response"
+        return bool(self.scenario.observer.type == "parent_response")
 
     @property
     def falsified_note(self) -> str:
@@ -158,8 +198,9 @@ class Recorded:
         if not ids:
             return ""
         who = f"Robot {ids[0]} publishes" if len(ids) == 1 else f"Robots {', '.join(map(str, ids))} publish"
+        what = "positions and masses" if self.system is None else "coordinates and constants"
         return (
-            f"{who} a falsified state (an injected fault): positions and masses, and everything computed from them, "
+            f"{who} a falsified state (an injected fault): {what}, and everything computed from them, "
             "are the published ones."
         )
 
@@ -180,15 +221,17 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
     swarm = recorded_swarm(bag, messages, arrays)
     realtime = realtime_figures(bag, swarm.scenario) if is_realtime(bag) else None
     if realtime is None:
-        metrics = {**_metrics(swarm.scenario, arrays), "messages": sum(map(len, tables.values())) + len(swarm.events)}
-        metrics["digest"] = digest_of(tables) if metrics["final_error"] is not None else None
+        count = sum(map(len, tables.values())) + len(swarm.events) + len(bag.family.once)
+        metrics = {**_metrics(swarm.scenario, arrays), "messages": count}
+        unknown = metrics["final_error"] is None and tracking_of(swarm.scenario).followed
+        metrics["digest"] = None if unknown else digest_of(tables)
     else:
         metrics = {**realtime.figures(), "digest": None}
     summary, note = _summary(bag.path, metrics["digest"])
     return Recorded(
         swarm=swarm,
         metrics=metrics,
-        counts={topic.name: len(tables[topic]) for topic in MAIN_TOPICS} | {EVENTS.name: len(swarm.events)},
+        counts={topic.name: len(tables[topic]) for topic in bag.family.main} | {EVENTS.name: len(swarm.events)},
         provenance=attached_provenance(bag),
         summary=summary,
         summary_note=note,
@@ -196,15 +239,16 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
     )
 
 
-def _metrics(scenario: Scenario, arrays: RunArrays) -> dict[str, Any]:
+def _metrics(scenario: AnyScenario, arrays: Any) -> dict[str, Any]:
     """Return the figures of the run, by the same arithmetic as during the recording."""
-    found = RunFigures(configure.reference(scenario))
-    states = zip(arrays.time.tolist(), arrays.step.tolist(), arrays.angle.tolist(), strict=True)
-    for time, step, angle in states:
-        if not np.isnan(angle):
-            found.follow(step, round(time * 1e9) / 1e9, angle)
-    positions = np.abs(arrays.agents.position)
-    there = positions[arrays.agents.kind > 0]
+    found, plane = RunFigures(configure.reference(scenario), tracking_of(scenario)), hasattr(arrays, "angle")
+    parent = arrays.angle[:, None] if plane else arrays.parent
+    states = zip(arrays.time.tolist(), arrays.step.tolist(), parent.tolist(), strict=True)
+    for time, step, state in states:
+        if not np.isnan(state[0]):
+            found.follow(step, round(time * 1e9) / 1e9, tuple(state))
+    coordinates = np.abs(arrays.agents.position if plane else arrays.agents.coordinates)
+    there = coordinates[arrays.agents.kind > 0]
     if there.size:
         found.reach(float(there.max()))
     return found.figures()

@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from swarmabs_bag.figures import RunFigures
+from swarmabs_bag.figures import RunFigures, tracking_of
 from swarmabs_config import configure
-from swarmabs_config.scenario import parse_scenario
+from swarmabs_config.scenario import Scenario, parse_scenario
 from swarmabs_config.theory import setting
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.theory.state_feedback import estimate
 from swarmabs_run.simulation import simulated_steps
 
 if TYPE_CHECKING:
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
 
 OUTCOMES = ("settled", "unsettled", "off_plane", "failed", "refused")
 """Possible outcomes of a case, from best to worst."""
@@ -44,7 +44,8 @@ def evaluate(task: Task) -> str:
         row.update(status="refused", reason=str(error), outcome="refused")
     else:
         row.update(_run(scenario))
-        row.update(_estimates(scenario, task.angle_max))
+        if isinstance(scenario, Scenario):
+            row.update(_estimates(scenario, task.angle_max))
     if row["reason"] is not None:
         row["reason"] = row["reason"][:LONGEST_REASON]
     return json.dumps(row, allow_nan=False)
@@ -55,10 +56,10 @@ def lost(index: int, reason: str) -> str:
     return json.dumps({"case": index, "status": "failed", "reason": reason, "outcome": "failed"})
 
 
-def _run(scenario: Scenario) -> dict[str, Any]:
+def _run(scenario: AnyScenario) -> dict[str, Any]:
     """Simulate a scenario, and return figures, status and outcome."""
     reason = None
-    run = RunFigures(configure.reference(scenario))
+    run = RunFigures(configure.reference(scenario), tracking_of(scenario))
     max_abs_angle: float | None = None
     try:
         for step in simulated_steps(scenario):
@@ -73,7 +74,7 @@ def _run(scenario: Scenario) -> dict[str, Any]:
     reached = figures["max_abs_position"]
     if reason is not None:
         outcome = "failed"
-    elif reached is None or reached > 0.5 * scenario.plane.length:
+    elif reached is None or (isinstance(scenario, Scenario) and reached > 0.5 * scenario.plane.length):
         outcome = "off_plane"
     else:
         outcome = "unsettled" if figures["settled_at"] is None else "settled"

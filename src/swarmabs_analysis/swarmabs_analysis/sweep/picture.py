@@ -18,8 +18,9 @@ from matplotlib.patheffects import withStroke
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
 from swarmabs_bag.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
-from swarmabs_config.scenario import parse_scenario
+from swarmabs_config.scenario import SystemScenario, parse_scenario
 from swarmabs_config.theory import setting
+from swarmabs_core.systems.components import labelled
 from swarmabs_core.theory.state_feedback import Estimate, estimate
 
 if TYPE_CHECKING:
@@ -73,6 +74,13 @@ LOOKS = {
     "failed": (FAILED, "the run fails: the plane turns over"),
     "refused": (REFERENCE, "invalid scenario"),
 }
+LABELS = {
+    "settled": "settles",
+    "unsettled": "does not settle",
+    "failed": "the run fails",
+    "refused": LOOKS["refused"][1],
+}
+"""The texts of `LOOKS` for other parent systems than the plane."""
 MARKERS = {"settled": "o", "unsettled": "s", "off_plane": "^", "failed": "X", "refused": "P"}
 _FEW = 30
 """Most values of a parameter for which markers with the same value are moved apart."""
@@ -190,7 +198,10 @@ def _draw(study: Study, rows: Rows, subject: _Subject) -> Figure:
     scale = _scale(cases.result)
     show = _curve if len(subject.axes) == 1 else _fields if cases.gridded else _markers
     labels = [_label(scenario, path) for path in subject.axes]
-    metric = METRICS.get(subject.metric or "", "")
+    labelled_metrics, looks = METRICS, {name: label for name, (_, label) in LOOKS.items()}
+    if isinstance(scenario, SystemScenario):
+        labelled_metrics, looks = labelled(METRICS, scenario.named.made), LABELS
+    metric = labelled_metrics.get(subject.metric or "", "")
     for number, (axes, (title, chosen)) in enumerate(zip(panels, parts, strict=True)):
         show(axes, cases.where(chosen), scale)
         axes.set_title(title, fontsize="medium")
@@ -202,7 +213,7 @@ def _draw(study: Study, rows: Rows, subject: _Subject) -> Figure:
         for axis, place in zip((axes.xaxis, axes.yaxis), cases.places, strict=False):
             if len(ticks := np.unique(place)) <= _FEW_TICKS:
                 axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks.tolist()])
-    handles = _handles(cases, fields=show is _fields)
+    handles = _handles(cases, looks, fields=show is _fields)
     if metric and show is not _curve:
         median = " (median)" if cases.gridded and cases.where(parts[0][1]).repeated else ""
         figure.colorbar(ScalarMappable(scale, MAP), ax=panels, label=metric + median)
@@ -243,7 +254,7 @@ def _parts(study: Study, scenario: Scenario, path: str) -> list[tuple[str, NDArr
 
 def _label(scenario: Scenario, path: str, value: str = "") -> str:
     """Return the name of a parameter, with the id of its robot, and its value or unit."""
-    unit = UNITS.get(path.rsplit(".", maxsplit=1)[-1], "")
+    unit = "" if path.startswith("system.") else UNITS.get(path.rsplit(".", maxsplit=1)[-1], "")
     robot, listed = re.match(r"swarm\.agents\.(\d+)\.", path), scenario.swarm.agents
     name = f"{path} (robot {listed[int(robot[1])].id})" if robot and listed else path
     return f"{name}\n{value} {unit}".rstrip() if value else f"{name}, {unit}".removesuffix(", ")
@@ -331,7 +342,7 @@ def _moved_apart(place: Floats) -> Floats:
     return place + 0.7 * float(np.min(np.diff(values))) * pattern
 
 
-def _handles(cases: _Cases, *, fields: bool) -> list[Patch | Line2D]:
+def _handles(cases: _Cases, labels: Mapping[str, str], *, fields: bool) -> list[Patch | Line2D]:
     """Return the legend entries: the bands, and a patch or a marker for each outcome that occurs."""
     handles: list[Patch | Line2D] = []
     if len(cases.places) == 1 and cases.repeated:
@@ -339,7 +350,7 @@ def _handles(cases: _Cases, *, fields: bool) -> list[Patch | Line2D]:
         handles.append(Line2D([], [], color=PLANE, marker=".", label="median"))
     for number in np.unique(cases.outcome).tolist():
         name = OUTCOMES[number]
-        colour, label = LOOKS[name]
+        colour, label = LOOKS[name][0], labels[name]
         bare = cases.outcome[np.isnan(cases.result)]
         if fields and number in bare:
             handles.append(Patch(facecolor=colour, edgecolor=REFERENCE, linewidth=0.5, label=label))

@@ -17,7 +17,7 @@ from swarmabs_core.behaviours import Observer
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import SILENT
-from swarmabs_core.messages import AGENT_STATE, EVENTS, MAIN_TOPICS, TOPIC_OF, EventKind, SwarmEvent, Topic
+from swarmabs_core.messages import EVENTS, ROBOT_STATES, TOPIC_OF, EventKind, SwarmEvent, Topic
 from swarmabs_core.publishers import OBSERVER, PLANE, NodeKind, NodeName
 from swarmabs_core.record import Record
 from swarmabs_run.simulation import nodes_in_process
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
 
     from swarmabs_analysis.verification.base import Finding
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.messages import Message, Messages
 
 WINDOW = 100
@@ -55,17 +55,17 @@ class Slot:
     def add(self, stored: Record) -> None:
         """Add a message."""
         same = self.found.setdefault(stored.topic, [])
-        self.present += stored.topic is AGENT_STATE or not (same or stored.topic is EVENTS)
+        self.present += isinstance(stored.message, ROBOT_STATES) or not (same or stored.topic is EVENTS)
         same.append(stored)
 
 
 class Window:
-    """The steps that are not judged yet, of a run with the given period (ns) and number of robots."""
+    """The steps that are not judged yet, of a run with the given period (ns) and number of publishers."""
 
-    def __init__(self, period_ns: int, robots: int) -> None:
+    def __init__(self, period_ns: int, publishers: int) -> None:
         self._period_ns = period_ns
         self._slots: dict[int, Slot] = {}
-        self._capacity = (WINDOW + 2) * _MOST_PER_MEMBER * (robots + len(MAIN_TOPICS))
+        self._capacity = (WINDOW + 2) * _MOST_PER_MEMBER * publishers
         self._count = 0
         self.newest = -1
 
@@ -117,11 +117,14 @@ class Window:
 class LockstepVerification(Verification):
     """Verifies a run in lockstep, where the step of a message determines its inputs: all messages of that step."""
 
-    def __init__(self, scenario: Scenario, *, tolerance: float = 0.0) -> None:
+    def __init__(self, scenario: AnyScenario, *, tolerance: float = 0.0) -> None:
         super().__init__(tolerance, scenario.step_ns)
         self.found.expected_steps = scenario.steps + 1
         self._scenario = scenario
-        self._window = Window(scenario.step_ns, len(scenario.agents))
+        family = scenario.family
+        self._robots, self._coordinators = family.robot, family.main[1:]
+        self._topics = (*family.once, *family.main)
+        self._window = Window(scenario.step_ns, len(scenario.agents) + len(self._topics))
         self._digest = Digest()
         self._nodes = nodes_in_process(scenario)
         self._expected: dict[Topic, dict[int, Message]] = {}
@@ -168,7 +171,7 @@ class LockstepVerification(Verification):
             self._judge_step(last=not whole and self._window.newest == self.step)
         if found.difference is None and self.step <= self._scenario.steps and whole:
             reason = "the bag ends here without giving a reason"
-            found.difference = Difference(AGENT_STATE.name, self.step, None, MESSAGE, None, None, reason)
+            found.difference = Difference(self._robots.name, self.step, None, MESSAGE, None, None, reason)
         if found.difference is None and self._beyond is not None:
             step, beyond = self._beyond
             found.difference = _unasked(beyond, step, "it is not a step of the run")
@@ -185,14 +188,15 @@ class LockstepVerification(Verification):
         newest, step = self._window.newest, self.step
         if newest <= step:
             return self._window.full
-        whole = len(self._expected.get(AGENT_STATE, ())) + len(MAIN_TOPICS[1:])
+        several = (self._robots, *self._scenario.family.once)
+        whole = sum(len(self._expected.get(topic, ())) for topic in several) + len(self._coordinators)
         return self._window.full or newest > step + WINDOW or self._window.present(step) >= whole
 
     def _judge_step(self, *, last: bool) -> None:
         slot = self._window.take(self.step)
         self._judge(self._findings(slot, last=last))
         if self.found.difference is None and not self._ended:
-            stored = (*slot.get(AGENT_STATE), *(slot.found[topic][0] for topic in MAIN_TOPICS[1:]))
+            stored = (*slot.get(self._robots), *(slot.found[topic][0] for topic in self._coordinators))
             self._digest.update(RecordedStep(self.step, stored))
             self.found.steps += 1
 
@@ -215,8 +219,8 @@ class LockstepVerification(Verification):
         """Yield the findings of a step; the state machines are called in the order in which they answer in a run."""
         yield from slot.malformed
         self._drop_silent(slot)
-        for number, topic in enumerate(MAIN_TOPICS):
-            later = (*MAIN_TOPICS[number + 1 :], EVENTS)
+        for number, topic in enumerate(self._topics):
+            later = (*self._topics[number + 1 :], EVENTS)
             cut = last and not any(other in slot.found for other in later)
             if not (yield from self._on_topic(slot, topic, cut=cut)):
                 self._ended = True
@@ -229,7 +233,7 @@ class LockstepVerification(Verification):
     def _connect(self) -> dict[Topic, list[Callable[[Message], Messages]]]:
         """Return the handlers of the state machines by topic, in the order in which they answer."""
         nodes = self._nodes.values()
-        return {topic: [node.behaviour.handle for node in nodes if topic in node.hears] for topic in MAIN_TOPICS}
+        return {topic: [node.behaviour.handle for node in nodes if topic in node.hears] for topic in self._topics}
 
     def _ask(self, answer: Callable[..., Messages], *given: object) -> None:
         """Call a state machine, unless the run has failed."""
@@ -256,11 +260,11 @@ class LockstepVerification(Verification):
         events = slot.get(EVENTS)
         if self._scenario.lockstep.on_stall != "drop" or not events:
             return
-        present = {stored.agent_id for stored in slot.get(AGENT_STATE)}
+        present = {stored.agent_id for stored in slot.get(self._robots)}
         dead = {
             m.agent_id for m in (e.message for e in events) if isinstance(m, SwarmEvent) and m.kind == EventKind.DEAD
         }
-        states = self._expected.get(AGENT_STATE, {})
+        states = self._expected.get(self._robots, {})
         dropped = [agent_id for agent_id in states if agent_id in dead - present]
         published = {stored.payload for stored in events}
         told = self._told.get(self.step, {})
@@ -283,7 +287,7 @@ class LockstepVerification(Verification):
         """
         expected = self._expected.pop(topic, {})
         found, others = _assigned(slot.get(topic), expected)
-        whole = bool(expected) or topic is AGENT_STATE
+        whole = bool(expected) or topic not in self._coordinators
         for agent_id, message in expected.items():
             stored = found.get(agent_id) or (_taken(others, message) if others else None)
             if stored is not None:
@@ -293,7 +297,7 @@ class LockstepVerification(Verification):
             else:
                 yield missing(message)
         robots = "no robot publishes this state"
-        reason = robots if topic is AGENT_STATE else "it is a duplicate" if expected else self._failure
+        reason = robots if topic is self._robots else "it is a duplicate" if expected else self._failure
         for stored in others:
             yield surplus(stored, self.step, reason)
         return whole

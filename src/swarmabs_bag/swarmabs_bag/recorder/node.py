@@ -6,20 +6,19 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recording import RunCollector
 from swarmabs_bag.run_folder import Split
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, RECORDER
-from swarmabs_config.scenario import load_scenario
-from swarmabs_core.behaviours.base import UnexpectedMessageError
+from swarmabs_config.scenario import SystemScenario, load_scenario
+from swarmabs_core.behaviours.base import UnexpectedMessageError, refuse_other_system
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change, with_ends
 from swarmabs_core.messages import (
     EVENTS,
-    MAIN_TOPICS,
     NEVER,
     STEERING,
     Action,
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.recorder.recording import RealtimeRecording
     from swarmabs_bag.recording import RecordedStep
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
 
 COMMON = (
     Parameter("scenario_file", "", "file of the resolved scenario"),
@@ -67,7 +66,7 @@ CREDITS = 10
 """Progress messages per window of steps by which the run may be ahead of the recorder."""
 
 
-def scenario_of(settings: Settings) -> Scenario:
+def scenario_of(settings: Settings) -> Any:
     """Return the scenario of the recorded run."""
     if not settings.text("scenario_file"):
         raise InputError("parameter scenario_file is empty: give the file of the resolved scenario")
@@ -137,7 +136,7 @@ class Recorder:
 
     def __init__(
         self,
-        scenario: Scenario,
+        scenario: AnyScenario,
         recording: Recording,
         on_step: Callable[[int], None],
         ends: Iterable[Change] = (),
@@ -148,8 +147,12 @@ class Recorder:
         self._recording = recording
         self._on_step = on_step
         schedule = with_ends(configure.schedule(scenario), ends)
-        self._collector = RunCollector(configure.members(scenario), schedule, scenario.steps, steered=steered)
-        self._topics = (STEERING, *_EVERYTHING) if steered else _EVERYTHING
+        family = scenario.family
+        self._system: int | None = scenario.named.hash if isinstance(scenario, SystemScenario) else None
+        self._collector = RunCollector(
+            configure.members(scenario), schedule, scenario.steps, steered=steered, family=family
+        )
+        self._topics = (*((STEERING,) if steered else ()), EVENTS, *family.main, *family.once)
         self._credit_every = max(1, configure.recording_window(scenario) // CREDITS)
         self._credited = -1
         self._newest = -1
@@ -173,6 +176,8 @@ class Recorder:
         missing message is repeated at the latest when the run stops because the recorder's credit is used up.
         """
         message = record.message
+        if self._system is not None:
+            refuse_other_system(message, self._system)
         if isinstance(message, RecordingProgress):
             raise UnexpectedMessageError("recorder", message)
         steps = self._steer(message) if isinstance(message, Steering) else self._collector.add(record)
@@ -218,9 +223,6 @@ class Recorder:
         return self._collector.finished
 
 
-_EVERYTHING = (EVENTS, *MAIN_TOPICS)
-
-
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     """Return the behaviour, the endpoints, and the functions called on idle and on exit."""
     scenario = scenario_of(settings)
@@ -245,7 +247,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     recorder = Recorder(scenario, recording, report, ends, steered=steered)
     return NodeSpec(
         recorder,
-        settings.endpoints(RECORDER, LOCKSTEP, robots=len(scenario.agents)),
+        settings.endpoints(RECORDER, LOCKSTEP, *configure.options_for(scenario), robots=len(scenario.agents)),
         on_exit=lambda problem: reporter.done(problem, complete=recorder.finished),
         lingers=False,
         gather=GATHER_SECONDS,

@@ -34,7 +34,7 @@ from swarmabs_ros.status import Heartbeat, notify
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (
@@ -110,7 +110,7 @@ class RealtimeRecorder:
                 recording.add(record, time.time_ns())
 
 
-def _folder(settings: Settings, scenario: Scenario) -> Path | None:
+def _folder(settings: Settings, scenario: AnyScenario) -> Path | None:
     """Return the folder of the bag; one of many is named after the time at which it is begun."""
     bag, bags = settings.text("bag"), settings.text("bags")
     if bags:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from swarmabs_bag.attached import attachments, provenance
-from swarmabs_bag.figures import RealtimeFigures, RunFigures
+from swarmabs_bag.figures import RealtimeFigures, RunFigures, tracking_of
 from swarmabs_bag.realtime import RECORDED, RealtimeCollector, RealtimeWorld
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
 from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
-from swarmabs_core.messages import EVENTS, MAIN_TOPICS
+from swarmabs_core.messages import EVENTS, PLANE_FAMILY
 from swarmabs_core.realtime.base import Health, Level
 
 if TYPE_CHECKING:
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_bag.recording import Step
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario, Scenario
     from swarmabs_core.record import Record
 
-_LOCKSTEP = (*MAIN_TOPICS, EVENTS)
 F = TypeVar("F", RunFigures, RealtimeFigures)
 
 
 class _Recording(Generic[F]):
     """The common part of recordings: figures, summary of the swarm, and optionally a bag."""
 
-    def __init__(self, scenario: Scenario, folder: Path | None, run: F, made: Mapping[str, object], **bag: Any) -> None:
+    def __init__(self, scenario: Any, folder: Path | None, run: F, made: Mapping[str, object], **bag: Any) -> None:
         self.run: F = run
-        self._tracker = SummaryTracker(configure.members(scenario), scenario.plane.length)
+        length = scenario.plane.length if scenario.family is PLANE_FAMILY else None
+        self._tracker = SummaryTracker(configure.members(scenario), length)
         self._writer: BagWriter | None = None
         if folder is not None:
             self._writer = BagWriter(folder, attachments=attachments(scenario, made), **bag)
@@ -84,7 +84,7 @@ class Recording(_Recording[RunFigures]):
 
     def __init__(
         self,
-        scenario: Scenario,
+        scenario: AnyScenario,
         folder: Path | None,
         *,
         driver: str,
@@ -95,9 +95,10 @@ class Recording(_Recording[RunFigures]):
     ) -> None:
         self._reference = configure.reference(scenario)
         made = provenance(scenario, driver=driver, replay=replay, steered=steered)
-        figures = RunFigures(self._reference)
+        figures, family = RunFigures(self._reference, tracking_of(scenario)), scenario.family
+        topics = (*family.once, *family.main, EVENTS)
         super().__init__(
-            scenario, folder, figures, made, topics=_LOCKSTEP, qos=OFFERED[LOCKSTEP], namespace=namespace, split=split
+            scenario, folder, figures, made, topics=topics, qos=OFFERED[LOCKSTEP], namespace=namespace, split=split
         )
 
     def add(self, step: Step) -> None:
@@ -109,7 +110,7 @@ class Recording(_Recording[RunFigures]):
                 self._writer.write(topic, stamp, payload)
 
     def offset(self, step: int, offset: float) -> None:
-        """Set the offset of the reference (rad) from a step on, for the figures."""
+        """Set the offset of the reference, on the plane in rad, from a step on, for the figures."""
         self._reference.shift(step, offset)
 
 

@@ -6,8 +6,8 @@ from collections import Counter, deque
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_bag.swarm_state import RobotHistory
-from swarmabs_core.messages import AgentState, EventKind, SwarmEvent, said
+from swarmabs_bag.swarm_state import RobotHistory, shown_robot, shown_status
+from swarmabs_core.messages import ROBOT_STATES, EventKind, SwarmEvent, said
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,6 +31,7 @@ LETTERS: dict[RobotStatus | None, str] = {
     "left": "L",
     "dead": "D",
     "silent": "-",
+    "limited": "M",
     None: "?",
 }
 """A letter for each status; `?` is a robot without a state, such as one that waits to join."""
@@ -46,7 +47,8 @@ class SwarmSummary(NamedTuple):
     statuses : str
         A letter per robot, by ascending id; empty for more than `SHOWN_ROBOTS`.
     places : list of int
-        Last known position of each robot on the plane, in thousandths of half the plane's length; 0 for others.
+        Last known position of each robot on the plane, in thousandths of half the plane's length; 0 for others. Empty
+        for another parent system.
     events : list of str
         The latest events, the newest last.
     """
@@ -58,11 +60,14 @@ class SwarmSummary(NamedTuple):
 
 
 class SummaryTracker:
-    """Tracks the data for the summary of a run, of robots with ascending ids on a plane with a length (m)."""
+    """Tracks the data for the summary of a run, of robots with ascending ids on a plane with a length (m).
 
-    def __init__(self, members: Sequence[int], length: float) -> None:
+    The length is None for another parent system.
+    """
+
+    def __init__(self, members: Sequence[int], length: float | None) -> None:
         self._members = tuple(members)
-        self._half = length / 2.0
+        self._half = None if length is None else length / 2.0
         self._robots = RobotHistory(members, states=1)
         self._newest = -1
         self._events: deque[str] = deque(maxlen=SHOWN_EVENTS)
@@ -74,12 +79,12 @@ class SummaryTracker:
         """Process a complete step; the robots' states are only read when a summary is requested."""
         for event in step.events:
             self.hear(event)
-        if step.plane is not None:
+        if step.parent is not None:
             self._unread = step
 
     def hear(self, message: Message) -> None:
         """Process a single message, as received in real time."""
-        if isinstance(message, AgentState):
+        if isinstance(message, ROBOT_STATES):
             self._robots.add(message)
             self._newest = max(self._newest, message.step)
         elif isinstance(message, SwarmEvent):
@@ -91,13 +96,17 @@ class SummaryTracker:
         self._read()
         if self._newest < 0:
             return None
-        shown = [self._robots.shown(member, self._newest) for member in self._members]
-        letters = [LETTERS[robot.status] for robot in shown]
-        few = len(shown) <= SHOWN_ROBOTS
+        known = [
+            (self._robots.out(member, self._newest), self._robots.latest(member, self._newest), self._newest)
+            for member in self._members
+        ]
+        letters = [LETTERS[shown_status(*each)] for each in known]
+        few = len(letters) <= SHOWN_ROBOTS
+        half = self._half
         return SwarmSummary(
             dict(sorted(Counter(letters).items())),
             "".join(letters) if few else "",
-            [self._place(robot.position) for robot in shown] if few else [],
+            [_place(shown_robot(*each).position, half) for each in known] if few and half is not None else [],
             list(self._events),
         )
 
@@ -122,10 +131,11 @@ class SummaryTracker:
         for state in step.states():
             self.hear(state)
 
-    def _place(self, position: float | None) -> int:
-        if position is None:
-            return 0
-        return round(max(-THOUSAND, min(THOUSAND * position / self._half, THOUSAND)))
+
+def _place(position: float | None, half: float) -> int:
+    if position is None:
+        return 0
+    return round(max(-THOUSAND, min(THOUSAND * position / half, THOUSAND)))
 
 
 def describe_event(event: SwarmEvent) -> str:

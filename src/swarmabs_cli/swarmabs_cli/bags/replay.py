@@ -94,7 +94,8 @@ def _replay(
     run = made.in_process if in_process else made.live
     outcome, summary = summed_up(scenario, folder, lambda show: run(folder, show), compare)
     result = summary["replay"]
-    print_summary(summary, folder, outcome, *(replay_parts(result) if result is not None else ()), as_json=as_json)
+    tables = replay_parts(result) if result is not None else ()
+    print_summary(scenario, summary, folder, outcome, *tables, as_json=as_json)
     failed = outcome.status != "ok" or (expect_same and result is not None and not result["same"])
     return 1 if failed else 0
 

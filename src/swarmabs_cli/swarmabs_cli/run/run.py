@@ -15,7 +15,7 @@ from swarmabs_bag.run_folder import RunFolder
 from swarmabs_cli.options import examples
 from swarmabs_cli.output import open_page
 from swarmabs_cli.runs import carry_out, run_options
-from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenario import AnyScenario, on_plane
 from swarmabs_core.errors import InputError
 from swarmabs_run.ending import end_grace, interrupt_once
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
@@ -91,7 +91,7 @@ def run(
         raise click.UsageError(f"{option} needs --view; add --view, or remove {option}.")
     with PageViewer(view_port or 0, steered=steer) if view else nullcontext() as viewer:
 
-        def execute(scenario: Scenario, folder: RunFolder, recording: RunOptions) -> Outcome:
+        def execute(scenario: AnyScenario, folder: RunFolder, recording: RunOptions) -> Outcome:
             if viewer is not None:
                 viewer.start(folder.path)
                 click.echo(f"view: {viewer.url}", err=True)
@@ -101,7 +101,7 @@ def run(
                     open_page(viewer.url)
             with shown(folder.path):
                 if realtime:
-                    return RealtimeRun(scenario, folder, recording).run()
+                    return RealtimeRun(on_plane(scenario, "real time"), folder, recording).run()
                 asked = replace(
                     recording,
                     agents_per_process=agents_per_process,
@@ -111,14 +111,15 @@ def run(
                 )
                 return LockstepRun(scenario, folder, asked).run()
 
+        drawn = next((f"--{name}" for name in ("markers", "foxglove") if options[name]), None)
+
+        def check(scenario: AnyScenario) -> None:
+            if drawn is not None:
+                on_plane(scenario, drawn)
+            _step_seconds(scenario, rate)
+
         shown = _marker_viewers(options, clock=not realtime)
-        code = carry_out(
-            execute,
-            realtime=realtime,
-            check=lambda scenario: _step_seconds(scenario, rate),
-            steered=steer,
-            **options,
-        )
+        code = carry_out(execute, realtime=realtime, check=check, steered=steer, **options)
         if viewer is not None and sys.stdin.isatty() and sys.stderr.isatty():
             interrupt_once()
             click.echo(f"view: {viewer.url} plays the bag until Ctrl-C", err=True)
@@ -126,7 +127,7 @@ def run(
         return code
 
 
-def _step_seconds(scenario: Scenario, rate: float | None) -> float:
+def _step_seconds(scenario: AnyScenario, rate: float | None) -> float:
     """Return the shortest wall time of a step, s; 0: as fast as possible.
 
     Raises

@@ -67,8 +67,9 @@ def check(
 
 def render(report: Report, *, everything: bool) -> Group:
     """Return the verdict, a line for each theorem, and the conditions that fail; with `everything`, all conditions."""
+    bound = "" if report.angle_max is None else f", theta_max = {report.angle_max:g} rad"
     parts: list[RenderableType] = [
-        Text(f"{report.scenario}: {report.controller} with {report.swarm}, theta_max = {report.angle_max:g} rad"),
+        Text(f"{report.scenario}: {report.controller} with {report.swarm}{bound}"),
         _conclusion(report),
         Text(),
     ]
@@ -79,8 +80,8 @@ def render(report: Report, *, everything: bool) -> Group:
             parts += [_title(theorem), *(_conditions(theorem, shown) if shown else ())]
             parts += [Text()] if shown else []
     if everything:
-        parts += [_pairs("region of attraction", report.attraction), Text()]
-        parts += [_pairs("abstract states", report.abstract_states), Text()]
+        parts += [_pairs("region of attraction", report.attraction), Text()] if report.attraction else []
+        parts += [_pairs("abstract states", report.abstract_states), Text()] if report.abstract_states else []
         parts += [
             Text(f"{theorem.label}: not applicable, {theorem.note}", style="dim")
             for theorem in theorems

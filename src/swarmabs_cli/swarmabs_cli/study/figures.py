@@ -14,7 +14,7 @@ from swarmabs_analysis.report import write_file
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_cli.options import examples, json_option
 from swarmabs_cli.output import print_json
-from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenario import AnyScenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
@@ -108,7 +108,7 @@ def figures(
     return 0
 
 
-def _run_processes(scenario: Scenario, folder: RunFolder, options: RunOptions) -> Outcome:
+def _run_processes(scenario: AnyScenario, folder: RunFolder, options: RunOptions) -> Outcome:
     return LockstepRun(scenario, folder, options).run()
 
 

@@ -11,7 +11,7 @@ from swarmabs_config.fleet.checked import Fleet
 from swarmabs_config.fleet.robots import SimulatedDrive
 from swarmabs_config.model.fields import LONGEST_FILE_NAME, schema_of
 from swarmabs_config.realtime import check_realtime
-from swarmabs_config.scenario import Scenario, ScenarioError, dump_scenario, parse_scenario
+from swarmabs_config.scenario import Scenario, ScenarioError, dump_scenario, on_plane, parse_scenario
 from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_config.scenario.loader import read_mapping, validated
 from swarmabs_config.scenario.text_file import read_text
@@ -69,6 +69,7 @@ def load_fleet(path: str | os.PathLike[str]) -> LoadedFleet:
     settings = [as_override(name, value) for name, value in fleet.settings.items()]
     try:
         scenario = find_scenario(named_scenario(fleet.scenario, path.parent), settings)
+        on_plane(scenario, "a fleet")
     except ScenarioError as error:
         raise at_parameter(error, root, {"set": fleet.settings}) from error
     except InputError as error:
@@ -128,7 +129,7 @@ def _with_robots(scenario: Scenario, fleet: Fleet, root: Node) -> Scenario:
     data |= {"name": fleet.name, "swarm": {**_mapping(data["swarm"]), "agents": agents}}
     data["swarm"] = {key: value for key, value in _mapping(data["swarm"]).items() if key != "generate"}
     try:
-        return parse_scenario(dump_tree(data), source=str(root.mark.source))
+        return on_plane(parse_scenario(dump_tree(data), source=str(root.mark.source)), "a fleet")
     except ScenarioError as error:
         raise _at_robot(error, fleet, root) from error
 

@@ -11,15 +11,29 @@ from pydantic import (
     JsonValue,
     TypeAdapter,
     WithJsonSchema,
+    field_validator,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
 
-from swarmabs_core.behaviours.agent import RobotConfig
+from swarmabs_core.behaviours.robot import RobotConfig
+from swarmabs_core.behaviours.systems import SystemAgentConfig
 
 from .declared import Like, like
 from .errors import show
-from .fields import LARGEST, AsPair, Finding, Model, NonNegative, Positive, problem, raise_findings
+from .fields import (
+    LARGEST,
+    AsPair,
+    AsTuple,
+    Finding,
+    Model,
+    NonNegative,
+    Number,
+    OrNumber,
+    Positive,
+    problem,
+    raise_findings,
+)
 
 LARGEST_ID = 65535
 AUTO_INERTIA = 0.0288
@@ -88,6 +102,26 @@ AGENT_KINDS: dict[str, type[Model]] = {
     "double_integrator": DoubleIntegratorAgent,
 }
 """The model of each ``kind`` of robot."""
+
+
+Vector: TypeAlias = Annotated[tuple[Number, ...], AsTuple, OrNumber()]
+
+
+class SystemAgent(Model):
+    """A robot on a parent system of an installed package."""
+
+    id: AgentId = like(RobotConfig, "agent_id", required=True)
+    kind: Annotated[str, Like(SystemAgentConfig, "kind")] = like(SystemAgentConfig, "kind")
+    coordinates: Vector = Field(description="initial coordinates, a list or one number")
+    velocities: Vector = Field(default=(), description="initial velocities of a double integrator; none: at rest")
+    constants: dict[str, Number] = Field(default={}, description="constants that the parent system names")
+
+    @field_validator("constants")
+    @classmethod
+    def _sorted(cls, constants: dict[str, float]) -> dict[str, float]:
+        """Order the constants by name, so that equal scenarios give equal texts."""
+        return dict(sorted(constants.items()))
+
 
 _POSITIVE: TypeAdapter[float] = TypeAdapter(Positive)
 

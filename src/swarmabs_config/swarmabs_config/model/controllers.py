@@ -7,16 +7,18 @@ their ROS parameters.
 import itertools
 from collections.abc import Iterator, Mapping
 from functools import cache
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, cast
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from swarmabs_core.controllers import ARISE, CONTROLLERS, LQR, PD, TRAJECTORY
 from swarmabs_core.declaration import LONGEST_TIME, tree_of
+from swarmabs_core.parameters import Settings, Value
 from swarmabs_core.plant import STEEPEST
 from swarmabs_core.registry import Part, Registry
 from swarmabs_core.swarm_law import LAWS, PAPER
+from swarmabs_core.systems.interface import SYSTEMS
 from swarmabs_core.trajectory import SHORTEST, Constant, QuinticSpline, QuinticStep, Sine
 
 from .declared import model_of, model_of_table
@@ -128,6 +130,12 @@ class LawConfig(Model):
     type: str = Field(description="name of the swarm law")
 
 
+class SystemConfig(Model):
+    """Base of the parent systems' configurations."""
+
+    type: str = Field(description="name of the parent system")
+
+
 Trajectory: TypeAlias = Annotated[
     Sine | Constant | QuinticStep | CsvTrajectory, Tagged("type", TRAJECTORY_CONFIGS, DEFAULT_TRAJECTORY)
 ]
@@ -164,6 +172,23 @@ CONTROLLER_CONFIGS: Mapping[str, type[Model]] = _Configs(CONTROLLERS, Controller
 """The model of each ``controller.type``, including those of installed packages."""
 LAW_CONFIGS: Mapping[str, type[Model]] = _Configs(LAWS, LawConfig)
 """The model of each ``swarm.law.type``, including those of installed packages."""
+SYSTEM_CONFIGS: Mapping[str, type[Model]] = _Configs(SYSTEMS, SystemConfig)
+"""The model of each ``system.type`` of an installed package."""
+
+
+def settings_of(part: BaseModel) -> Settings:
+    """Return the settings of a controller, law or system, nested names joined by dots."""
+    found: dict[str, Value] = {}
+
+    def flatten(prefix: str, values: Mapping[str, object]) -> None:
+        for key, value in values.items():
+            if isinstance(value, dict):
+                flatten(f"{prefix}{key}.", value)
+            else:
+                found[prefix + key] = cast("Value", value)
+
+    flatten("", part.model_dump(exclude={"type"}, by_alias=True))
+    return found
 
 
 ModelT = TypeVar("ModelT", bound=Model)

@@ -23,6 +23,7 @@ from .fields import (
     TEXTS,
     Finding,
     Model,
+    OrNumber,
     WholeNanoseconds,
     WithoutNegativeZero,
     as_error,
@@ -187,7 +188,8 @@ def _of_parameter(setting: Parameter, **more: Any) -> Any:
     if not default:
         return annotated[array[item, ...], BeforeValidator(as_tuple(None))]
     # An empty ROS parameter counts as not given, so the node would use its default.
-    return annotated[array[item, ...], AfterValidator(_not_empty), BeforeValidator(as_tuple(None))]
+    found = annotated[array[item, ...], AfterValidator(_not_empty), BeforeValidator(as_tuple(None))]
+    return annotated[found, OrNumber()] if len(default) == 1 and isinstance(default[0], float) else found
 
 
 def _scalar(

@@ -246,6 +246,24 @@ def as_tuple(length: int | None) -> Callable[[object], object]:
     return convert
 
 
+@dataclass(frozen=True, eq=False)
+class OrNumber:
+    """Annotation of a list that may be written as one number."""
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Put a number into a list."""
+        number = (int, float)
+        return core_schema.no_info_before_validator_function(
+            lambda value: [value] if isinstance(value, number) and not isinstance(value, bool) else value,
+            handler(source),
+        )
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """Allow the items of the list in its place."""
+        found = handler(schema)
+        return {"anyOf": [found, found["items"]]}
+
+
 AsTuple = BeforeValidator(as_tuple(None))
 AsPair = BeforeValidator(as_tuple(2))
 
@@ -283,7 +301,7 @@ class Tagged:
         if not isinstance(value, Mapping):
             raise problem(
                 f"expected a mapping, found {describe(value)}",
-                f"write {{{self.tag}: {next(iter(self.registry))}, ...}}",
+                f"write {{{self.tag}: {next(iter(self.registry), 'NAME')}, ...}}",
             )
         name = value.get(self.tag, self.default)
         model = self._find(name)
@@ -291,9 +309,10 @@ class Tagged:
             return model.model_validate(value).made()
         known = list(self.registry)
         if name is None and self.tag not in value:
-            raise problem(f"'{self.tag}' is missing", f"add '{self.tag}: ...', one of {', '.join(known)}")
+            raise problem(f"'{self.tag}' is missing", f"add '{self.tag}: ...', one of {', '.join(known) or 'none'}")
         text = show(name) if isinstance(name, str) else f"({describe(name)})"
-        remedy = nearest(name if isinstance(name, str) else "", known)
+        install = "install the package that provides it"
+        remedy = nearest(name if isinstance(name, str) else "", known) if known else install
         error = Finding.of((self.tag,), f"unknown {self.tag} {text}", remedy)
         raise as_error(error)
 
@@ -324,4 +343,4 @@ class Tagged:
             if name != self.default:
                 choice["required"] = [self.tag, *choice.get("required", ())]
             choices.append(choice)
-        return {"oneOf": choices}
+        return {"oneOf": choices} if choices else {"type": "object", "required": [self.tag]}

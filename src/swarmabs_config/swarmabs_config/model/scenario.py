@@ -1,31 +1,40 @@
 """The scenario: everything a run depends on."""
 
 from functools import cached_property
-from typing import Annotated, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
 from swarmabs_core.behaviours.base import Lockstep, Run
-from swarmabs_core.faults import FAULTS, Fault, JoinFault
+from swarmabs_core.behaviours.systems import SystemAgentConfig
+from swarmabs_core.declaration import setting_of
+from swarmabs_core.faults import FAULTS, Fault, JoinFault, SystemReferenceFault
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import UNPLANNED
+from swarmabs_core.messages import PLANE_FAMILY, SYSTEM_FAMILY, Family
 from swarmabs_core.parent_response import ParentResponse, SumObserver
 from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import Realtime
 from swarmabs_core.robot_controller import Limits
 from swarmabs_core.sensing import RobotSensor
+from swarmabs_core.steering import REFERENCE
 from swarmabs_core.swarm_law import SwarmGains
+from swarmabs_core.systems.interface import NamedSystem
+from swarmabs_core.systems.law import SystemGains
 
-from .agents import AGENT_KINDS, Agent, Generate
+from .agents import AGENT_KINDS, Agent, Generate, SystemAgent
 from .controllers import (
     CONTROLLER_CONFIGS,
     DEFAULT_CONTROLLER,
     DEFAULT_LAW,
     LAW_CONFIGS,
+    SYSTEM_CONFIGS,
     ControllerConfig,
     LawConfig,
     PaperLaw,
     PdConfig,
+    SystemConfig,
+    settings_of,
 )
 from .declared import Declared, Like, declared_field, like, model_of
 from .errors import describe
@@ -50,6 +59,7 @@ OBSERVERS = {each.type: model_of(each, tag="type") for each in (SumObserver, Par
 """The model of each ``observer.type``."""
 FAULT_KINDS = {kind: model_of(each, tag="kind") for kind, each in FAULTS.items()}  # type: ignore[arg-type]  # classes are hashable
 """The model of each ``kind`` of fault."""
+_SYSTEM_FAULT_KINDS = {**FAULT_KINDS, REFERENCE: model_of(SystemReferenceFault, tag="kind")}
 
 
 def is_name(text: str) -> bool:
@@ -111,8 +121,27 @@ class Swarm(Model):
         return tuple(sorted(self.agents or (), key=lambda agent: agent.id))
 
 
-class UncheckedScenario(Model):
-    """A complete description of a run, before the checks across fields."""
+class SystemSwarm(Model):
+    """The robots on a parent system, and their gains."""
+
+    gains: Annotated[SystemGains, Declared()] = declared_field(SystemGains, "gains of the robots' control laws")
+    force_law: Annotated[str, Like(SystemAgentConfig, "force_law")] = like(SystemAgentConfig, "force_law")
+    effort: Annotated[float | None, Like(SystemAgentConfig, "effort")] = Field(
+        default=None, description=setting_of(SystemAgentConfig, "effort").in_file.description
+    )
+    agents: Annotated[tuple[SystemAgent, ...], AsTuple] = Field(description="list of the robots")
+
+    @cached_property
+    def members(self) -> tuple[SystemAgent, ...]:
+        """The robots in order of their ids."""
+        return tuple(sorted(self.agents, key=lambda agent: agent.id))
+
+
+class AnyScenario(Model):
+    """What the scenarios of all parent systems have in common."""
+
+    family: ClassVar[Family]
+    """The topics of the run."""
 
     schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
         alias="schema", description="version of this file format: 1"
@@ -125,25 +154,17 @@ class UncheckedScenario(Model):
     duration: Duration = Field(default=30.0, description="simulated time, a multiple of step, s")
     step: Duration = Field(default=0.01, description="control period, s")
     seed: Annotated[int, Like(Run, "seed")] = like(Run, "seed")
-    plane: Annotated[Plane, Declared()] = declared_field(Plane, "the tilting plane")
-    manifold: Annotated[Manifold, Declared()] = declared_field(
-        Manifold, "the curve Js(tau) to which the swarm is controlled"
-    )
-    controller: Annotated[ControllerConfig, Tagged("type", CONTROLLER_CONFIGS, DEFAULT_CONTROLLER)] = Field(
-        default=PdConfig(), description="the parent controller"
-    )
-    swarm: Swarm = Field(description="the robots and their gains")
-    observer: Annotated[SumObserver | ParentResponse, Tagged("type", OBSERVERS, DEFAULT_OBSERVER)] = Field(
-        default=SumObserver(),
-        description="how the abstract state of the robots is obtained",
-        json_schema_extra={"default": {"type": DEFAULT_OBSERVER}},
-    )
-    limits: Annotated[Limits, Declared()] = declared_field(Limits, "limits of the robots' drives")
-    lockstep: Annotated[Lockstep, Declared()] = declared_field(Lockstep, "what happens when a robot does not answer")
-    realtime: Annotated[Realtime, Declared()] = declared_field(Realtime, "settings of runs in real time")
-    faults: Annotated[tuple[Annotated[Fault, Tagged("kind", FAULT_KINDS)], ...], AsTuple] = Field(
-        default=(), description="faults and membership changes"
-    )
+
+    if TYPE_CHECKING:  # the subclasses determine the order of these fields in files
+        swarm: Any
+        lockstep: Lockstep
+        faults: tuple[Fault, ...]
+
+        def resolved(self) -> "AnyScenario":
+            """Return the same scenario with every robot listed, in order of ids."""
+
+        def warnings(self) -> tuple[str, ...]:
+            """Return one line for each setting that is valid but likely to cause trouble."""
 
     @cached_property
     def step_ns(self) -> int:
@@ -166,12 +187,12 @@ class UncheckedScenario(Model):
         return self.step_ns / NANOSECONDS
 
     @property
-    def agents(self) -> tuple[Agent, ...]:
+    def agents(self) -> tuple[Any, ...]:
         """The robots in order of their ids, whether they are listed or generated."""
-        return self.swarm.members
+        return self.swarm.members  # type: ignore[no-any-return]
 
     @property
-    def initial_agents(self) -> tuple[Agent, ...]:
+    def initial_agents(self) -> tuple[Any, ...]:
         """The robots present at step 0: all but those that join later."""
         later = {fault.agent for fault in self.faults if isinstance(fault, JoinFault) and self.fault_step(fault.at) > 0}
         return tuple(agent for agent in self.agents if agent.id not in later)
@@ -190,3 +211,57 @@ class UncheckedScenario(Model):
         A fault without a time is not planned: `swarmabs_core.membership.UNPLANNED`.
         """
         return UNPLANNED if at is None else nearest_step(at, self.step_ns)
+
+
+class UncheckedScenario(AnyScenario):
+    """A complete description of a run on the plane, before the checks across fields."""
+
+    family = PLANE_FAMILY
+
+    plane: Annotated[Plane, Declared()] = declared_field(Plane, "the tilting plane")
+    manifold: Annotated[Manifold, Declared()] = declared_field(
+        Manifold, "the curve Js(tau) to which the swarm is controlled"
+    )
+    controller: Annotated[ControllerConfig, Tagged("type", CONTROLLER_CONFIGS, DEFAULT_CONTROLLER)] = Field(
+        default=PdConfig(), description="the parent controller"
+    )
+    swarm: Swarm = Field(description="the robots and their gains")
+    observer: Annotated[SumObserver | ParentResponse, Tagged("type", OBSERVERS, DEFAULT_OBSERVER)] = Field(
+        default=SumObserver(),
+        description="how the abstract state of the robots is obtained",
+        json_schema_extra={"default": {"type": DEFAULT_OBSERVER}},
+    )
+    limits: Annotated[Limits, Declared()] = declared_field(Limits, "limits of the robots' drives")
+    lockstep: Annotated[Lockstep, Declared()] = declared_field(Lockstep, "what happens when a robot does not answer")
+    realtime: Annotated[Realtime, Declared()] = declared_field(Realtime, "settings of runs in real time")
+    faults: Annotated[tuple[Annotated[Fault, Tagged("kind", FAULT_KINDS)], ...], AsTuple] = Field(
+        default=(), description="faults and membership changes"
+    )
+
+    if TYPE_CHECKING:
+
+        @property
+        def agents(self) -> tuple[Agent, ...]:
+            """The robots in order of their ids, whether they are listed or generated."""
+
+        @property
+        def initial_agents(self) -> tuple[Agent, ...]:
+            """The robots present at step 0: all but those that join later."""
+
+
+class UncheckedSystemScenario(AnyScenario):
+    """A complete description of a run on a parent system of an installed package, before the checks across fields."""
+
+    family = SYSTEM_FAMILY
+
+    system: Annotated[SystemConfig, Tagged("type", SYSTEM_CONFIGS)] = Field(description="the parent system")
+    swarm: SystemSwarm = Field(description="the robots and their gains")
+    lockstep: Annotated[Lockstep, Declared()] = declared_field(Lockstep, "what happens when a robot does not answer")
+    faults: Annotated[tuple[Annotated[Fault, Tagged("kind", _SYSTEM_FAULT_KINDS)], ...], AsTuple] = Field(
+        default=(), description="faults and membership changes"
+    )
+
+    @cached_property
+    def named(self) -> NamedSystem:
+        """The parent system, with its settings."""
+        return NamedSystem(self.system.type, settings_of(self.system))

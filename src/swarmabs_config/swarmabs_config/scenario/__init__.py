@@ -2,9 +2,21 @@
 
 from swarmabs_config.model.agents import Agent
 from swarmabs_config.model.errors import ScenarioError
+from swarmabs_config.model.scenario import AnyScenario
 
-from .checked import Scenario, json_schema
+from .checked import Scenario, SystemScenario, json_schema, on_plane
 from .dump import dump_scenario
 from .loader import load_scenario, parse_scenario
 
-__all__ = ["Agent", "Scenario", "ScenarioError", "dump_scenario", "json_schema", "load_scenario", "parse_scenario"]
+__all__ = [
+    "Agent",
+    "AnyScenario",
+    "Scenario",
+    "ScenarioError",
+    "SystemScenario",
+    "dump_scenario",
+    "json_schema",
+    "load_scenario",
+    "on_plane",
+    "parse_scenario",
+]

@@ -14,15 +14,17 @@ from swarmabs_core.controllers import PD
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import JoinFault, MembershipFault
 from swarmabs_core.membership import ChangeKind
+from swarmabs_core.messages import PLANE_FAMILY
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.swarm_law import LAWS
+from swarmabs_core.systems.check import problems_of
 from swarmabs_core.theory.error_dynamics import deepest_swing
 
-from .fault_checks import faults, offset_law
+from .fault_checks import faults, offset_law, system_settings
 
 if TYPE_CHECKING:
     from swarmabs_config.model.agents import Agent
-    from swarmabs_config.model.scenario import UncheckedScenario
+    from swarmabs_config.model.scenario import AnyScenario, UncheckedScenario, UncheckedSystemScenario
     from swarmabs_core.manifold import Manifold
 
 SMALLEST_S3 = 1e-12
@@ -45,10 +47,28 @@ def findings(scenario: "UncheckedScenario") -> list[Finding]:
     return []
 
 
+def system_findings(scenario: "UncheckedSystemScenario") -> list[Finding]:
+    """Return every error of a scenario on a parent system whose individual fields are valid."""
+    for checks in ((_timing,), (_ids, faults), (_system,), (system_settings,)):
+        if found := [finding for check in checks for finding in check(scenario)]:
+            return found
+    return []
+
+
 def warnings(scenario: "UncheckedScenario") -> tuple[str, ...]:
     """Return one line for each setting that is valid but likely to cause trouble."""
     checks = (_underdamped, _wrong_feedback, _membership)
     return tuple(text for check in checks for text in check(scenario))
+
+
+def system_warnings(scenario: "UncheckedSystemScenario") -> tuple[str, ...]:
+    """Return a line if the gain of robots that follow the law of velocity is too large for the control period."""
+    swarm, largest = scenario.swarm, max(scenario.swarm.gains.k)
+    by_velocity = swarm.force_law == "velocity" or any(agent.kind != "double_integrator" for agent in scenario.agents)
+    if not by_velocity or largest * scenario.period < 2.0:
+        return ()
+    limit = _rounded_down(2.0 / scenario.period)
+    return (f"swarm.gains: k = {largest!r} 1/s is unstable at a step of {scenario.step!r} s; use less than {limit!r}",)
 
 
 def second_moments(agents: Iterable["Agent"]) -> tuple[float, float]:
@@ -59,7 +79,7 @@ def second_moments(agents: Iterable["Agent"]) -> tuple[float, float]:
     return s0, s0 * math.fsum(square * (position - centre) ** 2 for square, position in members)
 
 
-def _timing(scenario: "UncheckedScenario") -> Iterator[Finding]:
+def _timing(scenario: "AnyScenario") -> Iterator[Finding]:
     if scenario.duration_ns % scenario.step_ns:
         below = scenario.duration_ns // scenario.step_ns * scenario.step_ns
         near = [ns for ns in (below, below + scenario.step_ns) if ns > 0]
@@ -71,8 +91,16 @@ def _timing(scenario: "UncheckedScenario") -> Iterator[Finding]:
         )
 
 
-def _ids(scenario: "UncheckedScenario") -> Iterator[Finding]:
-    if len(scenario.agents) < 2:
+def _system(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
+    present = {agent.id for agent in scenario.initial_agents}
+    later = {agent.id for agent in scenario.agents} - present
+    robots, gains = scenario.swarm.agents, scenario.swarm.gains
+    for found in problems_of(scenario.named, robots, gains, scenario.period, later=later):
+        yield Finding.of(*found)
+
+
+def _ids(scenario: "AnyScenario") -> Iterator[Finding]:
+    if len(scenario.agents) < 2 and scenario.family is PLANE_FAMILY:
         count = len(scenario.agents)
         yield Finding.of(
             _swarm_location(scenario),
@@ -199,7 +227,7 @@ def _constructed(scenario: "UncheckedScenario") -> Iterator[Finding]:
             return
 
 
-def _swarm_location(scenario: "UncheckedScenario") -> Location:
+def _swarm_location(scenario: "AnyScenario") -> Location:
     return ("swarm", "agents" if scenario.swarm.agents is not None else "generate")
 
 

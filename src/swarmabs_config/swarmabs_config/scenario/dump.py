@@ -4,14 +4,15 @@ import json
 import re
 from collections.abc import Iterator
 
-from .checked import Scenario
+from swarmabs_config.model.scenario import AnyScenario
+
 from .yaml_tree import Plain
 
 _PLAIN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _WORDS_OF_YAML = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 
 
-def dump_scenario(scenario: Scenario) -> str:
+def dump_scenario(scenario: AnyScenario) -> str:
     """Return a scenario as YAML with every default filled in and every robot listed.
 
     The text is canonical: equal scenarios give equal texts, and the text loads back to
@@ -19,7 +20,7 @@ def dump_scenario(scenario: Scenario) -> str:
     readers read the same number.
     """
     data = scenario.resolved().model_dump(mode="json", by_alias=True)
-    del data["swarm"]["generate"]
+    data["swarm"].pop("generate", None)
     return dump_tree(data)
 
 

@@ -12,6 +12,7 @@ from swarmabs_core.controllers import OffsetController
 from swarmabs_core.declaration import LONGEST_TIME
 from swarmabs_core.faults import (
     ClockOffsetFault,
+    FalsifiedStateFault,
     Fault,
     JoinFault,
     MembershipFault,
@@ -24,7 +25,7 @@ from swarmabs_core.faults import (
 from swarmabs_core.membership import UNPLANNED
 
 if TYPE_CHECKING:
-    from swarmabs_config.model.scenario import UncheckedScenario
+    from swarmabs_config.model.scenario import AnyScenario, UncheckedScenario, UncheckedSystemScenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,7 @@ class _Span:
     end: float
 
 
-def faults(scenario: "UncheckedScenario") -> Iterator[Finding]:
+def faults(scenario: "AnyScenario") -> Iterator[Finding]:
     """Check each fault alone, then those of the same robots or the same setting."""
     ids = {agent.id for agent in scenario.agents}
     spans: list[_Span] = []
@@ -58,7 +59,7 @@ def faults(scenario: "UncheckedScenario") -> Iterator[Finding]:
         yield from _second(span, spans[:number], ids)
 
 
-def _within_run(span: _Span, scenario: "UncheckedScenario") -> Iterator[Finding]:
+def _within_run(span: _Span, scenario: "AnyScenario") -> Iterator[Finding]:
     fault, (begin, end) = span.fault, span.fault.when
     if span.first > scenario.steps and fault.at is not None:
         yield Finding.of(
@@ -136,6 +137,25 @@ def offset_law(scenario: "UncheckedScenario") -> Iterator[Finding]:
             "remove this fault, or add a method offset_torque to the controller's law",
             see=("controller",),
         )
+
+
+def system_settings(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
+    """Check that the parent system supports the faults that offset its reference or disturb it, and false masses."""
+    able = configure.system_abilities(scenario)
+    for index, fault in enumerate(scenario.faults):
+        if isinstance(fault, SettingFault) and not able[fault.kind]:
+            method = "offset_ask of its controller" if isinstance(fault, ReferenceFault) else "disturbed"
+            yield Finding.of(
+                ("faults", index),
+                f"the parent system {scenario.system.type!r} has no method {method}, which a {fault.kind} needs",
+                "remove this fault, or add the method",
+            )
+        elif isinstance(fault, FalsifiedStateFault) and fault.mass_factor != 1.0:
+            yield Finding.of(
+                ("faults", index, "mass_factor"),
+                "only coordinates can be falsified on a parent system other than the plane",
+                "use position_offset or position_factor",
+            )
 
 
 def _named(fault: Fault) -> list[tuple[Location, int]]:

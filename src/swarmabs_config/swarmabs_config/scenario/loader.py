@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
@@ -16,7 +16,7 @@ from swarmabs_config.model.errors import ScenarioError, describe, show
 from swarmabs_config.model.fields import Location, Model, nearest
 from swarmabs_config.model.scenario import LONGEST_NAME
 
-from .checked import Scenario
+from .checked import Scenario, SystemScenario
 from .overrides import apply_overrides
 from .reference_file import with_rows
 from .text_file import read_text
@@ -34,8 +34,10 @@ UPGRADES: tuple[Upgrade, ...] = ()
 AnyModel = TypeVar("AnyModel", bound=Model)
 
 
-def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scenario:
+def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Any:
     """Read a scenario file in YAML, whose stem is the default of ``name``, and apply overrides ``a.b=v`` in order.
+
+    It is a `Scenario`, or a `Scenario` or a `SystemScenario`.
 
     Raises
     ------
@@ -56,8 +58,8 @@ def parse_scenario(
     default_name: str = "scenario",
     overrides: Sequence[str] = (),
     folder: Path | None = None,
-) -> Scenario:
-    """Read a scenario from a text in YAML.
+) -> Any:
+    """Read a scenario from a text in YAML: a `Scenario` or a `SystemScenario`.
 
     Parameters
     ----------
@@ -82,7 +84,17 @@ def parse_scenario(
     if isinstance(data, dict):
         data = upgraded(data)
         data.setdefault("name", default_name)
-    return validated(Scenario, data, root)
+    return validated(_model_of(data), data, root)
+
+
+def _model_of(data: Plain) -> type[Scenario | SystemScenario]:
+    """Return the model of a scenario, and remove the key ``system`` from one on the plane."""
+    if not isinstance(data, dict) or "system" not in data:
+        return Scenario
+    if data["system"] in ("plane", {"type": "plane"}):
+        del data["system"]
+        return Scenario
+    return SystemScenario
 
 
 def read_mapping(text: str, source: str, kind: str = "scenario") -> Node:

@@ -19,7 +19,7 @@ from .loader import parse_scenario
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from .checked import Scenario
+    from swarmabs_config.model.scenario import AnyScenario
 
 _SETTINGS = {kind: each for kind, each in FAULTS.items() if issubclass(each, SettingFault)}
 _ENDING = {kind: each for kind, each in FAULTS.items() if issubclass(each, MembershipFault)}
@@ -27,18 +27,18 @@ _ENDS = {kind.value: kind for kind in ENDS.values()}
 
 
 def as_planned(
-    scenario: Scenario,
+    scenario: AnyScenario,
     events: Iterable[SwarmEvent],
     *,
     ends: Iterable[Change] = (),
     source: str = "scenario of the steered run",
     overrides: Sequence[str] = (),
-) -> Scenario:
+) -> Any:
     """Return the scenario that plans what steering did to a run.
 
     Parameters
     ----------
-    scenario : Scenario
+    scenario : AnyScenario
         The scenario of the run.
     events : iterable of SwarmEvent
         The events of the run; those of planned faults change nothing.
@@ -80,7 +80,7 @@ def as_planned(
 
 
 def _planned(
-    scenario: Scenario, settings: dict[str, dict[int, float]], joined: dict[int, int], ended: dict[int, Change]
+    scenario: AnyScenario, settings: dict[str, dict[int, float]], joined: dict[int, int], ended: dict[int, Change]
 ) -> list[dict[str, Any]] | None:
     """Return the faults of the scenario and of the steering; None if nothing was steered."""
 

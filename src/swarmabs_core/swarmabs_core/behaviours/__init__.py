@@ -1,10 +1,12 @@
 """The behaviour of the nodes as pure state machines: messages in, messages out; no ROS, no clock, no I/O."""
 
-from swarmabs_core.behaviours.agent import Agent, AgentConfig, AgentGroup, LifeSpan
+from swarmabs_core.behaviours.agent import Agent, AgentGroup
 from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller, ControllerConfig
 from swarmabs_core.behaviours.observer import Observer, ObserverConfig
-from swarmabs_core.behaviours.plane import Plane, PlaneConfig
+from swarmabs_core.behaviours.parent import Parent
+from swarmabs_core.behaviours.plane import PlaneConfig
+from swarmabs_core.behaviours.robot import AgentConfig, LifeSpan
 from swarmabs_core.behaviours.steering import Decision, Request, Steered, SteeringConfig, SteeringController
 from swarmabs_core.robot_controller import Limits
 
@@ -20,7 +22,7 @@ __all__ = [
     "Limits",
     "Observer",
     "ObserverConfig",
-    "Plane",
+    "Parent",
     "PlaneConfig",
     "Request",
     "Steered",

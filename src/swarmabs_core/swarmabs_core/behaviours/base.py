@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from swarmabs_core.cdr import encode
 from swarmabs_core.declaration import setting
 from swarmabs_core.errors import ProtocolError
 from swarmabs_core.membership import Change
-from swarmabs_core.messages import Message, Messages, Status, Topic
+from swarmabs_core.messages import AnyRobotState, Family, Message, Messages, RobotState, RobotStatus, Status, Topic
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from swarmabs_core.membership import Membership
-    from swarmabs_core.messages import AgentState
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +106,46 @@ class UnexpectedMessageError(ProtocolError):
         super().__init__(f"{node}: received {type(message).__name__}, which this node does not use")
 
 
+class OtherSystemError(ProtocolError):
+    """A message of a swarm on another parent system, or on one with other settings."""
+
+    def __init__(self, message: Message) -> None:
+        robot = getattr(message, "agent_id", 0)
+        source = f"robot {robot}" if robot else type(message).__name__
+        super().__init__(f"{source}: refused in step {message.step}, because its parent system has another description")
+
+
+def refuse_other_system(message: Message, system: int) -> None:
+    """Accept a message of a parent system with this hash.
+
+    Raises
+    ------
+    OtherSystemError
+        If it is one of another parent system.
+    """
+    if getattr(getattr(message, "abstract", message), "system", system) != system:
+        raise OtherSystemError(message)
+
+
+def packed_broadcasts(family: Family, heard: Callable[[Topic], Message]) -> Any:
+    """Return the three broadcasts of a step, by their topics, as one message."""
+    made: Any = family.packed.message
+    desired = heard(family.desired)
+    return made(desired.stamp, desired.step, heard(family.abstract), heard(family.auxiliary), desired)
+
+
+def at_rest(state: AnyRobotState) -> AnyRobotState:
+    """Return the state of a robot that stands where it was."""
+    if isinstance(state, RobotState):
+        return state._replace(velocities=(0.0,) * len(state.velocities), status=RobotStatus.SAFE_STOP)
+    return state._replace(velocity=0.0)
+
+
+def place_of(state: AnyRobotState) -> float:
+    """Return the position of a robot, its first coordinate."""
+    return state.coordinates[0] if isinstance(state, RobotState) else state.position
+
+
 def refuse_conflict(known: Message, message: Message, source: str) -> None:
     """Accept a message that repeats the known one.
 
@@ -143,14 +184,14 @@ class Gathering:
     def __init__(self, membership: Membership) -> None:
         self._membership = membership
         self._step = 0
-        self._states: dict[int, AgentState] = {}
+        self._states: dict[int, AnyRobotState] = {}
 
     @property
     def step(self) -> int:
         """The step being gathered."""
         return self._step
 
-    def add(self, state: AgentState) -> None:
+    def add(self, state: AnyRobotState) -> None:
         """Take a state; a late or repeated one changes nothing.
 
         Raises
@@ -179,7 +220,7 @@ class Gathering:
         """Return the ids of the members whose state is missing."""
         return tuple(i for i in self._membership.publishing(self._step) if i not in self._states)
 
-    def take(self) -> list[AgentState]:
+    def take(self) -> list[AnyRobotState]:
         """Return the states of the complete step by ascending id, and advance to the next step."""
         states = [self._states[i] for i in self._membership.publishing(self._step)]
         self._step += 1

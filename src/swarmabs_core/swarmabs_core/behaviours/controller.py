@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from swarmabs_core.behaviours.base import Run, UnexpectedMessageError, is_new
+from swarmabs_core.behaviours.base import Run, UnexpectedMessageError, is_new, packed_broadcasts, refuse_other_system
 from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.desired_state import DesiredStateGenerator
+from swarmabs_core.errors import InputError
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import (
-    ABSTRACT_STATE,
-    AUXILIARY_STATE,
-    BROADCASTS,
-    DESIRED_ABSTRACT_STATE,
     NEVER,
-    PLANE_STATE,
+    PARENT_STATES,
+    PLANE_FAMILY,
     RECORDING_PROGRESS,
     TOPIC_OF,
-    AbstractState,
     Action,
-    AuxiliaryState,
-    Broadcast,
+    AnyParentState,
     EventKind,
+    Family,
     Message,
     Messages,
-    PlaneState,
     RecordingProgress,
     SwarmEvent,
     Topic,
@@ -55,24 +51,51 @@ class ControllerConfig:
     )
     law: ParentLaw = part(ParentLaw, name="")
 
+    family: ClassVar[Family] = PLANE_FAMILY
+    system_hash: ClassVar[None] = None
+
+    def generator(self, law: ParentController | None) -> DesiredStateGenerator:
+        """Return what generates the desired abstract state, by default with the configured law."""
+        law = law or self.law.make(self.period_ns / 1e9, self.manifold)
+        return DesiredStateGenerator(self.period_ns, self.manifold, law)
+
 
 class Controller:
-    """Answers each state of the plane with the desired abstract state of the step.
+    """Answers each state of the parent with the desired abstract state of the step.
 
     Parameters
     ----------
+    config : ControllerConfig or SystemControllerConfig
+        Configuration, which determines the parent system.
+    law : ParentController, optional
+        The law for the plane, by default the configured one.
     packed : bool
         Whether it also receives the observer's broadcasts and publishes the three of a step as one message.
+
+    Raises
+    ------
+    InputError
+        If the reference is to be offset, and the law does not support it.
     """
 
-    def __init__(self, config: ControllerConfig, law: ParentController, *, packed: bool = False) -> None:
+    def __init__(
+        self,
+        config: Any,
+        law: ParentController | None = None,
+        *,
+        packed: bool = False,
+    ) -> None:
         self._config = config
+        self._system: int | None = config.system_hash
+        self._family = config.family
         self._packed = packed
         self._parts: dict[Topic, Message] = {}
-        self._generator = DesiredStateGenerator(config.period_ns, config.manifold, law)
+        self._generator = config.generator(law)
+        if config.offsets and not self._generator.offsettable:
+            raise InputError(f"parameter offsets: {self._generator.no_offset}; omit the parameter")
         self._offsets = StepSchedule(config.offsets)
         self._step = 0
-        self._plane: PlaneState | None = None
+        self._parent: AnyParentState | None = None
         self._written = -1
 
     def start(self) -> Messages:
@@ -80,23 +103,24 @@ class Controller:
         return ()
 
     def handle(self, message: Message) -> Messages:
-        """Take a plane state or the recorder's progress; return the desired abstract state of the step.
+        """Take a state of the parent or the recorder's progress; return the desired abstract state of the step.
 
         With packed broadcasts, also take those of the observer, and return the packed one once all three are known.
         """
-        if isinstance(message, PlaneState):
-            if is_new(message, self._plane, self._step, PLANE_STATE.name):
-                self._plane = message
+        if self._system is not None:
+            refuse_other_system(message, self._system)
+        if isinstance(message, PARENT_STATES):
+            if is_new(message, self._parent, self._step, self._family.parent.name):
+                self._parent = message
         elif isinstance(message, RecordingProgress):
             if message.written_step != NEVER:
                 self._written = max(self._written, message.written_step)
-        elif self._packed and isinstance(message, (AbstractState, AuxiliaryState)):
-            topic = TOPIC_OF[type(message)]
+        elif self._packed and (topic := TOPIC_OF[type(message)]) in {self._family.abstract, self._family.auxiliary}:
             if is_new(message, self._parts.get(topic), self._packing_step, topic.name):
                 self._parts[topic] = message
         else:
             raise UnexpectedMessageError("parent controller", message)
-        answer = self._finish() if self._plane is not None and self._credit() else ()
+        answer = self._finish() if self._parent is not None and self._credit() else ()
         return (*answer, *self._pack())
 
     def steer(self, order: Steering) -> None:
@@ -107,22 +131,23 @@ class Controller:
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for the plane, then, if the recorder is too far behind, for the recorder."""
         if self._answered:  # the broadcasts of the observer for the same step
-            return (ABSTRACT_STATE,) if ABSTRACT_STATE not in self._parts else (AUXILIARY_STATE,)
+            abstract = self._family.abstract
+            return (abstract,) if abstract not in self._parts else (self._family.auxiliary,)
         last = self._config.last_step
         if last is not None and self._step > last:
             return ()
-        return (PLANE_STATE,) if self._plane is None else (RECORDING_PROGRESS,)
+        return (self._family.parent,) if self._parent is None else (RECORDING_PROGRESS,)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and the awaited node."""
         if self._answered:
             return self._packing_step, ("abstraction_observer",)
-        return self._step, ("plane_sim",) if self._plane is None else ("recorder",)
+        return self._step, ("plane_sim",) if self._parent is None else ("recorder",)
 
     @property
     def _answered(self) -> bool:
         """Whether the desired state of a step waits to be packed with the observer's broadcasts."""
-        return DESIRED_ABSTRACT_STATE in self._parts
+        return self._family.desired in self._parts
 
     @property
     def _packing_step(self) -> int:
@@ -133,20 +158,17 @@ class Controller:
         return not window or self._step - window <= self._written
 
     def _finish(self) -> Messages:
-        plane = self._plane
-        assert plane is not None  # noqa: S101 - `handle` has checked it
-        step, self._plane = self._step, None
+        step, parent, self._parent = self._step, self._parent, None
         stamp = step * self._config.period_ns
-        events, desired = self._generator.advance(stamp, plane, offset=self._offsets.at(step))
+        events, desired = self._generator.advance(stamp, parent, offset=self._offsets.at(step))
         self._step += 1
         if (offset := self._offsets.changing(step)) is not None:
             events = (SwarmEvent(stamp, step, 0, EventKind.STEERING, offset, REFERENCE), *events)
         if self._packed:
-            self._parts[DESIRED_ABSTRACT_STATE] = desired
+            self._parts[self._family.desired] = desired
         return (*events, desired)
 
     def _pack(self) -> Messages:
-        if len(self._parts) < len(BROADCASTS):
+        if len(self._parts) < len(self._family.broadcasts):
             return ()
-        abstract, auxiliary, desired = (self._parts.pop(topic) for topic in BROADCASTS)
-        return (Broadcast(desired.stamp, desired.step, abstract, auxiliary, desired),)  # type: ignore[arg-type]
+        return (packed_broadcasts(self._family, self._parts.pop),)

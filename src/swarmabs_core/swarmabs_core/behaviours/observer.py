@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from swarmabs_core.abstraction import Weight, observed
-from swarmabs_core.behaviours.base import Gathering, Run, UnexpectedMessageError, is_new
+from swarmabs_core.behaviours.base import (
+    Gathering,
+    Run,
+    UnexpectedMessageError,
+    at_rest,
+    is_new,
+    place_of,
+    refuse_other_system,
+)
 from swarmabs_core.declaration import same, setting
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
-    AGENT_STATE,
+    PLANE_FAMILY,
     PLANE_STATE,
+    ROBOT_STATES,
+    AbstractState,
     AgentState,
+    AnyRobotState,
     EventKind,
+    Family,
     Message,
     Messages,
     PlaneState,
@@ -29,7 +41,7 @@ from swarmabs_core.steering import change_of
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,29 +63,51 @@ class ObserverConfig:
     friction: Friction = same(Plane, "friction")
     bandwidth: float = same(ParentResponse, "bandwidth")
 
+    family: ClassVar[Family] = PLANE_FAMILY
+    system_hash: ClassVar[None] = None
+
     @property
     def watches_plane(self) -> bool:
         """Whether the torque is estimated from the plane's motion."""
         return self.type == ParentResponse.type
+
+    def estimator(self) -> TorqueEstimator | None:
+        """Return the estimator of the torque, if it is estimated."""
+        if not self.watches_plane:
+            return None
+        return TorqueEstimator(self.inertia, self.friction, self.bandwidth, self.period_ns / 1e9)
+
+    def observed(
+        self, stamp: int, step: int, moving: Sequence[AnyRobotState], standing: Iterable[AnyRobotState]
+    ) -> Messages:
+        """Return abstract and auxiliary state at a step, with a time stamp (ns)."""
+        robots = [s for s in (*moving, *standing) if isinstance(s, AgentState)]
+        followers = [s for s in moving if isinstance(s, AgentState) and s.status == Status.ACTIVE]
+        weights = [Weight(s.mass, s.position, s.velocity) for s in robots]
+        return observed(stamp, step, weights, followers, self.gravity, self.ksd)
 
 
 class Observer:
     """Sums up the swarm once the states of all members of a step have arrived. It alone decides on membership.
 
     With the disturbance-observer estimate of the torque, inertia, sums and membership still come from the robots.
+
+    Parameters
+    ----------
+    config : ObserverConfig or SystemObserverConfig
+        Configuration, which determines the parent system.
     """
 
-    def __init__(self, config: ObserverConfig) -> None:
+    def __init__(self, config: Any) -> None:
         self._config = config
-        self._estimator: TorqueEstimator | None = None
-        if config.watches_plane:
-            self._estimator = TorqueEstimator(config.inertia, config.friction, config.bandwidth, config.period_ns / 1e9)
+        self._system: int | None = config.system_hash
+        self._estimator = config.estimator()
         self._plane: PlaneState | None = None
         self._announced = -1
         self._membership = Membership(config.members, config.schedule)
         self._gathering = Gathering(self._membership)
-        self._previous: dict[int, AgentState] = {}
-        self._standing: dict[int, Weight] = {}
+        self._previous: dict[int, AnyRobotState] = {}
+        self._standing: dict[int, AnyRobotState] = {}
 
     def start(self) -> Messages:
         """Publish nothing: the robots start."""
@@ -84,7 +118,9 @@ class Observer:
 
         If the torque is estimated from the plane's motion, the plane's state is awaited, too.
         """
-        if isinstance(message, AgentState):
+        if self._system is not None:
+            refuse_other_system(message, self._system)
+        if isinstance(message, ROBOT_STATES):
             self._gathering.add(message)
         elif isinstance(message, PlaneState) and self._estimator is not None:
             if is_new(message, self._plane, self._gathering.step, PLANE_STATE.name):
@@ -108,7 +144,8 @@ class Observer:
         """Wait for the states of robots, and for that of the plane if its motion is used."""
         if self._finished():
             return ()
-        return (AGENT_STATE,) if self._estimator is None else (AGENT_STATE, PLANE_STATE)
+        robots = self._config.family.robot
+        return (robots,) if self._estimator is None else (robots, PLANE_STATE)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step, and the missing robots, or else the plane."""
@@ -151,13 +188,10 @@ class Observer:
         states = self._gathering.take()
         if not self._finished() and not self._membership.publishing(self._gathering.step):
             raise RunError(f"step {self._gathering.step}: no robot is left in the run")
-        weights = [Weight(s.mass, s.position, s.velocity) for s in states]
-        weights.extend(self._standing.values())
-        followers = [s for s in states if s.status == Status.ACTIVE]
         self._previous = {s.agent_id: s for s in states}
-        abstract, sums = observed(stamp, step, weights, followers, config.gravity, config.ksd)
+        abstract, sums = config.observed(stamp, step, states, self._standing.values())
         plane, self._plane = self._plane, None
-        if self._estimator is not None and plane is not None:
+        if self._estimator is not None and plane is not None and isinstance(abstract, AbstractState):
             torque, rate = self._estimator.update(plane.angle, plane.angular_velocity, abstract.inertia)
             abstract = abstract._replace(torque=torque, torque_rate=rate)
         return abstract, sums
@@ -169,8 +203,7 @@ class Observer:
         events = []
         for agent_id, kind, reason in self._membership.changes(step):
             if kind is EventKind.DEAD and agent_id in self._previous:
-                last = self._previous[agent_id]
-                self._standing[agent_id] = Weight(last.mass, last.position, 0.0)
-            position = self._previous[agent_id].position if agent_id in self._previous else 0.0
+                self._standing[agent_id] = at_rest(self._previous[agent_id])
+            position = place_of(self._previous[agent_id]) if agent_id in self._previous else 0.0
             events.append(SwarmEvent(stamp, step, agent_id, kind, position, reason))
         return tuple(events)

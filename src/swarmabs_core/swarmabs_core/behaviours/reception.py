@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 from swarmabs_core.faults import RobotFaults
-from swarmabs_core.messages import AgentState, Broadcast, EventKind, Message, Messages, Mode, SwarmEvent
+from swarmabs_core.messages import (
+    ROBOT_STATES,
+    AnyBroadcast,
+    AnyRobotState,
+    EventKind,
+    Message,
+    Messages,
+    Mode,
+    SwarmEvent,
+)
 
 
 class Reception:
@@ -11,17 +20,17 @@ class Reception:
 
     Attributes
     ----------
-    newest : Broadcast or None
+    newest : AnyBroadcast or None
         The newest set that has arrived.
     """
 
     def __init__(self, faults: RobotFaults | None) -> None:
         self._faults = faults
-        self._coming: dict[int, list[Broadcast]] = {}
+        self._coming: dict[int, list[AnyBroadcast]] = {}
         self._stop_at = self._reset_at = -1
-        self.newest: Broadcast | None = None
+        self.newest: AnyBroadcast | None = None
 
-    def send(self, step: int, broadcasts: Broadcast) -> bool:
+    def send(self, step: int, broadcasts: AnyBroadcast) -> bool:
         """Send the set of the current step; return whether the robot receives anything in this step."""
         come = [broadcasts]
         if self._faults is not None:
@@ -60,7 +69,7 @@ class Transmission:
             return answers
         said: list[Message] = []
         for answer in answers:
-            if isinstance(answer, AgentState):
+            if isinstance(answer, ROBOT_STATES):
                 said.extend(self._announced(faults, answer))
                 state = answer
                 for fault in faults.acting(answer.step):
@@ -70,7 +79,7 @@ class Transmission:
                 said.append(answer)
         return tuple(m._replace(stamp=m.stamp + sum(f.clock_offset() for f in faults.acting(m.step))) for m in said)
 
-    def _announced(self, faults: RobotFaults, state: AgentState) -> list[SwarmEvent]:
+    def _announced(self, faults: RobotFaults, state: AnyRobotState) -> list[SwarmEvent]:
         """Return events for the faults that start or end with a state; with the first state, for all that act."""
         found = faults.announced(state.step, first=not self._begun)
         self._begun = True

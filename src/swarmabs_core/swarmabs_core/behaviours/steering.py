@@ -15,10 +15,11 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.membership import UNPLANNED, Change, Membership
 from swarmabs_core.messages import (
     EVENTS,
-    PLANE_STATE,
+    PARENT_STATES,
+    PLANE_FAMILY,
     STEERING,
     Action,
-    PlaneState,
+    Family,
     RecordingProgress,
     Steering,
     SwarmEvent,
@@ -55,7 +56,7 @@ class SteeringConfig:
     """Configuration of the steering controller, with all scheduled changes.
 
     The control period is in ns, offsets of the reference are in rad, torques on the plane in N m. `largest_offset` and
-    `largest_torque` bound the values of requests; the offset is 0 if the law does not support one.
+    `largest_torque` bound the values of requests; 0 if they are not supported.
     """
 
     members: tuple[int, ...]
@@ -66,6 +67,7 @@ class SteeringConfig:
     torques: tuple[StepChange, ...] = ()
     largest_offset: float = 0.0
     largest_torque: float = 0.0
+    family: Family = PLANE_FAMILY
 
 
 class SteeringController:
@@ -137,7 +139,7 @@ class SteeringController:
         if isinstance(message, SwarmEvent):
             self._membership.apply(message.kind, message.agent_id, message.step, message.detail)
             return ()
-        if not isinstance(message, PlaneState):
+        if not isinstance(message, PARENT_STATES):
             raise UnexpectedMessageError("steering", message)
         if message.step > self._step:
             raise StepAheadError("plane", got=message.step, expected=self._step)
@@ -153,7 +155,7 @@ class SteeringController:
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for the plane, and for events about robots that have ended."""
-        return () if self._over else (EVENTS, PLANE_STATE)
+        return () if self._over else (EVENTS, self._config.family.parent)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and the awaited node."""
@@ -216,6 +218,8 @@ class SteeringController:
             if request.action == Action.REFERENCE
             else (config.largest_torque, "N m", "a disturbance")
         )
+        if not largest and config.family is not PLANE_FAMILY:
+            return f"the parent system does not support {what}"
         if not largest:
             return "the parent controller's law does not support an offset (it has no method offset_torque)"
         if not isfinite(request.value) or abs(request.value) > largest:

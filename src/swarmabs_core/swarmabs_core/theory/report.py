@@ -122,7 +122,7 @@ class Report:
     scenario: str
     controller: str
     swarm: str  # its kind
-    angle_max: float  # the assumed bound theta_max of the angle, rad
+    angle_max: float | None  # the assumed bound theta_max of the plane's angle, rad
     theorems: tuple[Theorem, ...]  # the six for controllers and swarms, and the two general ones
     beyond: Theorem  # conditions that a run needs beyond the paper: sampled time and the singularity S3 = 0
     attraction: Mapping[str, Document]  # the estimates of the region of attraction

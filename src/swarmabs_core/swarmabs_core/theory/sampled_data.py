@@ -11,7 +11,7 @@ cover large errors, limits of drives, lost broadcasts, or sums in which robots a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -169,8 +169,14 @@ def parent_loop(
 
 def sampled_conditions(setting: Setting) -> Iterator[Condition]:
     """Yield conditions on period and delay for each loop."""
-    delay, step = setting.delay, setting.period
-    for name, loop, note in _loops(setting):
+    yield from loop_conditions(_loops(setting), setting.delay, setting.period)
+    if setting.has_double:
+        yield _added_damping(setting)
+
+
+def loop_conditions(loops: Iterable[tuple[str, Loop, str]], delay: int, step: float) -> Iterator[Condition]:
+    """Yield conditions on period (s) and delay (steps) for loops, each with its name and a note."""
+    for name, loop, note in loops:
         # A delay beyond the longest one exceeds any limit, and the matrix of the loop may be too large.
         considered = min(delay, LONGEST_DELAY)
         bound, longest = largest_period(loop, considered), largest_delay(loop, step)
@@ -188,8 +194,6 @@ def sampled_conditions(setting: Setting) -> Iterator[Condition]:
             {"delay": delay, "largest_delay": longest, "period": step},
             note if longest < LONGEST_DELAY else f"stable up to {longest} steps; {note}",
         )
-    if setting.has_double:
-        yield _added_damping(setting)
 
 
 def _loops(setting: Setting) -> Iterator[tuple[str, Loop, str]]:

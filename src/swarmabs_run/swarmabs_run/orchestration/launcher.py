@@ -25,6 +25,7 @@ from swarmabs_config.graph import CONTROLLER, NODES, OBSERVER, PLANE, ROBOT, Dri
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.messages import TOPICS
 from swarmabs_core.swarm_law import LAWS
+from swarmabs_core.systems.interface import SYSTEMS
 from swarmabs_ros.endpoints import ros_type
 from swarmabs_ros.status import REPORT_FD
 from swarmabs_run.ending import die_with_parent, end_grace
@@ -143,15 +144,16 @@ def main() -> int:
     """Import all modules, then serve."""
     # The ROS tracing library runs two idle listener threads, which a fork may safely lose.
     warnings.filterwarnings("ignore", message=".*multi-threaded, use of fork", category=DeprecationWarning)
-    controller, law, driving, processes = sys.argv[1:]
+    driving, processes, *plugins = sys.argv[1:]
     driver = Driver(driving)
     with tracing_files_removed(if_orphaned=True):
         for node in (PLANE, OBSERVER, CONTROLLER, ROBOT):
             importlib.import_module(NODES[node].modules[driver])
         for name in LOADED_BY_SERVICES if driver is Driver.REALTIME else ():
             importlib.import_module(name)
-        CONTROLLERS.find(controller)  # entry points are resolved once, not in every node
-        LAWS.find(law)
+        registries = {registry.group: registry for registry in (CONTROLLERS, LAWS, SYSTEMS)}
+        for group, _, name in (plugin.partition(":") for plugin in plugins):
+            registries[group].find(name)  # entry points are resolved once, not in every node
         for topic in TOPICS:
             ros_type(topic).__class__.__import_type_support__()
         gc.collect()

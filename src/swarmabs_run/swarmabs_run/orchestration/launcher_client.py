@@ -10,13 +10,11 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_config.graph import LOCKSTEP, Driver
-from swarmabs_core.controllers import PD
-from swarmabs_core.swarm_law import PAPER
 from swarmabs_ros.status import REPORT_FD, START_FD
 from swarmabs_run.orchestration.network import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -39,8 +37,8 @@ class LauncherClient:
         File for the output of the launcher itself.
     processes : int
         Number of nodes.
-    controller, law : str
-        Names of the parent controller and of the swarm law, which the launcher loads before it forks.
+    plugins : iterable of str
+        Parts of packages that the launcher loads before it forks, each ``GROUP:NAME``.
 
     Attributes
     ----------
@@ -54,14 +52,13 @@ class LauncherClient:
         log: Path,
         *,
         processes: int,
-        controller: str = PD.name,
-        law: str = PAPER.name,
+        plugins: Iterable[str] = (),
         driver: Driver = LOCKSTEP,
     ) -> None:
         self.reports, report_write = os.pipe()
         start_read, self._start = os.pipe()
         self._pending = b""
-        arguments = (controller, law, driver.value, str(processes))
+        arguments = (driver.value, str(processes), *plugins)
         with log.open("ab") as stream:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "swarmabs_run.orchestration.launcher", *arguments],

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure, realtime
+from swarmabs_config.configure import options_for
 from swarmabs_config.graph import (
     CONTROLLER,
     COORDINATORS,
@@ -25,16 +26,17 @@ from swarmabs_config.graph import (
     endpoints,
     options_of,
 )
+from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import values_of
 from swarmabs_core.membership import UNPLANNED
-from swarmabs_core.messages import Kind, Topic
+from swarmabs_core.messages import Topic
 from swarmabs_core.steering import STEERER
 from swarmabs_ros.lockstep import FIRST, WINDOW
 from swarmabs_run.run import DEFAULTS
 
 if TYPE_CHECKING:
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario, Scenario
     from swarmabs_run.run import RunOptions
 
 Parameters = dict[str, object]
@@ -106,7 +108,7 @@ def group_name(agent_ids: tuple[int, ...]) -> str:
 
 
 def plan(
-    scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, driver: Driver = LOCKSTEP
+    scenario: AnyScenario, folder: RunFolder, options: RunOptions = DEFAULTS, driver: Driver = LOCKSTEP
 ) -> tuple[ProcessPlan, ...]:
     """Return the processes of a scenario: the coordinators first, then the robots by id.
 
@@ -121,14 +123,14 @@ def plan(
         "logs": str(folder.logs),
     }
     if driver is REALTIME:
-        return _realtime_plan(scenario, recorder)
+        return _realtime_plan(on_plane(scenario, "real time"), recorder)
     processes = _lockstep_plan(scenario, folder, recorder, options)
     expect_counterparts(processes)
     return processes
 
 
 def _lockstep_plan(
-    scenario: Scenario, folder: RunFolder, recorder: Parameters, options: RunOptions
+    scenario: AnyScenario, folder: RunFolder, recorder: Parameters, options: RunOptions
 ) -> tuple[ProcessPlan, ...]:
     window = configure.recording_window(scenario)
     common: Parameters = {
@@ -141,18 +143,19 @@ def _lockstep_plan(
     # These nodes begin each step by applying the steering requests for it.
     obeying = common | ({"steered": True} if options.steered else {})
     coordinators = {
-        PLANE: obeying | values_of(configure.plane_config(scenario)),
+        PLANE: obeying | values_of(configure.parent_config(scenario)),
         OBSERVER: obeying | values_of(configure.observer_config(scenario)) | {"on_stall": scenario.lockstep.on_stall},
         CONTROLLER: obeying
         | values_of(configure.controller_config(scenario, recording_window=window))
         | {"packed": options.packed},
         RECORDER: obeying | recorder,
     }
+    also = options_for(scenario)
     if options.steered:
         place = {"scenario_file": str(folder.scenario), "folder": str(folder.path)}
         coordinators[STEERER] = common | place | {"step_seconds": options.step_seconds}
     return (
-        *(_coordinator(node, LOCKSTEP, parameters, scenario) for node, parameters in coordinators.items()),
+        *(_coordinator(node, LOCKSTEP, parameters, scenario, also) for node, parameters in coordinators.items()),
         *_agent_processes(scenario, common | {"packed": options.packed}, folder, options),
     )
 
@@ -190,17 +193,23 @@ def _without_epoch(config: object) -> Parameters:
     return values | {"await_epoch": True}
 
 
-def _coordinator(node: str, driver: Driver, parameters: Parameters, scenario: Scenario) -> ProcessPlan:
+def _coordinator(
+    node: str,
+    driver: Driver,
+    parameters: Parameters,
+    scenario: AnyScenario,
+    also: frozenset[Option] = frozenset(),
+) -> ProcessPlan:
     """Return the process of a node that exists once per run."""
     kind = NODES[node]
-    ends = endpoints(node, driver, options_of(parameters), robots=len(scenario.agents))
+    ends = endpoints(node, driver, options_of(parameters) | also, robots=len(scenario.agents))
     return ProcessPlan(
         node, kind.modules[driver], kind.participant, parameters, ends.publications, tuple(ends.subscriptions)
     )
 
 
 def _agent_processes(
-    scenario: Scenario, common: Parameters, folder: RunFolder, options: RunOptions
+    scenario: AnyScenario, common: Parameters, folder: RunFolder, options: RunOptions
 ) -> Iterator[ProcessPlan]:
     configs = configure.agent_configs(scenario)
     absent = {config.agent_id for config in configs if config.life.first_step == UNPLANNED}
@@ -217,8 +226,8 @@ def _agent_processes(
             parameters = common | {"scenario_file": str(folder.scenario), "agent_ids": ids}
         if not absent.isdisjoint(ids):
             parameters["steered"] = True
-        asked = options_of(parameters)
-        if any(config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR for config in hosted):
+        asked = options_of(parameters) | options_for(scenario)
+        if any(config.feels_plane for config in hosted):
             asked |= {Option.FEELING}
         ends = endpoints(ROBOT, LOCKSTEP, asked)
         yield ProcessPlan(

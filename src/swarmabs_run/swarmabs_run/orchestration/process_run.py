@@ -8,6 +8,7 @@ from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
+from swarmabs_config.configure import plugins
 from swarmabs_config.graph import LOCKSTEP, REALTIME, RECORDER, Driver
 from swarmabs_config.ports import domains_spanned
 from swarmabs_run.ending import end_asked, end_grace
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from typing import Any, ClassVar
 
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_run.orchestration.machine import Machine
     from swarmabs_run.run import Phase
 
@@ -46,7 +47,7 @@ class ProcessRun:
     _driver: ClassVar[Driver] = LOCKSTEP
 
     def __init__(
-        self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
+        self, scenario: AnyScenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
     ) -> None:
         end_grace()  # checked here, because the launcher reads it only after the run has started
         self._scenario = scenario
@@ -87,8 +88,7 @@ class ProcessRun:
                 dds_environment(domain, str(profile.resolve())),
                 self._folder.logs / "launcher.log",
                 processes=len(self._plan),
-                controller=self._scenario.controller.type,
-                law=self._scenario.swarm.law.type,
+                plugins=[f"{registry.group}:{name}" for registry, name in plugins(self._scenario)],
                 driver=self._driver,
             )
             return self.drive(ThisMachine(stack.enter_context(client), wake, asked), domain, begun)

@@ -41,6 +41,7 @@ class RealtimeRun(ProcessRun):
     def __init__(self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> None:
         check_realtime(scenario)
         super().__init__(scenario, folder, options)
+        self._limits = scenario.realtime
         self._died: dict[str, str] = {}
         self._failed_at: float | None = None
 
@@ -62,7 +63,7 @@ class RealtimeRun(ProcessRun):
         return None
 
     def _failure(self, now: float) -> Failure | None:
-        state, limits = self._supervision, self._scenario.realtime
+        state, limits = self._supervision, self._limits
         failure = state.failure
         if failure is None or not state.started or state.done is not None or RECORDER in failure.culprits:
             return failure

@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
-from swarmabs_config.scenario import Scenario, load_scenario
+from swarmabs_config.graph import LOCKSTEP
+from swarmabs_config.model.fields import LARGEST
+from swarmabs_config.scenario import AnyScenario, SystemScenario, load_scenario, on_plane
 from swarmabs_core.behaviours import Decision, SteeringConfig, SteeringController
 from swarmabs_core.cdr import decode
 from swarmabs_core.controllers import OffsetController
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
-from swarmabs_core.messages import Action, Messages, PlaneState, Topic
+from swarmabs_core.messages import PARENT_STATES, Action, Messages, Topic
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE, STEERER
 from swarmabs_ros.lockstep import NodeSpec
@@ -66,16 +68,22 @@ class Pace:
     def hear(self, topic: Topic, data: bytes) -> Messages:
         """Pass a message to the controller; the plane's state of a new step only when the next step is due."""
         message = decode(topic.message, data)
-        if isinstance(message, PlaneState) and message.step == self._controller.step:
+        if isinstance(message, PARENT_STATES) and message.step == self._controller.step:
             now = self._now()
             self._due = max(now, (self._due or now) + self._seconds)
             self._sleep(self._due - now)
         return self._controller.handle(message)
 
 
-def steering_config(scenario: Scenario) -> SteeringConfig:
-    """Return the steering configuration; a disturbance is limited to the largest torque that the swarm may exert."""
-    steerable = isinstance(configure.parent_controller(scenario), OffsetController)
+def steering_config(scenario: AnyScenario) -> SteeringConfig:
+    """Return the steering configuration; a disturbance of the plane is limited to the largest torque of the swarm."""
+    if isinstance(scenario, SystemScenario):
+        able = configure.system_abilities(scenario)
+        largest = LARGEST * able[REFERENCE], LARGEST * able[DISTURBANCE]
+    else:
+        plane = on_plane(scenario, "steering")
+        steerable = isinstance(configure.parent_controller(plane), OffsetController)
+        largest = LARGEST_OFFSET if steerable else 0.0, plane.manifold.torque_max
     return SteeringConfig(
         members=configure.members(scenario),
         period_ns=scenario.step_ns,
@@ -83,8 +91,9 @@ def steering_config(scenario: Scenario) -> SteeringConfig:
         schedule=configure.schedule(scenario),
         offsets=configure.step_changes(scenario, REFERENCE),
         torques=configure.step_changes(scenario, DISTURBANCE),
-        largest_offset=LARGEST_OFFSET if steerable else 0.0,
-        largest_torque=scenario.manifold.torque_max,
+        largest_offset=largest[0],
+        largest_torque=largest[1],
+        family=scenario.family,
     )
 
 
@@ -121,7 +130,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     SteeringServer(Path(settings.text("folder")), requests).start()
     seconds = settings.number("step_seconds")
     hear = Pace(controller, seconds).hear if seconds else None
-    return NodeSpec(controller, on_idle=requests.work, hear=hear)
+    ends = settings.endpoints(STEERER, LOCKSTEP, *configure.options_for(scenario))
+    return NodeSpec(controller, ends, on_idle=requests.work, hear=hear)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -1,36 +1,59 @@
-// The abstract state, torque and inertia, with its manifold and the sets A_A and A_P.
-import { colours, prepared, short, ticks } from "./drawing.js";
+// Two rows of the abstract state: on the plane torque and inertia, with the manifold and the sets A_A and A_P.
+import { systemRows } from "./description.js";
+import { axes, colours, framed, mapping, prepared, short, ticks } from "./drawing.js";
 
-const FONT = "11px system-ui, sans-serif";
-const LEFT = 52; // px of the labels on the left and their title, at least
-const TITLE = 26; // px of it for the title, ticks and gaps
-const BOTTOM = 34;
-const TOP = 10;
-const RIGHT = 12;
 const TRAIL = 400;
+// Rows to choose from: title, name and unit for screen readers, least margin and value shown, and where the values are.
+const PLANE_ROWS = [
+  { name: "torque", title: "torque, N m", unit: "newton metres", margin: 0.02, least: -Infinity },
+  { name: "inertia", title: "inertia, kg m²", unit: "kilogram square metres", margin: 0.001, least: 0 },
+].map((row) => ({ ...row, actual: (frame) => frame.abstract[row.name], wanted: (frame) => frame.desired[row.name], curve: (curves) => curves[row.name] }));
 
 export class AbstractView {
-  constructor(canvas) {
+  // `changed` is called when the user has chosen a row.
+  constructor(canvas, changed) {
     this.canvas = canvas;
     this.near = true;
-    this.left = LEFT;
+    this.left = 0;
+    this.choices = ["row-x", "row-y"].map((id) => document.getElementById(id));
+    this.choices.forEach((choice) => {
+      choice.addEventListener("change", () => {
+        this.rows = this.choices.map((one) => this.all[one.value]);
+        [this.left, this.described] = [0, -Infinity];
+        changed();
+      });
+    });
+  }
+
+  hello({ system }) {
+    if (this.all && system?.name === this.system?.name) {
+      return;
+    }
+    this.system = system;
+    this.all = system ? systemRows(system) : PLANE_ROWS;
+    this.rows = this.all.slice(0, 2);
+    [this.left, this.described] = [0, -Infinity];
+    this.choices.forEach((choice, axis) => {
+      choice.replaceChildren(...this.all.map((one, index) => new Option(one.name, index, false, index === axis)));
+      choice.parentElement.hidden = this.all.length < 3;
+    });
+    this.canvas.parentElement.hidden = this.all.length < 2;
   }
 
   bounds(hello, frame, trail, near) {
-    const known = [frame.abstract, frame.desired].filter((one) => one.torque !== null && one.inertia !== null);
-    const points = [...trail, ...known.map((one) => [one.torque, one.inertia])];
+    const points = [...trail, ...this.points(frame).filter(Boolean)];
     let [left, right] = [Infinity, -Infinity];
     let [low, high] = [Infinity, -Infinity];
-    for (const [torque, inertia] of points) {
-      left = Math.min(left, torque);
-      right = Math.max(right, torque);
-      low = Math.min(low, inertia);
-      high = Math.max(high, inertia);
+    for (const [x, y] of points) {
+      left = Math.min(left, x);
+      right = Math.max(right, x);
+      low = Math.min(low, y);
+      high = Math.max(high, y);
     }
     const manifold = hello.manifold;
-    if (near && points.length) {
-      const [dx, dy] = [Math.max(0.1 * (right - left), 0.02), Math.max(0.1 * (high - low), 0.001)];
-      return [left - dx, right + dx, Math.max(0, low - dy), high + dy];
+    if ((near || this.system) && points.length) {
+      const [dx, dy] = [Math.max(0.1 * (right - left), this.rows[0].margin), Math.max(0.1 * (high - low), this.rows[1].margin)];
+      return [left - dx, right + dx, Math.max(this.rows[1].least, low - dy), high + dy];
     }
     if (manifold) {
       const end = 1.1 * manifold.torque_max;
@@ -43,29 +66,30 @@ export class AbstractView {
     return [left, right, 0, high > 0 ? 1.05 * high : 1];
   }
 
+  // The actual and the wanted point of a frame, each null if unknown.
+  points(frame) {
+    const found = ["actual", "wanted"].map((which) => this.rows.map((one) => one[which](frame) ?? null));
+    return found.map((point) => (point.includes(null) ? null : point));
+  }
+
   draw(hello, frame, curves) {
+    if (this.rows.length < 2) {
+      return;
+    }
     const { context, width, height } = prepared(this.canvas);
     const colour = colours();
     const trail = this.trail(curves, frame.time);
     const shown = this.bounds(hello, frame, trail, this.near);
-    const inertias = ticks(shown[2], shown[3], Math.max(2, height / 60));
-    context.font = FONT;
-    this.left = Math.max(this.left, TITLE + Math.ceil(Math.max(0, ...inertias.map((one) => context.measureText(one).width))));
-    const box = { x: this.left, y: TOP, w: width - this.left - RIGHT, h: height - TOP - BOTTOM };
-    const at = this.mapping(box, shown);
+    const marks = ticks(shown[2], shown[3], Math.max(2, height / 60));
+    const box = framed(context, width, height, marks, this.left);
+    this.left = box.x;
+    const at = mapping(box, shown);
     this.contents(context, hello, frame, trail, colour, box, at, shown);
-    this.axes(context, colour, at, box, shown, inertias);
+    axes(context, colour, at, box, shown, marks, this.rows.map((one) => one.title));
     if (this.near && hello.manifold && trail.length) {
       this.inset(context, hello, frame, trail, colour, box, shown, at);
     }
     this.describe(hello, frame);
-  }
-
-  mapping({ x, y, w, h }, [left, right, low, high]) {
-    return (torque, inertia) => [
-      x + ((torque - left) / (right - left)) * w,
-      y + (1 - (inertia - low) / (high - low)) * h,
-    ];
   }
 
   contents(context, hello, frame, trail, colour, { x, y, w, h }, at, shown) {
@@ -84,10 +108,10 @@ export class AbstractView {
     context.lineWidth = 1.5;
     context.lineJoin = "round";
     context.beginPath();
-    trail.forEach(([torque, inertia]) => context.lineTo(...at(torque, inertia)));
+    trail.forEach((point) => context.lineTo(...at(...point)));
     context.stroke();
     context.lineJoin = "miter";
-    this.marks(context, frame, colour, at);
+    this.marks(context, this.points(frame), colour, at);
     context.restore();
   }
 
@@ -95,10 +119,8 @@ export class AbstractView {
   inset(context, hello, frame, trail, colour, box, shown, at) {
     const [w, h] = [Math.min(0.36 * box.w, 170), Math.min(0.36 * box.h, 100)];
     const points = [...trail.map((one) => at(...one))];
-    for (const { torque, inertia } of [frame.abstract, frame.desired]) {
-      if (torque !== null && inertia !== null) {
-        points.push(...Array(trail.length).fill(at(torque, inertia))); // these weigh most: cover them last
-      }
+    for (const point of this.points(frame).filter(Boolean)) {
+      points.push(...Array(trail.length).fill(at(...point))); // these weigh most: cover them last
     }
     const corners = [[1, 0], [0, 0], [1, 1], [0, 1]].map(([right, low]) => {
       const [x, y] = [box.x + (right ? box.w - w - 6 : 6), box.y + (low ? box.h - h - 6 : 6)];
@@ -111,8 +133,8 @@ export class AbstractView {
     context.lineWidth = 1;
     context.fillRect(corner.x, corner.y, w, h);
     const whole = this.bounds(hello, frame, trail, false);
-    const small = this.mapping(corner, whole);
-    this.contents(context, hello, { ...frame, desired: { torque: null, inertia: null } }, [], colour, corner, small, whole);
+    const small = mapping(corner, whole);
+    this.contents(context, hello, { ...frame, desired: {} }, [], colour, corner, small, whole);
     context.strokeRect(corner.x, corner.y, w, h);
     const [x0, y0] = small(shown[0], shown[3]);
     const [x1, y1] = small(shown[1], shown[2]);
@@ -129,13 +151,8 @@ export class AbstractView {
     while (end > 0 && curves.time[end - 1] > time + 1e-9) {
       end -= 1;
     }
-    const found = [];
-    for (let index = Math.max(0, end - TRAIL); index < end; index += 1) {
-      if (curves.torque[index] !== null && curves.inertia[index] !== null) {
-        found.push([curves.torque[index], curves.inertia[index]]);
-      }
-    }
-    return found;
+    const [xs, ys] = this.rows.map((one) => one.curve(curves).slice(Math.max(0, end - TRAIL), end));
+    return xs.map((x, index) => [x, ys[index]]).filter((point) => !point.includes(null));
   }
 
   region(context, regions, lower, upper, fill, at) {
@@ -173,44 +190,9 @@ export class AbstractView {
     context.stroke();
   }
 
-  axes(context, colour, at, { x: begin, y: top, w, h }, [left, right, low], inertias) {
-    context.font = FONT;
-    context.lineWidth = 1;
-    context.strokeStyle = colour.line;
-    context.fillStyle = colour.quiet;
-    context.textAlign = "center";
-    for (const torque of ticks(left, right, Math.max(2, w / 60))) {
-      const [x, y] = at(torque, low);
-      context.beginPath();
-      context.moveTo(x, y);
-      context.lineTo(x, y + 4);
-      context.stroke();
-      const text = String(torque);
-      context.fillText(text, Math.min(x, begin + w + RIGHT - context.measureText(text).width / 2), y + 15);
-    }
-    context.textAlign = "right";
-    for (const inertia of inertias) {
-      const [x, y] = at(left, inertia);
-      context.beginPath();
-      context.moveTo(x, y);
-      context.lineTo(x - 4, y);
-      context.stroke();
-      context.fillText(String(inertia), x - 6, y + 4);
-    }
-    context.textAlign = "center";
-    context.fillText("torque, N m", begin + w / 2, top + h + BOTTOM - 4);
-    context.save();
-    context.translate(11, top + h / 2);
-    context.rotate(-Math.PI / 2);
-    context.fillText("inertia, kg m²", 0, 0);
-    context.restore();
-    context.strokeRect(begin, top, w, h);
-  }
-
-  marks(context, frame, colour, at) {
-    const { abstract, desired } = frame;
-    if (desired.torque !== null && desired.inertia !== null) {
-      const [x, y] = at(desired.torque, desired.inertia);
+  marks(context, [actual, wanted], colour, at) {
+    if (wanted) {
+      const [x, y] = at(...wanted);
       context.beginPath();
       context.moveTo(x, y - 8);
       context.lineTo(x + 8, y);
@@ -223,8 +205,8 @@ export class AbstractView {
       context.stroke();
       context.setLineDash([]);
     }
-    if (abstract.torque !== null && abstract.inertia !== null) {
-      const [x, y] = at(abstract.torque, abstract.inertia);
+    if (actual) {
+      const [x, y] = at(...actual);
       context.beginPath();
       context.arc(x, y, 4.5, 0, 2 * Math.PI);
       context.fillStyle = colour.angle;
@@ -234,12 +216,11 @@ export class AbstractView {
 
   describe(hello, frame) {
     const now = performance.now();
-    if (now - (this.described ?? -1e9) < 1000) {
+    if (now - this.described < 1000) {
       return;
     }
     this.described = now;
-    const { abstract, desired } = frame;
-    const text = `The abstract state: torque ${short(abstract.torque, 4)} newton metres, desired ${short(desired.torque, 4)}; inertia ${short(abstract.inertia, 4)} kilogram square metres, desired ${short(desired.inertia, 4)}`;
-    this.canvas.setAttribute("aria-label", text);
+    const told = this.rows.map((one) => `${one.name} ${short(one.actual(frame), 4)} ${one.unit}, desired ${short(one.wanted(frame), 4)}`);
+    this.canvas.setAttribute("aria-label", `The abstract state: ${told.join("; ")}`);
   }
 }

@@ -1,5 +1,6 @@
 // Curves over time, drawn by uPlot (third_party/uplot).
-import { colours, eventColour, short } from "./drawing.js";
+import { minus, roles, systemCharts, titled } from "./description.js";
+import { KIND_COLOURS, colours, eventColour, short } from "./drawing.js";
 
 const HEIGHT = 155;
 const SPACE = 20; // px between two labels on the left, at least
@@ -8,21 +9,21 @@ const FONT = "11px system-ui, sans-serif";
 const NARROWEST = 62; // px, width of the left axis
 const TICKS = 18; // px of it for ticks and gaps
 
-const minus = (wanted, actual) => wanted.map((one, index) => (one === null || actual[index] === null ? null : one - actual[index]));
-
-const CHARTS = [
+const PLANE_CHARTS = [
   {
     place: "chart-angle",
+    says: "Angle and reference over time",
     title: "angle and reference, rad",
     lines: [
       { label: "angle", colour: "angle", of: (c) => c.angle },
       { label: "reference", colour: "reference", dash: [8, 5], of: (c) => c.reference },
     ],
   },
-  { place: "chart-error", title: "tracking error, rad", lines: [{ label: "reference − angle", colour: "error", of: (c) => minus(c.reference, c.angle) }] },
-  { place: "chart-torque", title: "torque error, N m", lines: [{ label: "desired − torque", colour: "torque", of: (c) => minus(c.desired_torque, c.torque) }] },
-  { place: "chart-inertia", title: "inertia error, kg m²", lines: [{ label: "desired − inertia", colour: "inertia", of: (c) => minus(c.desired_inertia, c.inertia) }] },
+  { place: "chart-error", says: "Tracking error over time", title: "tracking error, rad", lines: [{ label: "reference − angle", colour: "error", of: (c) => minus(c.reference, c.angle) }] },
+  { place: "chart-torque", says: "Torque error over time", title: "torque error, N m", lines: [{ label: "desired − torque", colour: "torque", of: (c) => minus(c.desired_torque, c.torque) }] },
+  { place: "chart-inertia", says: "Inertia error over time", title: "inertia error, kg m²", lines: [{ label: "desired − inertia", colour: "inertia", of: (c) => minus(c.desired_inertia, c.inertia) }] },
 ];
+const PLANE_CURVES = { time: [], angle: [], reference: [], torque: [], desired_torque: [], inertia: [], desired_inertia: [] };
 const POSITIONS = "chart-positions";
 const BANDS = [[5, 1, "22"], [4, 2, "33"]]; // of the positions: series above, series below, opacity
 const FLAG = 16; // px above a chart, for the marks of events
@@ -50,7 +51,6 @@ export class Charts {
   // `seek` receives the time of a click, s.
   constructor(seek) {
     this.seek = seek;
-    this.curves = { time: [], angle: [], reference: [], torque: [], desired_torque: [], inertia: [], desired_inertia: [] };
     this.drawn = 0;
     this.stale = false;
     this.zoom = null; // the range chosen by dragging, { min, max } in s, until a double click
@@ -59,14 +59,19 @@ export class Charts {
     this.robots = [];
     this.span = 0; // s before the time shown; 0: the whole run
     this.positions = { time: [], labels: [], bands: false, lines: [] };
+    this.coordinate = 0; // of which the positions are shown
     document.getElementById("span").addEventListener("change", (event) => {
       this.span = Number(event.target.value);
       this.zoom = this.window = null;
       this.stale = true;
       this.drawn = 0;
     });
-    this.build();
-    new ResizeObserver(() => this.resize()).observe(document.getElementById(CHARTS[0].place));
+    document.getElementById("coordinate").addEventListener("change", (event) => {
+      this.coordinate = Number(event.target.value);
+      this.build();
+    });
+    this.hello({ robots: [] });
+    new ResizeObserver(() => this.resize()).observe(document.getElementById(POSITIONS).parentElement);
     window.addEventListener("themechange", () => this.build());
   }
 
@@ -77,7 +82,7 @@ export class Charts {
       plot.destroy();
     }
     const sync = window.uPlot.sync("time");
-    this.plots = [...CHARTS, this.positionsChart()].map(({ place, title, lines, data, named, bands }) => {
+    this.plots = [...this.charts, this.positionsChart()].map(({ place, title, lines, data, named, bands }) => {
       const node = document.getElementById(place);
       const axis = { stroke: colour.quiet, grid: { stroke: colour.grid, width: 1 }, ticks: { stroke: colour.grid, width: 1 }, font: FONT, values: (_, splits, axis, space, increment) => labels(splits, increment) };
       data ??= () => [this.curves.time, ...lines.map((one) => one.of(this.curves))];
@@ -120,13 +125,34 @@ export class Charts {
   positionsChart() {
     const { labels, bands } = this.positions;
     const kinds = new Map(this.robots.map((robot) => [`robot ${robot.id}`, robot.kind]));
-    const lines = labels.map((label) => ({ label, colour: bands ? "angle" : kinds.get(label) === "double_integrator" ? "di" : "si", dash: { lowest: [2, 3], highest: [2, 3], "10 %": [6, 4], "90 %": [6, 4] }[label] }));
-    const title = bands ? "positions, m: median, 10 and 90 %, lowest and highest" : "positions, m";
-    return { place: POSITIONS, title, lines, named: labels.length <= MOST_NAMED, bands: bands ? BANDS : undefined, data: () => [this.positions.time, ...this.positions.lines] };
+    const lines = labels.map((label) => ({ label, colour: bands ? "angle" : KIND_COLOURS[kinds.get(label)], dash: { lowest: [2, 3], highest: [2, 3], "10 %": [6, 4], "90 %": [6, 4] }[label] }));
+    const what = this.system ? titled(roles(this.system).robot[this.coordinate]) : "positions, m";
+    const title = bands ? `${what}: median, 10 and 90 %, lowest and highest` : what;
+    const first = this.coordinate * labels.length; // each coordinate has as many lines
+    const data = () => [this.positions.time, ...this.positions.lines.slice(first, first + labels.length)];
+    return { place: POSITIONS, title, lines, named: labels.length <= MOST_NAMED, bands: bands ? BANDS : undefined, data };
   }
 
-  hello(message) {
-    this.robots = message.robots;
+  hello({ robots, system }) {
+    this.robots = robots;
+    if (this.charts && system?.name === this.system?.name) {
+      return;
+    }
+    this.system = system;
+    this.charts = system ? systemCharts(system) : PLANE_CHARTS;
+    this.curves = system ? { time: [], ...system.rows.filter(({ role }) => role !== "robot" && role !== "constant").map(() => []) } : structuredClone(PLANE_CURVES);
+    this.coordinate = 0;
+    const choice = document.getElementById("coordinate");
+    choice.replaceChildren(...(system ? roles(system).robot : []).map((one, index) => new Option(titled(one), index)));
+    choice.parentElement.hidden = choice.length < 2;
+    const last = document.getElementById(POSITIONS);
+    const made = this.charts.map(({ place, says }) => {
+      const node = Object.assign(document.createElement("div"), { id: place, className: "chart", role: "img" });
+      node.setAttribute("aria-label", says);
+      return node;
+    });
+    last.parentElement.replaceChildren(...made, last);
+    this.build();
   }
 
   takeEvents(message) {
@@ -155,7 +181,7 @@ export class Charts {
     const shown = this.events.filter(({ time }) => time >= scales.x.min && time <= scales.x.max);
     const marks = shown.sort((one, other) => one.time - other.time).map((event) => ({ ...event, x: Math.round(valToPos(event.time, "x", true)) }));
     const apart = marks.filter(({ x }, index) => x !== marks[index - 1]?.x);
-    const named = root.parentElement.id === CHARTS[0].place;
+    const named = root.parentElement.id === this.charts[0].place;
     ctx.save();
     ctx.font = `${11 * ratio}px system-ui, sans-serif`;
     ctx.textAlign = "left";

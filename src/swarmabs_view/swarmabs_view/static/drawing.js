@@ -4,6 +4,13 @@ const NAMES = [
   ...["paper", "panel", "ink", "quiet", "line", "grid", "board", "lane", "edge", "admissible", "partial", "manifold"],
   ...["angle", "reference", "error", "torque", "inertia", "si", "di", "dead", "stop", "outline", "grey"],
 ];
+const FONT = "11px system-ui, sans-serif";
+const LEFT = 52; // px of the labels on the left and their title, at least
+const TITLE = 26; // px of it for the title, ticks and gaps
+const BOTTOM = 34;
+const TOP = 10;
+const RIGHT = 12;
+export const KIND_COLOURS = { single_integrator: "si", double_integrator: "di", first_order_lag: "inertia" };
 let found = null;
 window.addEventListener("themechange", () => {
   found = null;
@@ -67,4 +74,51 @@ export function parsed(text) {
 // The colour of an event by its kind.
 export function eventColour(kind, colour) {
   return { DEAD: colour.dead, SAFE_STOP: colour.stop, LEFT: colour.grey, STALLED: colour.grey }[kind] ?? colour.ink;
+}
+
+// The space inside the axes, px, with marks on the left; the labels have at least `left` px.
+export function framed(context, width, height, marks, left) {
+  context.font = FONT;
+  const x = Math.max(left, LEFT, TITLE + Math.ceil(Math.max(0, ...marks.map((one) => context.measureText(one).width))));
+  return { x, y: TOP, w: width - x - RIGHT, h: height - TOP - BOTTOM };
+}
+
+// From values within bounds to the screen.
+export function mapping({ x, y, w, h }, [left, right, low, high]) {
+  return (across, up) => [x + ((across - left) / (right - left)) * w, y + (1 - (up - low) / (high - low)) * h];
+}
+
+// Draw axes with titles; `marks` are the labels on the left.
+export function axes(context, colour, at, { x: begin, y: top, w, h }, [left, right, low], marks, titles) {
+  context.font = FONT;
+  context.lineWidth = 1;
+  context.strokeStyle = colour.line;
+  context.fillStyle = colour.quiet;
+  context.textAlign = "center";
+  for (const mark of ticks(left, right, Math.max(2, w / 60))) {
+    const [x, y] = at(mark, low);
+    context.beginPath();
+    context.moveTo(x, y);
+    context.lineTo(x, y + 4);
+    context.stroke();
+    const text = String(mark);
+    context.fillText(text, Math.min(x, begin + w + RIGHT - context.measureText(text).width / 2), y + 15);
+  }
+  context.textAlign = "right";
+  for (const mark of marks) {
+    const [x, y] = at(left, mark);
+    context.beginPath();
+    context.moveTo(x, y);
+    context.lineTo(x - 4, y);
+    context.stroke();
+    context.fillText(String(mark), x - 6, y + 4);
+  }
+  context.textAlign = "center";
+  context.fillText(titles[0], begin + w / 2, top + h + BOTTOM - 4);
+  context.save();
+  context.translate(11, top + h / 2);
+  context.rotate(-Math.PI / 2);
+  context.fillText(titles[1], 0, 0);
+  context.restore();
+  context.strokeRect(begin, top, w, h);
 }

@@ -3,8 +3,9 @@ import { AbstractView } from "./abstract.js";
 import { Charts } from "./charts.js";
 import { Connection, VERSION } from "./connection.js";
 import { Controls } from "./controls.js";
-import { PlaneView } from "./plane.js";
+import { capital } from "./description.js";
 import { SteeringPanel } from "./steering.js";
+import { SystemView } from "./system.js";
 import { Events, More, Numbers, Processes, Robots } from "./tables.js";
 
 const element = (id) => document.getElementById(id);
@@ -15,8 +16,8 @@ let state = { phase: "waiting", playing: null, speed: null };
 let dirty = false;
 let before = null; // what was shown when the connection was lost
 
-const plane = new PlaneView(element("plane"));
-const abstract = new AbstractView(element("abstract"));
+const plane = new SystemView(element("plane"));
+const abstract = new AbstractView(element("abstract"), redraw);
 const numbers = new Numbers();
 const robots = new Robots();
 const events = new Events();
@@ -30,7 +31,10 @@ new More();
 function take(message) {
   if (message.type === "hello") {
     greet(message);
-  } else if (message.type === "frame") {
+  } else if (message.type === "system") {
+    hello.system = message;
+    describe();
+  } else if (message.type === "frame" || message.type === "systemframe") {
     frame = message;
     controls.frame(message);
     dirty = true;
@@ -39,6 +43,9 @@ function take(message) {
     dirty = true;
   } else if (message.type === "curves") {
     charts.take(message);
+    dirty = true;
+  } else if (message.type === "systemcurves") {
+    charts.take({ replace: message.replace, time: message.time, ...message.values });
     dirty = true;
   } else if (message.type === "positions") {
     charts.takePositions(message);
@@ -63,22 +70,14 @@ function take(message) {
 
 function greet(message) {
   const same = before && hello && before.place === message.place && message.playback;
-  hello = message;
+  hello = { ...message, system: same ? hello.system : null };
   frame = same ? frame : null;
   element("title").textContent = message.title;
   element("place").textContent = message.place;
   document.title = `${message.title} – swarmabs view`;
   controls.hello(message);
-  events.hello(message);
   steering.hello();
-  robots.hello(message);
-  charts.hello(message);
-  fitted(plane.crowded(message));
-  for (const [group, hidden] of [["each", plane.crowded(message)], ["crowd", !plane.crowded(message)]]) {
-    document.querySelectorAll(`.legend .${group}`).forEach((item) => {
-      item.hidden = hidden;
-    });
-  }
+  describe();
   element("processes-panel").hidden = message.source === "bag";
   processes.take({ processes: [] });
   if (same) {
@@ -86,6 +85,28 @@ function greet(message) {
   }
   before = null;
   controls.follow();
+}
+
+// Adapt all parts to the parent system: the plane, unless the message "system" describes another one.
+function describe() {
+  const { robots: all, system } = hello;
+  for (const part of [events, numbers, robots, charts, abstract, plane]) {
+    part.hello(hello);
+  }
+  steering.describe(system);
+  fitted(plane.crowded(hello));
+  element("plane-title").textContent = `${system ? capital(system.name) : "Plane"} and robots`;
+  element("zoom").hidden = Boolean(system);
+  const crowded = plane.crowded(hello);
+  const shown = { each: !crowded, crowd: crowded, sets: !system, limited: system };
+  for (const kind of ["single_integrator", "double_integrator", "first_order_lag"]) {
+    shown[kind] = system ? all.some((robot) => robot.kind === kind) : kind !== "first_order_lag";
+  }
+  for (const [group, visible] of Object.entries(shown)) {
+    document.querySelectorAll(`.legend li.${group}`).forEach((item) => {
+      item.hidden = !visible;
+    });
+  }
 }
 
 function badge(phase, text) {
@@ -150,8 +171,8 @@ function fitted(fit) {
   plane.fit = fit;
   const button = element("fit");
   button.setAttribute("aria-pressed", String(fit));
-  button.textContent = fit ? "Whole plane" : "Fit to swarm";
-  const robots = plane.crowded(hello) ? "bars: robots per interval" : "area proportional to mass; robots that left are not drawn";
+  button.textContent = fit ? `Whole ${hello.system ? "picture" : "plane"}` : "Fit to swarm";
+  const robots = plane.crowded(hello) ? "bars: robots per interval" : `${hello.robots.some(({ mass }) => mass) ? "area proportional to mass; " : ""}robots that left are not drawn`;
   element("drawn").textContent = robots;
   redraw();
 }

@@ -1,5 +1,5 @@
 // The tilting plane in oblique view, with one lane per robot.
-import { colours, prepared, short, ticks } from "./drawing.js";
+import { KIND_COLOURS, colours, prepared, short, ticks } from "./drawing.js";
 import { STATUS } from "./tables.js";
 
 const FULL = 2 * Math.PI;
@@ -27,6 +27,7 @@ export class PlaneView {
     this.label = document.getElementById("pointed");
     this.pointer = null;
     this.spots = []; // places of the robots drawn
+    this.described = -Infinity; // when, ms
     this.fit = false; // whether the scale follows the swarm, not the plane
     for (const kind of ["pointermove", "pointerdown"]) {
       canvas.addEventListener(kind, (event) => this.point({ x: event.offsetX, y: event.offsetY }));
@@ -205,7 +206,7 @@ export class PlaneView {
   robots(context, hello, frame, at, colour, lane) {
     const { position, status } = frame.robots;
     const count = hello.robots.length;
-    const masses = hello.robots.map((robot) => robot.mass ?? 0);
+    const masses = hello.robots.map((robot) => robot.mass ?? (hello.system ? 1 : 0));
     const mean = masses.reduce((sum, mass) => sum + mass, 0) / Math.max(count, 1) || 1;
     const usual = Math.min(Math.max(0.42 * lane, 4), 15);
     context.textBaseline = "middle";
@@ -216,10 +217,8 @@ export class PlaneView {
       }
       const [x, y] = at(position[index], (index + 0.5) / count);
       const size = Math.min(Math.max(usual * Math.sqrt(masses[index] / mean), 2.5), 26);
-      const round = hello.robots[index].kind === "single_integrator";
-      this.robot(context, x, y, size, round, status[index], colour);
-      const { id } = hello.robots[index];
-      this.spots.push({ x, y, size, text: `robot ${id}: ${STATUS[status[index]] ?? "no data"}, ${short(position[index], 4)} m` });
+      this.robot(context, x, y, size, hello.robots[index].kind, status[index], colour);
+      this.spots.push({ x, y, size, text: this.said(hello, frame, index) });
       if (size >= 9 && status[index] === "active") {
         context.fillStyle = "#000000";
         context.font = `600 ${Math.round(size)}px system-ui, sans-serif`;
@@ -229,20 +228,27 @@ export class PlaneView {
     context.textBaseline = "alphabetic";
   }
 
-  robot(context, x, y, size, round, status, colour) {
+  // Name a robot with its status and position.
+  said(hello, { robots: { position, status } }, index) {
+    return `robot ${hello.robots[index].id}: ${STATUS[status[index]] ?? "no data"}, ${short(position[index], 4)} m`;
+  }
+
+  robot(context, x, y, size, kind, status, colour) {
     context.beginPath();
-    if (round) {
+    if (kind === "single_integrator") {
       context.arc(x, y, size, 0, FULL);
+    } else if (kind === "first_order_lag") {
+      const far = 1.25 * size; // a diamond of the same area
+      [[-far, 0], [0, -far], [far, 0], [0, far], [-far, 0]].forEach(([dx, dy]) => context.lineTo(x + dx, y + dy));
     } else {
       const side = size * Math.sqrt(Math.PI); // a square of the same area
       context.rect(x - side / 2, y - side / 2, side, side);
     }
-    const own = round ? colour.si : colour.di;
-    if (status === "active") {
-      context.fillStyle = own;
+    if (status === "active" || status === "limited") {
+      context.fillStyle = colour[KIND_COLOURS[kind]];
       context.fill();
-      context.lineWidth = 1;
-      context.strokeStyle = colour.ink;
+      context.lineWidth = status === "limited" ? 4 : 1;
+      context.strokeStyle = status === "limited" ? colour.error : colour.ink;
       context.stroke();
     } else if (status === "dead") {
       context.fillStyle = colour.dead;
@@ -296,12 +302,15 @@ export class PlaneView {
   // Describe the canvas for screen readers, at most once a second.
   describe(hello, frame) {
     const now = performance.now();
-    if (now - (this.described ?? -1e9) < 1000) {
+    if (now - this.described < 1000) {
       return;
     }
     this.described = now;
+    this.canvas.setAttribute("aria-label", `${this.told(hello, frame)}; ${hello.robots.length} robots, listed in the table of robots`);
+  }
+
+  told(hello, frame) {
     const degrees = ((frame.angle ?? 0) * 180) / Math.PI;
-    const text = `The plane at ${short(frame.time, 4)} s: angle ${short(frame.angle, 4)} rad, which is ${short(degrees, 3)} degrees; ${hello.robots.length} robots, listed in the table of robots`;
-    this.canvas.setAttribute("aria-label", text);
+    return `The plane at ${short(frame.time, 4)} s: angle ${short(frame.angle, 4)} rad, which is ${short(degrees, 3)} degrees`;
   }
 }

@@ -1,11 +1,13 @@
 // Steers a running simulation for users who know its token: sends requests, shows the answers and current settings.
+import { united } from "./description.js";
 import { parsed, short } from "./drawing.js";
 
 const STORE = "swarmabs-steer";
 const LONGEST = 100; // characters; longer tokens are rejected by the server
 const LARGE = 0.2; // fraction of the largest value above which a change needs a confirmation
+const ANY = 1e9; // a larger bound is none
 const WRONG = "The token is wrong. The terminal of the run shows it; reload the page to enter it.";
-const SETTINGS = { reference: "rad", disturbance: "N m" };
+const SETTINGS = { reference: "rad", disturbance: "N m" }; // with their units on the plane
 
 const element = (id) => document.getElementById(id);
 
@@ -93,7 +95,7 @@ export class SteeringPanel {
   set(name, text) {
     const value = parsed(text);
     const { largest, held } = this.limits[name];
-    const unit = SETTINGS[name];
+    const unit = this.units[name];
     let why = "";
     if (value === null) {
       why = `"${text}" is not a number: write 0.05 or 0,05`;
@@ -193,12 +195,20 @@ export class SteeringPanel {
     this.check();
   }
 
+  // Name the settings of a parent system; the unit of its disturbances is not known.
+  describe(system) {
+    const unit = system?.rows.find(({ role }) => role === "reference")?.unit ?? "";
+    this.units = system ? { reference: unit, disturbance: "" } : SETTINGS;
+    element("steer-reference").querySelector("label").textContent = united("Reference offset", this.units.reference);
+    element("steer-disturbance").querySelector("label").textContent = system ? "Disturbance" : "Disturbance torque, N m";
+  }
+
   take(message) {
     element("steering").hidden = !message.open;
-    for (const [name, unit] of Object.entries(SETTINGS)) {
+    for (const [name, unit] of Object.entries(this.units)) {
       const largest = message[`largest_${name}`];
       this.limits[name] = { largest, held: message[name] };
-      element(`range-${name}`).textContent = `${short(-largest, 3)} to ${short(largest, 3)} ${unit}`;
+      element(`range-${name}`).textContent = largest < ANY ? `${short(-largest, 3)} to ${short(largest, 3)} ${unit}` : "any number";
       element(`steer-${name}`).hidden = !largest;
       const held = element(`held-${name}`);
       held.value = String(message[name]);

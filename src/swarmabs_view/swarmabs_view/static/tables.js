@@ -1,12 +1,13 @@
 // Numbers, robots, events and processes as text. Data from outside is always set as text, never as markup.
+import { difference, systemColumns, systemNumbers } from "./description.js";
 import { short } from "./drawing.js";
 
 const ROBOTS_INTERVAL = 250; // ms
 const FEW = 24; // largest number of robots whose table is open initially
 const MOST_EVENTS = 1000;
 const LONGEST_DETAIL = 200; // characters
-const KINDS = { single_integrator: "velocity (SI)", double_integrator: "force (DI)" };
-export const STATUS = { active: "active", safe_stop: "safe stop", left: "left", dead: "dead", silent: "silent" };
+const KINDS = { single_integrator: "velocity (SI)", double_integrator: "force (DI)", first_order_lag: "lag" };
+export const STATUS = { active: "active", safe_stop: "safe stop", left: "left", dead: "dead", silent: "silent", limited: "limited" };
 const BAD = new Set(["stopped", "zombie", "dead", "gone", "tracing-stop"]);
 
 const element = (id) => document.getElementById(id);
@@ -45,10 +46,6 @@ function show(node, value, text) {
   node.textContent = text ?? short(value);
 }
 
-function difference(wanted, actual) {
-  return wanted === null || actual === null ? null : wanted - actual;
-}
-
 function cell(row, tag = "td") {
   const node = document.createElement(tag);
   if (tag === "th") {
@@ -60,9 +57,11 @@ function cell(row, tag = "td") {
 
 // The entries of "Now": id, label, value and, unless it is a rounded number, its text. `going` says whether steps
 // follow each other, so that a rate exists.
-const NUMBERS = [
+const FIRST_NUMBERS = [
   ["step", "step", ({ frame }) => frame.step, String],
   ["time", "time, s", ({ frame }) => frame.time, (time) => time.toFixed(2)],
+];
+const PLANE_NUMBERS = [
   ["angle", "angle, rad", ({ frame }) => frame.angle],
   ["reference", "reference, rad", ({ frame }) => frame.reference],
   ["error", "error, rad", ({ frame }) => difference(frame.reference, frame.angle)],
@@ -71,6 +70,8 @@ const NUMBERS = [
   ["desired_torque", "desired torque, N m", ({ frame }) => frame.desired.torque],
   ["inertia", "inertia, kg m²", ({ frame }) => frame.abstract.inertia],
   ["desired_inertia", "desired inertia, kg m²", ({ frame }) => frame.desired.inertia],
+];
+const LAST_NUMBERS = [
   ["step_rate", "steps per second", ({ frame, going }) => (going ? frame.step_rate : null), (rate) => rate?.toFixed(0) ?? "–"],
   [
     "following",
@@ -81,9 +82,11 @@ const NUMBERS = [
 ];
 
 export class Numbers {
-  constructor() {
+  hello({ system }) {
+    this.entries = [...FIRST_NUMBERS, ...(system ? systemNumbers(system) : PLANE_NUMBERS), ...LAST_NUMBERS];
     const list = element("numbers");
-    for (const [id, label] of NUMBERS) {
+    list.replaceChildren();
+    for (const [id, label] of this.entries) {
       const [box, term, description, value] = ["div", "dt", "dd", "data"].map((tag) => document.createElement(tag));
       term.textContent = label;
       value.id = id;
@@ -95,12 +98,18 @@ export class Numbers {
 
   draw(hello, frame, going) {
     const now = { hello, frame, going };
-    for (const [id, , of, text] of NUMBERS) {
+    for (const [id, , of, text] of this.entries) {
       const value = of(now);
       show(element(id), value, text?.(value, now));
     }
   }
 }
+
+// The columns of the table: constants of a robot, and fields of its state.
+const PLANE_COLUMNS = {
+  constants: [["mass, kg", ({ mass }) => mass]],
+  fields: [["position", "position, m"], ["velocity", "velocity, m/s"], ["command", "command, m/s or N"]].map(([name, label]) => [name, label, (states, robot) => states[name][robot]]),
+};
 
 export class Robots {
   constructor() {
@@ -115,16 +124,23 @@ export class Robots {
 
   hello(hello) {
     this.drawn = 0;
+    const { constants, fields } = hello.system ? systemColumns(hello) : PLANE_COLUMNS;
+    this.fields = fields;
+    const head = element("robots").tHead.rows[0];
+    const labels = ["robot", "kind", ...constants.map(([label]) => label), "status", ...fields.map(([, label]) => label)];
+    head.replaceChildren(...labels.map((label) => Object.assign(document.createElement("th"), { scope: "col", textContent: label })));
     this.body.replaceChildren();
-    this.rows = hello.robots.map((robot) => {
+    this.rows = hello.robots.map((robot, index) => {
       const row = this.body.insertRow();
       cell(row, "th").textContent = String(robot.id);
       cell(row).textContent = KINDS[robot.kind];
-      const mass = document.createElement("data");
-      show(mass, robot.mass);
-      cell(row).append(mass);
+      for (const [, of] of constants) {
+        const constant = document.createElement("data");
+        show(constant, of(robot, index));
+        cell(row).append(constant);
+      }
       const status = cell(row);
-      const numbers = ["position", "velocity", "command"].map((name) => {
+      const numbers = fields.map(([name]) => {
         const node = document.createElement("data");
         node.dataset.field = name;
         cell(row).append(node);
@@ -150,7 +166,7 @@ export class Robots {
       const found = frame.robots.status[index];
       status.textContent = found ? STATUS[found] : "no data";
       row.classList.toggle("bad", found !== "active");
-      ["position", "velocity", "command"].forEach((name, column) => show(numbers[column], frame.robots[name][index]));
+      this.fields.forEach(([, , of], column) => show(numbers[column], of(frame.robots, index)));
     });
     return true;
   }
@@ -159,6 +175,9 @@ export class Robots {
 // The unit of an event's value, where it is known, by what reached its limit or was set.
 function unit(event, kinds) {
   const begins = (text) => event.detail.startsWith(text);
+  if (!kinds) {
+    return ""; // of another parent system
+  }
   if (event.kind === "STEERING") {
     return { reference: " rad", disturbance: " N m" }[event.detail] ?? "";
   }
@@ -192,7 +211,7 @@ export class Events {
   }
 
   hello(hello) {
-    this.kinds = new Map(hello.robots.map((robot) => [robot.id, robot.kind]));
+    this.kinds = hello.system ? null : new Map(hello.robots.map((robot) => [robot.id, robot.kind]));
   }
 
   take(message) {

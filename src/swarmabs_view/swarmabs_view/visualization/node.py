@@ -12,7 +12,7 @@ from rclpy.serialization import serialize_message
 
 from swarmabs_bag.schemas import message_schema
 from swarmabs_bag.swarm_state import SwarmState
-from swarmabs_config.scenario import load_scenario
+from swarmabs_config.scenario import load_scenario, on_plane
 from swarmabs_core.cdr import agent_id_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS
@@ -193,7 +193,7 @@ def _hear(listener: Listener, swarm: SwarmState) -> list[tuple[Topic, bytes]]:
 def _scenario(settings: Settings) -> Scenario:
     if not settings.text("scenario_file"):
         raise InputError("parameter scenario_file is empty: give the scenario file")
-    return load_scenario(Path(settings.text("scenario_file"))).resolved()
+    return on_plane(load_scenario(Path(settings.text("scenario_file"))), "the RViz scene").resolved()
 
 
 def _until_signalled() -> Callable[[float], bool]:

@@ -1,0 +1,134 @@
+"""The simulated parent: the robots' states in, its own state out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from swarmabs_core.behaviours.base import Gathering, StepAheadError, UnexpectedMessageError, refuse_other_system
+from swarmabs_core.errors import RunError
+from swarmabs_core.faults import failed_drives, true_state
+from swarmabs_core.membership import Membership
+from swarmabs_core.messages import (
+    EVENTS,
+    ROBOT_STATES,
+    Action,
+    AnyRobotState,
+    EventKind,
+    Message,
+    Messages,
+    Steering,
+    SwarmEvent,
+    Topic,
+)
+from swarmabs_core.steering import DISTURBANCE, StepSchedule, change_of
+
+
+class Parent:
+    """Moves the parent over a period once the robots' states at its end are known.
+
+    Parameters
+    ----------
+    config : PlaneConfig or SystemParentConfig
+        Configuration, which determines the parent system.
+    """
+
+    def __init__(self, config: Any) -> None:
+        self._config = config
+        self._system: int | None = config.system_hash
+        self._motion = config.motion()
+        self._disturbances = StepSchedule(config.torques)
+        self._membership = Membership(config.members, config.schedule)
+        self._gathering = Gathering(self._membership)
+        self._robots: dict[int, AnyRobotState] = {}
+
+    def start(self) -> Messages:
+        """Describe the parent system, unless it is the plane; then the robots start."""
+        found: Messages = self._config.described()
+        return found
+
+    def handle(self, message: Message) -> Messages:
+        """Take a robot's state or an event; return the parent's state when a step is complete."""
+        if self._system is not None:
+            refuse_other_system(message, self._system)
+        if isinstance(message, ROBOT_STATES):
+            self._gathering.add(message)
+        elif isinstance(message, SwarmEvent):
+            self._take_over(message)
+        else:
+            raise UnexpectedMessageError("plane", message)
+        return self._finish() if self._gathering.complete() and not self._finished() else ()
+
+    def _take_over(self, event: SwarmEvent) -> None:
+        """Apply a membership change that the observer announced.
+
+        Raises
+        ------
+        StepAheadError, RunError
+            If it takes effect at a step that cannot have started yet, or that the plane has computed with the robot.
+        """
+        membership, robot, step, now = self._membership, event.agent_id, event.step, self._gathering.step
+        was_in = membership.publishes(robot, step)
+        membership.apply(event.kind, robot, step, event.detail)
+        if not was_in or membership.publishes(robot, step):
+            return
+        if step > now:
+            raise StepAheadError(f"end of robot {robot}", got=step, expected=now)
+        if step < now:
+            raise RunError(
+                f"robot {robot} is reported to be out from step {step} on ({event.detail}), but the plane has already "
+                "moved with its state of that step: either its last state reached the plane and not the observer, or a "
+                "second swarm is in this namespace; run again"
+            )
+
+    def steer(self, order: Steering) -> None:
+        """Apply an ordered disturbance or membership change."""
+        if order.action == Action.DISTURBANCE:
+            self._disturbances.set(order.step, order.value)
+        elif (change := change_of(order)) is not None:
+            self._membership.plan(change)
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for states of robots, and for events about robots that will not send one."""
+        return () if self._finished() else (self._config.family.robot, EVENTS)
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the current step and the robots whose states are missing."""
+        return self._gathering.step, tuple(f"agent {i}" for i in self._gathering.missing())
+
+    def _finished(self) -> bool:
+        last = self._config.last_step
+        return last is not None and self._gathering.step > last
+
+    def _finish(self) -> Messages:
+        config = self._config
+        step = self._gathering.step
+        stamp = step * config.period_ns
+        states = self._gathering.take()
+        if config.falsifications:
+            states = [true_state(state, config.falsifications) for state in states]
+        events: list[SwarmEvent] = []
+        if (disturbance := self._disturbances.changing(step)) is not None:
+            events.append(SwarmEvent(stamp, step, 0, EventKind.STEERING, disturbance, DISTURBANCE))
+        coasting = self._coasting(step - 1)
+        states = [coasting.get(state.agent_id, state) for state in states]
+        if step > 0:
+            now = {state.agent_id: state for state in states} | coasting
+            paths = [(before, now.get(agent_id)) for agent_id, before in self._robots.items()]
+            events += self._motion.advance(step, paths, self._disturbances.at(step - 1))
+        self._keep(states, coasting)
+        return (*events, *self._motion.limits(states, stamp), self._motion.state(step))
+
+    def _coasting(self, step: int) -> dict[int, AnyRobotState]:
+        """Return the true states, after a step, of the robots whose drives have failed."""
+        failed = failed_drives(self._config.falsifications, step) & self._robots.keys()
+        return {agent_id: self._motion.coasted(self._robots[agent_id]) for agent_id in failed}
+
+    def _keep(self, states: list[AnyRobotState], coasting: dict[int, AnyRobotState]) -> None:
+        """Store the robots that act on the parent: with a state, or at rest or coasting after their end."""
+        still = {
+            agent_id: state
+            for agent_id, state in self._robots.items()
+            if not self._membership.publishes(agent_id, self._gathering.step - 1)
+            and self._membership.span(agent_id).stays
+        }
+        self._robots = {state.agent_id: state for state in states} | still | coasting

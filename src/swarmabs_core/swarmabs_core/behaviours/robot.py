@@ -1,0 +1,195 @@
+"""A robot on the plane: its configuration, and its state with the decision and the motion that change it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import sin
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from swarmabs_core.behaviours.base import Run
+from swarmabs_core.declaration import choice, part, same, setting
+from swarmabs_core.drive import Lag
+from swarmabs_core.errors import InputError
+from swarmabs_core.faults import InjectedFault
+from swarmabs_core.membership import ChangeKind
+from swarmabs_core.messages import PLANE_FAMILY, AgentState, Broadcast, Family, Kind, PlaneState
+from swarmabs_core.parameters import Settings
+from swarmabs_core.plant import Plane
+from swarmabs_core.robot_controller import Decision, Limits, RobotController
+from swarmabs_core.sensing import RobotSensor
+from swarmabs_core.swarm_law import LAWS, PAPER, Robot, SwarmGains
+
+if TYPE_CHECKING:
+    from swarmabs_core.drive import Drive
+
+
+@dataclass(frozen=True, slots=True)
+class LifeSpan:
+    """The steps in which a robot takes part, and its planned end, if any."""
+
+    first_step: int = setting(0, "step at which the robot joins", minimum=0)
+    end: ChangeKind | None = setting(
+        None,
+        "planned end of the robot",
+        choices=("none", *(kind.value for kind in ChangeKind if kind is not ChangeKind.JOIN)),
+        unset="none",
+        make=ChangeKind,
+        say=lambda kind: kind.value,
+    )
+    end_step: int | None = setting(None, "step of the planned end", unset=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class RobotConfig:
+    """Configuration of a robot in lockstep and in real time."""
+
+    agent_id: int = setting(1, "id of the robot, 1 to 65535", minimum=1, maximum=65535)
+    kind: Kind = setting(
+        Kind.SINGLE_INTEGRATOR,
+        "dynamics of the robot",
+        choices=tuple(kind.name.lower() for kind in Kind),
+        make=lambda name: Kind[name.upper()],
+        say=lambda kind: kind.name.lower(),
+    )
+    mass: float = setting(0.5, "mass, kg", above=0.0)
+    damping: float = setting(0.0, "viscous damping c of its motion, N s/m; may be 0", minimum=0.0)
+    position: float = setting(0.0, "initial position on the plane, 0 at the axis, m")
+    velocity: float = setting(0.0, "initial velocity, m/s")
+    gravity: float = same(Plane, "gravity")
+    plane_length: float = same(Plane, "length")
+    gains: SwarmGains = part(SwarmGains)
+    limits: Limits = part(Limits)
+    law: str = choice(LAWS.find, LAWS.built_in, PAPER.name, "control law of the robots")
+    law_settings: Settings = field(default_factory=dict, hash=False)
+
+    def refuse_contradictions(self) -> None:
+        """Reject settings that do not apply to the robot's kind, unless an external drive moves its body.
+
+        Raises
+        ------
+        InputError
+            If a single integrator has damping or an initial velocity.
+        """
+        if self.kind is Kind.SINGLE_INTEGRATOR:
+            for name, value in (("damping", self.damping), ("velocity", self.velocity)):
+                if value:
+                    raise InputError(f"parameter {name}: not applicable to a single integrator; omit it")
+
+
+@dataclass(frozen=True, slots=True)
+class AgentConfig(RobotConfig):
+    """Configuration of a robot in lockstep."""
+
+    period_ns: int = same(Run, "period_ns")
+    life: LifeSpan = part(LifeSpan, name="")
+    faults: tuple[InjectedFault, ...] = setting(
+        (), "injected faults, each 'KIND FIRST END VALUE...', such as 'loss 0 -1 0.2'", make=InjectedFault.parse
+    )
+    seed: int = same(Run, "seed")
+    feels_gravity: bool = same(Plane, "robot_gravity")
+    last_step: int | None = same(Run, "last_step")
+    sensor: RobotSensor = part(RobotSensor)
+    actuator_lag: float = same(Run, "actuator_lag")
+
+    family: ClassVar[Family] = PLANE_FAMILY
+    system_hash: ClassVar[None] = None
+
+    @property
+    def feels_plane(self) -> bool:
+        """Whether the plane's motion acts on the robot."""
+        return self.feels_gravity and self.kind is Kind.DOUBLE_INTEGRATOR
+
+    def body(self, drive: Drive | None) -> PlaneRobot:
+        """Return the robot at its initial state, by default with the ideal drive of its kind."""
+        return PlaneRobot(self, drive)
+
+
+class Outcome(NamedTuple):
+    """The outcome of a robot's decision: why it does not follow the broadcasts, and what it wanted beyond a limit."""
+
+    problem: str = ""
+    beyond: float | None = None
+
+
+FOLLOWS = Outcome()
+"""The outcome of a robot that follows the broadcasts."""
+
+
+class PlaneRobot:
+    """A robot on the plane.
+
+    Raises
+    ------
+    InputError
+        If there is no such law, or its settings are invalid.
+    """
+
+    def __init__(self, config: AgentConfig, drive: Drive | None) -> None:
+        self._config = config
+        period = config.period_ns / 1e9
+        robot = Robot(config.kind, config.mass, config.damping, config.gains, config.gravity, period)
+        length = config.plane_length
+        self._controller = RobotController(robot, config.law, config.law_settings, config.limits, length)
+        self._drive = drive or self._controller.ideal
+        self._position, self._velocity = config.position, config.velocity
+        self._command = 0.0
+        self._sensor = None if config.sensor.perfect else config.sensor
+        self._lag = Lag.of(config.kind, config.actuator_lag, period, config.mass, config.damping)
+        self._actual = 0.0  # output of a drive with lag
+
+    def state(self, step: int, broadcast_step: int, status: int) -> AgentState:
+        """Return the state at a step, with the step of the broadcasts that led to it."""
+        config = self._config
+        return AgentState(
+            step * config.period_ns,
+            step,
+            broadcast_step,
+            config.agent_id,
+            config.kind,
+            status,
+            config.mass,
+            config.damping,
+            self._position,
+            self._velocity,
+            self._command,
+        )
+
+    def wait(self) -> None:
+        """Set the command for a period in which no broadcasts are known."""
+        self._command = 0.0
+
+    def decide(self, heard: Broadcast, asked_to: str, step: int) -> Outcome:
+        """Set the command of a step from the broadcasts; brake if asked to stop or reset."""
+        position, velocity = self._sensed(step)
+        if asked_to:
+            decision = Decision(self._controller.brake(velocity), 0.0, asked_to)
+        else:
+            decision = self._controller.decide(position, velocity, heard)
+        self._command = decision.command
+        if decision.problem:
+            return Outcome(decision.problem)
+        return FOLLOWS if decision.command == decision.wanted else Outcome(beyond=decision.wanted)
+
+    def move(self, plane: PlaneState | None) -> None:
+        """Move for a period under the command and, if configured, gravity."""
+        force = self._command
+        if plane is not None:
+            force += self._weight(plane)
+        self._position, self._velocity = self._drive.advance(self._position, self._velocity, force)
+        if self._lag is not None:
+            gap = self._actual - self._command
+            self._position += self._lag.gap_to_position * gap
+            self._velocity += self._lag.gap_to_velocity * gap
+            self._actual = self._command + self._lag.decay * gap
+
+    def _sensed(self, step: int) -> tuple[float, float]:
+        """Return the position (m) and velocity (m/s) that the robot measures."""
+        if self._sensor is None:
+            return self._position, self._velocity
+        draw = f"{self._config.seed}:{step}:{self._config.agent_id}"
+        return self._sensor.measure(self._position, self._velocity, draw)
+
+    def _weight(self, plane: PlaneState) -> float:
+        """Return the force of gravity and rotation along the plane (N), held over the period."""
+        config, w = self._config, plane.angular_velocity
+        return config.mass * (self._position * w * w - config.gravity * sin(plane.angle))

@@ -1,0 +1,269 @@
+"""The nodes on any parent system: their configurations, the motion of the parent, and the robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import inf, isfinite
+from typing import TYPE_CHECKING, ClassVar
+
+from swarmabs_core.behaviours.base import Run
+from swarmabs_core.behaviours.controller import ControllerConfig
+from swarmabs_core.behaviours.plane import PlaneConfig
+from swarmabs_core.behaviours.robot import AgentConfig, LifeSpan, Outcome
+from swarmabs_core.declaration import choice, part, same, setting
+from swarmabs_core.faults import Falsification, InjectedFault
+from swarmabs_core.membership import Change
+from swarmabs_core.messages import (
+    SYSTEM_FAMILY,
+    Family,
+    Messages,
+    ParentState,
+    RobotKind,
+    RobotState,
+    RobotStatus,
+    Status,
+    SwarmEvent,
+    SystemDescription,
+)
+from swarmabs_core.parameters import Settings
+from swarmabs_core.robot_controller import BRAKING_TIME, NOT_FINITE
+from swarmabs_core.steering import StepChange
+from swarmabs_core.systems.desired import SystemDesiredState
+from swarmabs_core.systems.interface import SYSTEMS, NamedSystem
+from swarmabs_core.systems.law import RobotLaw, SystemGains
+from swarmabs_core.systems.motion import ParentMotion, standing
+from swarmabs_core.systems.swarm import observed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from swarmabs_core.messages import AnyRobotState, SwarmBroadcast
+    from swarmabs_core.systems.interface import Vector
+
+HELD = "the swarm cannot control all rows of the abstract state (its Gram matrix is singular)"
+"""`SwarmEvent.detail` where a robot brakes because the law is not defined."""
+
+
+@dataclass(frozen=True)
+class OfSystem:
+    """What every node on a parent system knows about it."""
+
+    system: str = choice(SYSTEMS.find, SYSTEMS.built_in, "", "parent system, provided by an installed package")
+    system_settings: Settings = field(default_factory=dict, hash=False)
+
+    family: ClassVar[Family] = SYSTEM_FAMILY
+
+    @cached_property
+    def named(self) -> NamedSystem:
+        """The parent system."""
+        return NamedSystem(self.system, self.system_settings)
+
+    @property
+    def system_hash(self) -> int:
+        """Hash of its description."""
+        return self.named.hash
+
+
+@dataclass(frozen=True)
+class SystemObserverConfig(OfSystem):
+    """Configuration of the observer on any parent system."""
+
+    members: tuple[int, ...] = same(Run, "members")
+    period_ns: int = same(Run, "period_ns")
+    schedule: tuple[Change, ...] = same(Run, "schedule")
+    last_step: int | None = same(Run, "last_step")
+    curvature: bool = setting(default=False, description="whether robots need the curvature of the abstract state")
+
+    watches_plane: ClassVar[bool] = False
+
+    def estimator(self) -> None:
+        """Return None: the abstract state is always the sum over the robots."""
+
+    def observed(
+        self, stamp: int, step: int, moving: Sequence[AnyRobotState], standing: Iterable[AnyRobotState]
+    ) -> Messages:
+        """Return abstract and auxiliary state at a step, with a time stamp (ns)."""
+        robots = [state for state in (*moving, *standing) if isinstance(state, RobotState)]
+        return observed(self.named, stamp, step, robots, curvature=self.curvature)
+
+
+@dataclass(frozen=True)
+class SystemControllerConfig(OfSystem):
+    """Configuration of the node of a parent system's controller."""
+
+    period_ns: int = same(Run, "period_ns")
+    recording_window: int = same(ControllerConfig, "recording_window")
+    last_step: int | None = same(Run, "last_step")
+    offsets: tuple[StepChange, ...] = same(ControllerConfig, "offsets")
+
+    def generator(self, _: object) -> SystemDesiredState:
+        """Return what generates the desired abstract state."""
+        return SystemDesiredState(self.period_ns, self.named)
+
+
+@dataclass(frozen=True)
+class SystemParentConfig(OfSystem):
+    """Configuration of a simulated parent system."""
+
+    members: tuple[int, ...] = same(Run, "members")
+    period_ns: int = same(Run, "period_ns")
+    schedule: tuple[Change, ...] = same(Run, "schedule")
+    last_step: int | None = same(Run, "last_step")
+    falsifications: tuple[Falsification, ...] = same(PlaneConfig, "falsifications", name="lies")
+    torques: tuple[StepChange, ...] = same(PlaneConfig, "torques", name="disturbances")
+
+    def motion(self) -> SystemMotion:
+        """Return the parent at its initial state."""
+        return SystemMotion(self)
+
+    def described(self) -> Messages:
+        """Return the description of the system, which is published once."""
+        return (SystemDescription(0, 0, self.system_hash, self.named.description),)
+
+
+class SystemMotion:
+    """The motion of any parent system under the robots."""
+
+    def __init__(self, config: SystemParentConfig) -> None:
+        self._config = config
+        self._motion = ParentMotion(config.named, config.period_ns / 1e9)
+        self._state: Vector = tuple(map(float, config.named.made.initial))
+
+    def advance(
+        self, step: int, robots: Iterable[tuple[RobotState, RobotState | None]], disturbance: float
+    ) -> list[SwarmEvent]:
+        """Move through the period before a step; robots are given by their states at both ends, None if one stands."""
+        time = (step - 1) * self._config.period_ns / 1e9
+        pairs = [(before, after or standing(before)) for before, after in robots]
+        self._state = self._motion.advance(time, self._state, pairs, disturbance)
+        return []
+
+    def coasted(self, state: RobotState) -> RobotState:
+        """Return the state of a robot one period later, without a command."""
+        period, none = self._config.period_ns / 1e9, (0.0,) * len(state.coordinates)
+        law = RobotLaw(self._config.named, RobotKind(state.kind), state.constants, SystemGains(), period)
+        q, velocity = law.advance(state.coordinates, state.velocities, none)
+        return state._replace(coordinates=q, velocities=velocity, command=none)
+
+    def state(self, step: int) -> ParentState:
+        """Return the state at a step."""
+        return ParentState(step * self._config.period_ns, step, self._config.system_hash, self._state)
+
+    def limits(self, states: Sequence[RobotState], stamp: int) -> list[SwarmEvent]:
+        """Return no events: the coordinates have no limits."""
+        del states, stamp
+        return []
+
+
+@dataclass(frozen=True)
+class SystemAgentConfig(OfSystem):
+    """Configuration of a robot on any parent system."""
+
+    agent_id: int = same(AgentConfig, "agent_id")
+    kind: RobotKind = setting(
+        RobotKind.SINGLE_INTEGRATOR,
+        "dynamics of the robot",
+        choices=tuple(kind.name.lower() for kind in RobotKind),
+        make=lambda name: RobotKind[name.upper()],
+        say=lambda kind: kind.name.lower(),
+    )
+    coordinates: tuple[float, ...] = setting((0.0,), "initial coordinates")
+    velocities: tuple[float, ...] = setting((), "initial velocities; none: at rest", item=0.0)
+    constants: tuple[float, ...] = setting((), "constants in the order of the system", item=0.0)
+    period_ns: int = same(Run, "period_ns")
+    life: LifeSpan = part(LifeSpan, name="")
+    faults: tuple[InjectedFault, ...] = same(AgentConfig, "faults")
+    seed: int = same(Run, "seed")
+    last_step: int | None = same(Run, "last_step")
+    gains: SystemGains = part(SystemGains)
+    force_law: str = setting(
+        "second_order",
+        "law of double integrators: of second order, or the velocity law with the velocity at the end of the step",
+        choices=("second_order", "velocity"),
+    )
+    effort: float = setting(
+        inf,
+        "bound of the root of sum W |q' - xi|^2 over the swarm; under second_order of accelerations, not velocities",
+        above=0.0,
+        unset=0.0,
+    )
+
+    feels_plane: ClassVar[bool] = False
+
+    def refuse_contradictions(self) -> None:
+        """Accept everything: the check of the system covers it."""
+
+    def body(self, _: object) -> SystemRobot:
+        """Return the robot at its initial state."""
+        return SystemRobot(self)
+
+
+class SystemRobot:
+    """A robot on any parent system."""
+
+    def __init__(self, config: SystemAgentConfig) -> None:
+        self._config = config
+        self._period = config.period_ns / 1e9
+        self._law = RobotLaw(
+            config.named,
+            config.kind,
+            config.constants,
+            config.gains,
+            self._period,
+            second_order=config.force_law == "second_order",
+            effort=config.effort,
+        )
+        self._q = config.coordinates
+        self._velocity = config.velocities or (0.0,) * len(self._q)
+        self._command: Vector = (0.0,) * len(self._q)
+        self._limited = False
+
+    def state(self, step: int, broadcast_step: int, status: int) -> RobotState:
+        """Return the state at a step, with the step of the broadcasts that led to it."""
+        config, velocity = self._config, self._velocity
+        if self._limited and status == Status.ACTIVE:
+            status, velocity = RobotStatus.LIMITED, self._law.held_rate(self._q, self._command)
+        return RobotState(
+            step * config.period_ns,
+            step,
+            config.system_hash,
+            broadcast_step,
+            config.agent_id,
+            config.kind,
+            status,
+            self._q,
+            velocity,
+            self._command,
+            config.constants,
+        )
+
+    def wait(self) -> None:
+        """Set the command for a period in which no broadcasts are known."""
+        self._brake()
+
+    def _brake(self) -> None:
+        self._limited = False
+        self._command = self._law.brake(self._q, self._velocity, max(BRAKING_TIME, self._period))
+
+    def decide(self, heard: SwarmBroadcast, asked_to: str, step: int) -> Outcome:  # noqa: ARG002 - nothing is drawn
+        """Set the command of a step from the broadcasts; brake if asked to stop or reset."""
+        rate = None if asked_to else self._law.rate(self._q, self._velocity, heard)
+        if rate is None and self._limited:  # with the limited robots, the Gram matrix may be regular again
+            self._limited = False
+            return Outcome()
+        if rate is None or not all(map(isfinite, rate)):
+            self._brake()
+            return Outcome(asked_to or (HELD if rate is None else NOT_FINITE))
+        wanted = self._law.command(self._q, self._velocity, rate)
+        self._command = self._law.limited(wanted)
+        if self._command == wanted:
+            self._limited = False
+            return Outcome()
+        # A double integrator stays in the Gram matrix: its velocity is not limited.
+        self._limited = self._config.kind is not RobotKind.DOUBLE_INTEGRATOR
+        return Outcome(beyond=next(u for u, held in zip(wanted, self._command, strict=True) if u != held))
+
+    def move(self, _: object) -> None:
+        """Move for a period under the command."""
+        self._q, self._velocity = self._law.advance(self._q, self._velocity, self._command)

@@ -1,0 +1,262 @@
+"""Check of a parent system and of the robots on it, before a run starts with values that it cannot use."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from functools import partial
+from math import isfinite, nan
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from swarmabs_core.errors import InputError, raised
+from swarmabs_core.messages import NEVER, RobotKind, RobotState, RobotStatus
+from swarmabs_core.registry import PluginError
+from swarmabs_core.systems.interface import TABLES, Constant, Need, Quantity, Tracked
+from swarmabs_core.systems.law import Gram, by_row, motion
+from swarmabs_core.systems.swarm import observed, total
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+
+    from swarmabs_core.systems.interface import NamedSystem, Vector
+    from swarmabs_core.systems.law import SystemGains
+
+_POSITIVE = {"double_integrator": "mass", "first_order_lag": "time_constant"}  # the constant that a kind needs
+_STEP, _AGREEMENT = 1e-5, 1e-5  # step of differences in units of the coordinates, and the deviation that they allow
+NEAR = 1e-3
+"""Error, in units of the first one, at which robots have reached an abstract state."""
+Problem: TypeAlias = tuple[tuple[str | int, ...], str, str]
+"""Location in a scenario, what is wrong, and the remedy."""
+
+
+class _FaultyError(Exception):
+    """The parent system cannot be used."""
+
+
+def problems_of(
+    system: NamedSystem, robots: Sequence[Any], gains: SystemGains, period: float, *, later: Container[int] = ()
+) -> list[Problem]:
+    """Return what is wrong with a parent system, with the robots of a scenario on it, or with their start.
+
+    Robots whose ids are in `later` join later; the control period is in s.
+    """
+    found: list[Problem] = []
+    try:
+        _check_tables(_called("its type", lambda: system.made))
+        size = len(system.made.abstract)
+        given = {name: len(getattr(gains, name)) for name in ("k", "kp", "kd")}
+        wrong = {name: many for name, many in given.items() if many not in {1, size}}
+        found += [(("swarm", "gains", x), f"{wrong[x]} gains for {size} rows", f"give one or {size}") for x in wrong]
+        found += [problem for index, robot in enumerate(robots) for problem in _of_robot(system, index, robot)]
+        found += [] if found else _of_start(system, initial_states(system, robots), later, gains, period)
+    except PluginError as error:
+        found.append((("system",), error.problem, error.remedy))
+    except _FaultyError as error:
+        found.append((("system",), f"parent system {system.type!r}: {error}", "correct the parent system"))
+    return found
+
+
+def constants_of(system: NamedSystem, given: Mapping[str, float]) -> Vector:
+    """Return a robot's constants in the order of the system, NaN for a missing one."""
+    rows = system.made.constants
+    return tuple(float(given.get(row.name, nan if row.default is None else row.default)) for row in rows)
+
+
+def initial_states(system: NamedSystem, robots: Sequence[Any]) -> list[RobotState]:
+    """Return the states of robots of a scenario at step 0."""
+    rest = (0.0,) * len(system.made.robot)
+    states = []
+    for robot in robots:
+        head = 0, 0, system.hash, NEVER, robot.id, RobotKind[robot.kind.upper()], RobotStatus.ACTIVE
+        given = robot.coordinates, robot.velocities or rest, rest, constants_of(system, robot.constants)
+        states.append(RobotState(*head, *given))
+    return states
+
+
+def approach(
+    system: NamedSystem, robots: Sequence[RobotState], goal: Vector, gains: SystemGains
+) -> Iterator[tuple[Sequence[RobotState], Gram, float, float]]:
+    """Let robots follow the law of single integrators to an abstract state, without motions of their own.
+
+    Yields robots, their Gram matrix, the root of sum W |q'|^2, and the error in units of the first one. If the last
+    error is not below `NEAR`, the robots cannot reach the abstract state.
+    """
+    made, first = system.made, 0.0
+    rows, k = made.abstract, by_row(gains.k, len(made.abstract))
+    for _ in range(int(100.0 * max(k) / min(k))):
+        abstract, auxiliary = observed(system, 0, 0, robots, curvature=False)
+        error = [b - a for a, b in zip(abstract.value, goal, strict=True)]
+        size = max(abs(e) / row.scale for e, row in zip(error, rows, strict=True))
+        first = first or max(size, 1e-6)
+        gram = Gram(auxiliary.gram, rows)
+        if gram.singular or not isfinite(size):
+            yield robots, gram, nan, nan
+            return
+        right = [gain * e for gain, e in zip(k, error, strict=True)]
+        y = gram.solve(right)
+        yield robots, gram, max(0.0, sum(a * b for a, b in zip(right, y, strict=True))) ** 0.5, size / first
+        if size < NEAR * first:
+            return
+        moved = []
+        for robot in robots:
+            q, constants = robot.coordinates, robot.constants
+            rate = motion(made.jacobian(q, constants), y, made.weight(constants), len(q))
+            after = tuple(x + 0.25 / max(k) * v for x, v in zip(q, rate, strict=True))
+            moved.append(robot._replace(coordinates=after))
+        robots = moved
+
+
+def _called(what: str, call: Callable[[], Any]) -> Any:
+    """Return what a call into the system returns; it may raise anything."""
+    try:
+        return call()
+    except PluginError:
+        raise
+    except InputError as error:
+        raise _FaultyError(str(error)) from error
+    except Exception as error:
+        text = raised(error) or " ".join(f"{type(error).__name__}: {error}".split())
+        raise _FaultyError(f"{what} raises {text}") from error
+
+
+def _numbers(what: str, size: int, call: Callable[[], Any]) -> Vector:
+    """Return the finite numbers that a call into the system returns."""
+    found = _called(what, call)
+    if not isinstance(found, (tuple, list)) or len(found) != size or not all(map(_is_number, found)):
+        wanted = "a tuple with one finite number, such as (0.0,)" if size == 1 else f"a tuple of {size} finite numbers"
+        raise _FaultyError(f"{what} is {_shown(found)}; it must be {wanted}")
+    return tuple(map(float, found))
+
+
+def _positive(what: str, call: Callable[[], Any]) -> None:
+    if not _is_number(found := _called(what, call)) or found <= 0.0:
+        raise _FaultyError(f"{what} is {_shown(found)}; it must be a positive number")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
+
+
+def _shown(value: object) -> str:
+    return f"{' '.join(repr(value).split()):.80}"
+
+
+def _check_tables(made: Any) -> None:
+    for table, (of, least, most) in TABLES.items():
+        rows = _called(table, partial(getattr, made, table))
+        if not isinstance(rows, tuple) or not all(isinstance(row, of) for row in rows):
+            raise _FaultyError(f"{table} is {_shown(rows)}; it must be a tuple of {of.__name__}")
+        if not least <= len(rows) <= most:
+            raise _FaultyError(f"{table} has {len(rows)} rows; it must have {least} to {most}")
+        names = [row.name for row in rows]
+        for row in rows:
+            if not str(row.name).isidentifier() or names.count(row.name) > 1:
+                raise _FaultyError(f"{table} has a row {row.name!r}; each needs its own name of letters, digits and _")
+            unit = getattr(row, "unit", "")
+            numbers = [x for x in row[1 + hasattr(row, "unit") :] if not (of is Constant and x is None)]
+            wrong = (
+                not isinstance(unit, str) or not all(map(_is_number, numbers)) or (of is Need and row.low > row.high)
+            )
+            if wrong or (of in (Quantity, Tracked) and numbers[0] <= 0.0):
+                raise _FaultyError(f"{table} {row.name!r} has {_shown(row[1:])}, which is out of range")
+    units = {row.name: row.unit for row in made.parent}
+    for row in made.tracked:
+        if units.get(row.name) != units.get(made.tracked[0].name, ""):
+            raise _FaultyError(f"tracked {row.name!r} must be in parent, with the unit of the others")
+    _numbers("initial", len(made.parent), lambda: made.initial)
+    _positive("substep", lambda: made.substep)
+
+
+def _of_robot(system: NamedSystem, index: int, robot: Any) -> Iterator[Problem]:
+    """Yield what is wrong with a robot of the scenario."""
+    made, where, kind = system.made, ("swarm", "agents", index), robot.kind
+    names, size, needed = [row.name for row in made.constants], len(made.robot), _POSITIVE.get(robot.kind, "")
+    for name in robot.constants.keys() - set(names):
+        near = get_close_matches(name, names, n=1)
+        remedy = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"
+        yield (*where, "constants", name), f"{system.type} has no constant {name!r}", remedy
+    for row, value in zip(made.constants, constants_of(system, robot.constants), strict=True):
+        if not isfinite(value):
+            yield (*where, "constants"), f"robot {robot.id} lacks {row.name}", f"give {row.name} in {row.unit}"
+        elif row.name == needed and value <= 0.0:
+            yield (*where, "constants", row.name), f"{value!r} is out of range", "give a number > 0"
+    if needed and needed not in names:
+        text = f"{system.type} has no constant {needed!r}, which robots of this kind need"
+        yield (*where, "kind"), text, "choose another kind, or add the constant to the system"
+    for name, numbers in (("coordinates", robot.coordinates), ("velocities", robot.velocities)):
+        if len(numbers) != size and (numbers or name == "coordinates"):
+            wanted = ", ".join(row.name for row in made.robot)
+            yield (*where, name), f"{len(numbers)} numbers for {size} coordinates", f"give {wanted}"
+    if kind != "double_integrator" and any(robot.velocities):
+        yield (*where, "velocities"), f"not applicable to robots of kind {kind}", "omit them"
+
+
+def _of_start(
+    system: NamedSystem, robots: Sequence[RobotState], later: Container[int], gains: SystemGains, period: float
+) -> Iterator[Problem]:
+    """Call each function of the system, and yield why the robots cannot control the abstract state at the start."""
+    made: Any = system.made
+    k, start, remedy = len(made.abstract), made.initial, "spread the robots, or add robots"
+    contributions = {robot.agent_id: _contribution(made, robot) for robot in robots}
+    present = [robot for robot in robots if robot.agent_id not in later]
+    at_start = 0.0, start, total((contributions[robot.agent_id] for robot in present), k), (0.0,) * k
+    _numbers("derivative()", len(start), lambda: made.derivative(*at_start))
+    if hasattr(made, "disturbed"):
+        _numbers("disturbed()", len(start), lambda: made.disturbed(*at_start, 0.0))
+    if hasattr(made, "failed") and (text := _called("failed()", lambda: made.failed(start))):
+        raise _FaultyError(f"it fails at the start: {_shown(text)}")
+    _numbers("reference()", len(made.tracked), lambda: made.reference(0.0))
+    if hasattr(made, "outline"):
+        _called("outline()", lambda: [(x + 0.0, y + 0.0) for line in made.outline(start) for x, y in line])
+    for robot in robots if hasattr(made, "robot_place") else ():
+        place = _called(what := "robot_place()", partial(made.robot_place, start, robot.coordinates, robot.constants))
+        if not isinstance(place, (tuple, list)) or len(place) not in (1, 2) or not all(map(_is_number, place)):
+            raise _FaultyError(f"{what} is {_shown(place)}; it must be a tuple of 1 or 2 finite numbers")
+    limits = [(need.low, need.high) for need in made.needs]
+
+    def complete(needs: Sequence[float]) -> tuple[str, Vector]:
+        limited = tuple(min(max(x, low), high) for x, (low, high) in zip(needs, limits, strict=True))
+        return (what := f"complete({limited})"), _numbers(what, k, lambda: made.complete(limited))
+
+    for needs in (*zip(*limits, strict=True), [0.0] * len(limits)):
+        _, desired = complete(needs)
+    controller = _called("controller()", lambda: made.controller(period))
+    asked = _numbers("ask() of the controller", len(limits), lambda: controller.ask(0.0, start, desired))
+    what, desired = complete(asked)
+    first, *others = _called(f"the way to {what}", lambda: list(approach(system, present, desired, gains)))
+    if (gram := first[1]).singular:
+        row = made.abstract[len(gram.pivots) - 1].name
+        text = f"the robots cannot control row {row!r}: their Gram matrix is singular at the start"
+        yield ("swarm", "agents"), text, remedy
+    elif not (others or [first])[-1][3] < NEAR:
+        text = f"the robots cannot reach the abstract state of {what}, the first that is requested"
+        yield ("swarm", "agents"), text, f"{remedy}, or correct the parent system"
+
+
+def _contribution(made: Any, robot: RobotState) -> Vector:
+    """Return a robot's contribution, and check all functions of its coordinates and constants."""
+    q, constants, rows, d = robot.coordinates, robot.constants, made.abstract, len(made.robot)
+    of = f"of robot {robot.agent_id}"
+
+    def at(j: int, x: float) -> Vector:
+        q_ = (*q[:j], x, *q[j + 1 :])
+        return _numbers(f"contribution() {of}", len(rows), lambda: made.contribution(q_, constants))
+
+    value = at(0, q[0])
+    found = _called(f"jacobian() {of}", lambda: made.jacobian(q, constants))
+    if not isinstance(found, (tuple, list)) or len(found) != len(rows):
+        raise _FaultyError(f"jacobian() {of} is {_shown(found)}; it must have {len(rows)} rows of {d} numbers")
+    for i, row in enumerate(rows):
+        line = _numbers(f"jacobian() {of}, row {row.name!r}", d, partial(found.__getitem__, i))
+        for j, (each, given) in enumerate(zip(made.robot, line, strict=True)):
+            h = _STEP * max(each.scale, abs(q[j]))
+            slope = (at(j, q[j] + h)[i] - at(j, q[j] - h)[i]) / (2.0 * h)
+            if abs(slope - given) > _AGREEMENT * max(1e-3 * row.scale, abs(slope), abs(given)):
+                text = f"jacobian() {of} has {given:.6g} in row {row.name!r}, column {each.name!r}, but differences of"
+                raise _FaultyError(f"{text} contribution() give {slope:.6g}")
+    _positive(f"weight() {of}", lambda: made.weight(constants))
+    _numbers(f"own_motion() {of}", d, lambda: made.own_motion(q, constants))
+    if hasattr(made, "limits"):
+        bounds = _called(what := f"limits() {of}", lambda: made.limits(constants))
+        if _called(what, lambda: [a <= b for a, b in zip(*bounds, strict=True)]) != [True] * d:
+            raise _FaultyError(f"{what} is {_shown(bounds)}; it must be two tuples of {d}, low <= high")
+    return value

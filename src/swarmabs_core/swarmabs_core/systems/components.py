@@ -1,0 +1,76 @@
+"""Names and units of the components of the vectors in messages of any parent system."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from swarmabs_core.messages import Field, ParentState, fields_of
+from swarmabs_core.systems.interface import Quantity
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from swarmabs_core.messages import Message
+    from swarmabs_core.systems.interface import ParentSystem, SystemTables
+
+_TABLES = {
+    "state": ("parent", 0),
+    "coordinates": ("robot", 0),
+    "velocities": ("robot", 1),
+    "command": ("robot", 0),
+    "constants": ("constants", 0),
+    "value": ("abstract", 0),
+    **dict.fromkeys(("rate", "drift", "mean_rate", "end_rate"), ("abstract", 1)),
+    **dict.fromkeys(("curvature", "mean_acceleration"), ("abstract", 2)),
+}
+"""The table of the system that names the components of a field, and how often they are derived by time."""
+MAIN_FIELDS = ("state", "coordinates", "constants", "value")
+"""Fields whose components are the quantities themselves."""
+REFERENCE = "reference"
+
+
+def components(system: SystemTables, message: type[Message]) -> dict[str, tuple[Quantity, ...]]:
+    """Return the components of each vector of a class of messages, with the quantities' names and their own units.
+
+    A component of the Gram matrix has the names of its row and column. The state of the parent also has the field
+    `REFERENCE`, the wanted values of what is tracked.
+    """
+    units = {row.name: row.unit for row in system.parent}
+    found = {}
+    if message is ParentState:
+        found[REFERENCE] = tuple(Quantity(each.name, units[each.name]) for each in system.tracked)
+    for field, declared in fields_of(message).items():
+        if field == "gram" and isinstance(declared, Field):
+            names = [row.name for row in system.abstract]
+            found[field] = tuple(
+                Quantity(f"{row}_{column}", declared.unit)
+                for number, row in enumerate(names)
+                for column in names[: number + 1]
+            )
+        elif isinstance(declared, Field) and field in _TABLES and declared.ros_type.startswith("float64["):
+            table, times = _TABLES[field]
+            unit = "by kind" if field == "command" else ""
+            rows = getattr(system, table)
+            found[field] = tuple(Quantity(row.name, unit or derived(row.unit, times)) for row in rows)
+    return found
+
+
+def labelled(labels: Mapping[str, str], system: SystemTables | ParentSystem) -> dict[str, str]:
+    """Return the labels of figures of a run on the plane, such as ``rms error, rad``, for another parent system."""
+    units, robots = {row.name: row.unit for row in system.parent}, {row.unit for row in system.robot}
+    shown = (system.tracked or system.parent)[0].name
+    reach = f"coordinate|, {robots.pop()}" if len(robots) == 1 else "coordinate|"
+    found = {
+        name: text.replace("position|, m", reach).replace("|angle|", f"|{shown}|") for name, text in labels.items()
+    }
+    return {name: text.replace(", rad", f", {units[shown]}") for name, text in found.items()}
+
+
+def derived(unit: str, times: int = 1) -> str:
+    """Return the unit of a derivative by time, such as ``N m/s`` for ``N m`` and ``m/s^2`` for ``m/s``."""
+    if not times:
+        return unit
+    base, power = re.fullmatch(r"(.*?)(?:/s(?:\^(\d+))?)?", unit).groups()  # type: ignore[union-attr]  # always matches
+    times += 0 if base == unit else int(power or 1)
+    return f"{base}/s" if times == 1 else f"{base}/s^{times}"

@@ -1,0 +1,236 @@
+r"""The laws of robots on any parent system (eq. nodeControlLaw, nodeControlLaw_double in general form).
+
+With :math:`e = a_d - a`, the Gram matrix :math:`S = \sum J_i W_i^{-1} J_i^T` of the active robots, the drift r (the
+rate of a by motions that are not commanded) and the robot's own motion :math:`\xi_i`:
+
+.. math::
+
+    v &= K e + \dot a_d, \quad y = S^{-1} (v - r), \quad \dot q_i = \xi_i + W_i^{-1} J_i^T y
+
+    w &= K_p e + K_d \dot e + \ddot a_d, \quad
+    \ddot q_i = -\sigma \dot q_i + W_i^{-1} J_i^T S^{-1} (w + \sigma \dot a - h)
+
+The first, for single integrators and lags, gives :math:`\dot a = v` exactly; the second, for double integrators,
+:math:`\ddot a = w`, with the curvature :math:`h_l = \sum \dot q_i^T \phi_{l,i}'' \dot q_i`. Over a control period, the
+commands give these rates in the mean. A robot needs its own coordinates and constants and the broadcasts of one step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, expm1, inf, sqrt
+from typing import TYPE_CHECKING
+
+from swarmabs_core.declaration import setting
+from swarmabs_core.drive import DoubleIntegratorDrive
+from swarmabs_core.messages import RobotKind
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from swarmabs_core.messages import SwarmAbstract, SwarmBroadcast, SwarmDesired
+    from swarmabs_core.systems.interface import Matrix, NamedSystem, Quantity, Vector
+
+SINGULAR = 1e-12
+"""Smallest pivot of a usable Gram matrix in units of its largest diagonal entry, both scaled."""
+
+
+@dataclass(frozen=True, slots=True)
+class SystemGains:
+    """Gains of the robots' laws on any parent system: one number, or one for each row of the abstract state."""
+
+    k: tuple[float, ...] = setting((5.0,), "K of single integrators and lags, 1/s, one or by row", above=0.0)
+    kp: tuple[float, ...] = setting((16.0,), "Kp of double integrators, 1/s^2, one or by row", above=0.0)
+    kd: tuple[float, ...] = setting((8.0,), "Kd of double integrators, 1/s, one or by row", above=0.0)
+    sigma: float = setting(1.0, "damping of motion that the abstract state does not see, 1/s", above=0.0)
+
+
+class Gram:
+    """The Gram matrix S, factorised as scaled L D L^T in fixed order.
+
+    Parameters
+    ----------
+    lower : sequence of float, (k (k + 1) / 2,)
+        Its lower triangle by rows.
+    rows : sequence of Quantity, (k,)
+        The rows of the abstract state.
+
+    Attributes
+    ----------
+    singular : bool
+        Whether a pivot is too small: then the robots cannot control all rows independently.
+    pivots : list of float
+        The scaled pivots, up to the first that is too small.
+    """
+
+    def __init__(self, lower: Sequence[float], rows: Sequence[Quantity]) -> None:
+        self._scales = [row.scale for row in rows]
+        size = len(rows)
+        scaled = [
+            [lower[i * (i + 1) // 2 + j] / (self._scales[i] * self._scales[j]) for j in range(i + 1)]
+            for i in range(size)
+        ]
+        self._largest = max(scaled[i][i] for i in range(size))
+        self._factors: list[list[float]] = []
+        self.pivots: list[float] = []
+        for i in range(size):
+            row: list[float] = []
+            for j in range(i):
+                known = sum(row[n] * self.pivots[n] * self._factors[j][n] for n in range(j))
+                row.append((scaled[i][j] - known) / self.pivots[j])
+            pivot = scaled[i][i] - sum(row[n] * row[n] * self.pivots[n] for n in range(i))
+            self.pivots.append(pivot)
+            self.singular = not pivot > SINGULAR * self._largest
+            if self.singular:
+                return
+            self._factors.append(row)
+
+    @property
+    def least(self) -> float:
+        """The smallest scaled pivot in units of the largest diagonal entry."""
+        return min(self.pivots) / self._largest if self._largest else 0.0
+
+    def solve(self, right: Sequence[float]) -> list[float]:
+        """Return y with S y = right, both (k,)."""
+        size = len(self.pivots)
+        y = [value / scale for value, scale in zip(right, self._scales, strict=True)]
+        for i in range(size):
+            y[i] -= sum(self._factors[i][n] * y[n] for n in range(i))
+        y = [value / pivot for value, pivot in zip(y, self.pivots, strict=True)]
+        for i in reversed(range(size)):
+            y[i] -= sum(self._factors[n][i] * y[n] for n in range(i + 1, size))
+        return [value / scale for value, scale in zip(y, self._scales, strict=True)]
+
+
+def by_row(gain: Sequence[float], size: int) -> tuple[float, ...]:
+    """Return a gain for each row."""
+    return tuple(gain) if len(gain) == size else (gain[0],) * size
+
+
+class RobotLaw:
+    """The law of one robot, its motion over a control period (s), and the effort bound of the swarm.
+
+    `effort` limits the norm of the motion of the whole swarm, the square root of sum W |q' - xi|^2, without a message:
+    every robot computes it from the broadcasts.
+    """
+
+    def __init__(
+        self,
+        system: NamedSystem,
+        kind: RobotKind,
+        constants: Vector,
+        gains: SystemGains,
+        period: float,
+        *,
+        second_order: bool = True,
+        effort: float = inf,
+    ) -> None:
+        self._system, self._kind, self._constants, self._period = system.made, kind, constants, period
+        size = len(self._system.abstract)
+        self._k, self._kp, self._kd = (by_row(gain, size) for gain in (gains.k, gains.kp, gains.kd))
+        self._sigma, self._second_order, self._effort = gains.sigma, second_order, effort
+        self._weight = self._system.weight(constants)
+        self._mass = system.constant(constants, "mass", 1.0)
+        self._damping = system.constant(constants, "damping")
+        if kind is RobotKind.DOUBLE_INTEGRATOR:
+            self._drive = DoubleIntegratorDrive.of(period, self._mass, self._damping)
+        if kind is RobotKind.FIRST_ORDER_LAG:
+            self.time_constant = system.constant(constants, "time_constant", 1.0)
+
+    def rate(self, q: Vector, velocity: Vector, heard: SwarmBroadcast) -> Vector | None:
+        """Return what the law prescribes at coordinates and velocities, (d,) each; None if the Gram matrix is singular.
+
+        It is the mean velocity over the period, (d,), and for double integrators the mean acceleration.
+        """
+        abstract, auxiliary, desired = heard.abstract, heard.auxiliary, heard.desired
+        gram = Gram(auxiliary.gram, self._system.abstract)
+        if gram.singular:
+            return None
+        force = self._kind is RobotKind.DOUBLE_INTEGRATOR
+        second_order = force and self._second_order
+        if second_order:
+            right = self._acceleration(abstract, desired, auxiliary.curvature)
+        else:
+            wanted = desired.end_rate if force else desired.mean_rate
+            right = [
+                gain * (goal - value) + rate - drift
+                for gain, goal, value, rate, drift in zip(
+                    self._k, desired.value, abstract.value, wanted, auxiliary.drift, strict=True
+                )
+            ]
+        y = gram.solve(right)
+        if self._effort < inf:
+            effort = sqrt(max(0.0, sum(a * b for a, b in zip(right, y, strict=True))))
+            y = [value * min(1.0, self._effort / effort) for value in y] if effort else y
+        found = motion(self._system.jacobian(q, self._constants), y, self._weight, len(q))
+        if second_order:
+            return tuple(a - self._sigma * v for a, v in zip(found, velocity, strict=True))
+        target = [a + b for a, b in zip(self._system.own_motion(q, self._constants), found, strict=True)]
+        if force:
+            return tuple((goal - v) / self._period for goal, v in zip(target, velocity, strict=True))
+        return tuple(target)
+
+    def _acceleration(self, abstract: SwarmAbstract, desired: SwarmDesired, curvature: Vector) -> list[float]:
+        """Return w + sigma a' - h, (k,)."""
+        return [
+            kp * (goal - value) + kd * (goal_rate - rate) + goal_acceleration + self._sigma * rate - bend
+            for kp, kd, goal, value, goal_rate, rate, goal_acceleration, bend in zip(
+                self._kp,
+                self._kd,
+                desired.value,
+                abstract.value,
+                desired.rate,
+                abstract.rate,
+                desired.mean_acceleration,
+                curvature,
+                strict=True,
+            )
+        ]
+
+    def command(self, q: Vector, velocity: Vector, rate: Vector) -> Vector:
+        """Return the command (d,) that, held for a period, gives the rate of the law."""
+        if self._kind is RobotKind.SINGLE_INTEGRATOR:
+            return rate
+        if self._kind is RobotKind.FIRST_ORDER_LAG:
+            gain = self._period / -expm1(-self._period / self.time_constant)
+            return tuple(x + gain * v for x, v in zip(q, rate, strict=True))
+        z = self._damping * self._period / self._mass
+        gain = self._mass * (z / -expm1(-z) if z else 1.0)
+        return tuple(self._damping * v + gain * a for v, a in zip(velocity, rate, strict=True))
+
+    def brake(self, q: Vector, velocity: Vector, time: float) -> Vector:
+        """Return the command (d,) that brings the robot to rest, a double integrator with a time constant (s)."""
+        if self._kind is RobotKind.FIRST_ORDER_LAG:
+            return q
+        if self._kind is RobotKind.SINGLE_INTEGRATOR:
+            return (0.0,) * len(q)
+        return tuple(-self._mass * v / time for v in velocity)
+
+    def limited(self, command: Vector) -> Vector:
+        """Return a command (d,) within the limits of the robot, if the system declares limits."""
+        limits = getattr(self._system, "limits", None)
+        if limits is None:
+            return command
+        low, high = limits(self._constants)
+        return tuple(min(max(u, a), b) for u, a, b in zip(command, low, high, strict=True))
+
+    def advance(self, q: Vector, velocity: Vector, command: Vector) -> tuple[Vector, Vector]:
+        """Return coordinates and velocities, (d,) each, one period later under a command (d,)."""
+        period = self._period
+        if self._kind is RobotKind.SINGLE_INTEGRATOR:
+            return tuple(x + u * period for x, u in zip(q, command, strict=True)), command
+        if self._kind is RobotKind.FIRST_ORDER_LAG:
+            decay = exp(-period / self.time_constant)
+            after = tuple(u + (x - u) * decay for x, u in zip(q, command, strict=True))
+            return after, tuple((u - x) / self.time_constant for x, u in zip(after, command, strict=True))
+        moved = [self._drive.advance(x, v, u) for x, v, u in zip(q, velocity, command, strict=True)]
+        return tuple(x for x, _ in moved), tuple(v for _, v in moved)
+
+    def held_rate(self, q: Vector, command: Vector) -> Vector:
+        """Return the mean velocities (d,) of a single integrator or a lag in the next period under a command (d,)."""
+        return tuple((b - a) / self._period for a, b in zip(q, self.advance(q, q, command)[0], strict=True))
+
+
+def motion(jacobian: Matrix, y: Sequence[float], weight: float, size: int) -> list[float]:
+    """Return J^T y / W, (d,)."""
+    return [sum(row[j] * value for row, value in zip(jacobian, y, strict=True)) / weight for j in range(size)]

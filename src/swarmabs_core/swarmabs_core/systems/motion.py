@@ -1,0 +1,110 @@
+"""Motion of a parent system over one control period, along a cubic through the abstract state at both ends."""
+
+from __future__ import annotations
+
+from math import ceil, isfinite
+from typing import TYPE_CHECKING
+
+from swarmabs_core.errors import RunError
+from swarmabs_core.messages import RobotKind
+from swarmabs_core.systems.swarm import along, total
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from swarmabs_core.messages import RobotState
+    from swarmabs_core.systems.interface import NamedSystem, Vector
+
+
+class ParentMotion:
+    """Integrates a parent system by the classical Runge-Kutta method with equal substeps.
+
+    The cubic has the values of the abstract state and its rate at both ends of the period (s). It is exact for single
+    integrators with contributions of degree 2, and of fourth order otherwise.
+    """
+
+    def __init__(self, system: NamedSystem, period: float) -> None:
+        self._system, self._period = system.made, period
+        self._constant = system.constant
+        self._count = max(1, ceil(period / self._system.substep * (1.0 - 1e-12)))
+
+    def advance(
+        self, time: float, state: Vector, robots: Iterable[tuple[RobotState, RobotState]], disturbance: float = 0.0
+    ) -> Vector:
+        """Return the state (n,) one period after `time` (s), with the states of the robots at both ends of the period.
+
+        Raises
+        ------
+        RunError
+            If the motion is not finite.
+        """
+        system, period, count = self._system, self._period, self._count
+        cubic = self._cubic(robots)
+        disturbed = getattr(system, "disturbed", None)
+
+        def derivative(n: int, x: Vector) -> Vector:
+            s = n / (2 * count)
+            value = tuple(c0 + s * (c1 + s * (c2 + s * c3)) for c0, c1, c2, c3 in cubic)
+            rate = tuple((c1 + s * (2.0 * c2 + s * 3.0 * c3)) / period for _, c1, c2, c3 in cubic)
+            if disturbance and disturbed is not None:
+                return tuple(disturbed(time + s * period, x, value, rate, disturbance))
+            return system.derivative(time + s * period, x, value, rate)
+
+        h = period / count
+        x = state
+        try:
+            for n in range(0, 2 * count, 2):
+                k1 = derivative(n, x)
+                k2 = derivative(n + 1, _moved(x, 0.5 * h, k1))
+                k3 = derivative(n + 1, _moved(x, 0.5 * h, k2))
+                k4 = derivative(n + 2, _moved(x, h, k3))
+                x = tuple(
+                    value + h / 6.0 * (a + 2.0 * (b + c) + d)
+                    for value, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True)
+                )
+        except (ValueError, OverflowError, ZeroDivisionError) as error:
+            raise RunError(_DIVERGED.format(time)) from error
+        if not all(map(isfinite, x)):
+            raise RunError(_DIVERGED.format(time))
+        return x
+
+    def _cubic(self, robots: Iterable[tuple[RobotState, RobotState]]) -> list[tuple[float, float, float, float]]:
+        """Return the coefficients of the abstract state by s in [0, 1], lowest power first, row by row."""
+        made, size = self._system, len(self._system.abstract)
+        pairs = tuple(robots)
+        start = total((made.contribution(a.coordinates, a.constants) for a, _ in pairs), size)
+        end = total((made.contribution(b.coordinates, b.constants) for _, b in pairs), size)
+        slopes = [self._slopes(a, b) for a, b in pairs]
+        moving = list(zip(pairs, slopes, strict=True))
+        d0 = total((along(made.jacobian(a.coordinates, a.constants), v) for (a, _), (v, _) in moving), size)
+        d1 = total((along(made.jacobian(b.coordinates, b.constants), v) for (_, b), (_, v) in moving), size)
+        found = []
+        for a, b, u, v in zip(start, end, d0, d1, strict=True):
+            rise = b - a
+            found.append((a, u, 3.0 * rise - 2.0 * u - v, u + v - 2.0 * rise))
+        return found
+
+    def _slopes(self, start: RobotState, end: RobotState) -> tuple[Vector, Vector]:
+        """Return the velocities of a robot at both ends of a period, times the period."""
+        period = self._period
+        if end.kind == RobotKind.DOUBLE_INTEGRATOR:
+            return tuple(v * period for v in start.velocities), tuple(v * period for v in end.velocities)
+        before, after = start.coordinates, end.coordinates
+        if end.kind == RobotKind.FIRST_ORDER_LAG:
+            gain = period / self._constant(end.constants, "time_constant", 1.0)
+            first, last = (tuple(gain * (u - x) for u, x in zip(end.command, q, strict=True)) for q in (before, after))
+            return first, last
+        moved = tuple(b - a for a, b in zip(before, after, strict=True))
+        return moved, moved
+
+
+def standing(state: RobotState) -> RobotState:
+    """Return the state at the end of a period in which a robot does not move."""
+    return state._replace(kind=RobotKind.SINGLE_INTEGRATOR)
+
+
+def _moved(x: Vector, h: float, slope: Vector) -> Vector:
+    return tuple(value + h * rate for value, rate in zip(x, slope, strict=True))
+
+
+_DIVERGED = "the parent's motion diverged in the period that begins at {} s; reduce the substep or the gains"

@@ -1,0 +1,139 @@
+"""Whole runs on parent systems: the plane through the general path, limits, lost control, mixed swarms."""
+
+import numpy as np
+import pytest
+from tests.swarmabs_core.helpers import Array, Run, builtin
+from tests.swarmabs_core.theory.test_systems import LIFT
+from tests.systems import BEAM_SCENARIO
+
+from swarmabs_config.configure import controller_settings
+from swarmabs_config.scenario import parse_scenario
+from swarmabs_core.behaviours.systems import HELD
+from swarmabs_core.errors import RunError
+from swarmabs_core.messages import (
+    AgentState,
+    EventKind,
+    ParentState,
+    PlaneState,
+    RobotState,
+    RobotStatus,
+    SwarmAbstract,
+    SwarmDesired,
+)
+
+pytestmark = pytest.mark.usefixtures("systems")
+
+
+def ran(text: str, *overrides: str) -> Run:
+    return Run(parse_scenario(text, overrides=overrides))
+
+
+def vectors(run: Run, kind: type, field: str) -> Array:
+    return np.array([getattr(message, field) for message in run.of(kind)])
+
+
+@pytest.mark.parametrize("name", ["pd_si_4", "arise_si_4"])
+def test_the_plane_through_the_general_path_is_the_plane_to_rounding(name: str) -> None:
+    """The scenario kills a robot, which then stands, and loses broadcasts; only the law's parent differs."""
+    faults = "faults=[{kind: loss, probability: 0.2}, {kind: kill, agent: 3, at: 1.0}]"
+    scenario = builtin(name, "duration=6", faults, "controller.type=pd", "plane.disturbance.amplitude=0")
+    agents = [
+        f"    - {{id: {a.id}, kind: {a.kind}, coordinates: [{a.position!r}], constants: {{mass: {a.mass!r}}}}}"
+        for a in scenario.agents
+    ]
+    k1, k2 = controller_settings(scenario)["gains"]  # type: ignore[misc]
+    text = "\n".join(["schema: 1", "system: {type: tilting_plane}", "swarm:", "  agents:", *agents])
+    settings = [f"system.k1={k1!r}", f"system.k2={k2!r}"]
+    settings += [f"system.angle={scenario.plane.angle!r}", f"swarm.gains.k={list(scenario.swarm.gains.k)}"]
+    plane, general = Run(scenario), ran(text, "duration=6", faults, f"seed={scenario.seed}", *settings)
+    ours, theirs = vectors(general, ParentState, "state"), plane.of(PlaneState)
+    assert len(ours) == 601
+    expected = np.array([(state.angle, state.angular_velocity) for state in theirs])
+    assert np.abs(ours - expected).max() < 1e-11
+    assert np.abs(ours[300:]).max() < np.abs(ours[:100]).max() / 3.0, "something happens"
+    positions = {(s.step, s.agent_id): s.position for s in plane.of(AgentState)}
+    found = {(s.step, s.agent_id): s.coordinates[0] for s in general.of(RobotState)}
+    assert found.keys() == positions.keys()
+    assert max(abs(found[at] - positions[at]) for at in found) < 1e-11
+    said = [[(e.step, e.agent_id, e.kind, e.detail) for e in run.events()] for run in (plane, general)]
+    assert said[0] == said[1]
+
+
+@pytest.mark.parametrize(
+    ("fault", "problem"),
+    [
+        ("ask_late", r"step 5: ZeroDivisionError: float division by zero \(systems_of_tests\.py:\d+\)"),
+        ("ask_late_number", r"step 5: the controller of faulty returned 1\.0; it must return torque"),
+    ],
+)
+def test_what_a_system_raises_in_the_middle_fails_the_run_in_one_line(fault: str, problem: str) -> None:
+    with pytest.raises(RunError, match=problem):
+        ran(BEAM_SCENARIO.replace("beam", "faulty"), f"system.fault={fault}")
+
+
+def test_a_robot_at_its_limit_says_so_and_the_others_take_over() -> None:
+    places = (0.6, -0.5, 0.3, -0.4, 0.5, -0.5)
+    hovering = [
+        f"{{id: {n}, kind: first_order_lag, coordinates: [4.9], constants: {{place: {place}, top: {top}}}}}"
+        for n, place, top in zip(range(1, 7), places, (6.0, *[15.0] * 5), strict=True)
+    ]
+    run = ran(LIFT, "duration=5", f"swarm.agents=[{', '.join(hovering)}]")
+    states = {s.step: s for s in run.of(RobotState) if s.agent_id == 1}
+    limited = [s.step for s in states.values() if s.status == RobotStatus.LIMITED]
+    assert 5 < len(limited) < 250
+    assert limited == list(range(limited[0], limited[-1] + 1)), "it returns once"
+    assert all(states[k].command == (6.0,) for k in limited)
+    (event,) = [e for e in run.events() if e.kind == EventKind.LIMIT_HIT and e.agent_id == 1]
+    assert event.step == limited[0]
+    assert {s.status for s in run.of(RobotState) if s.agent_id > 1} == {RobotStatus.ACTIVE}
+    abstract, wanted = (vectors(run, kind, "value") for kind in (SwarmAbstract, SwarmDesired))
+    # a' = v all the same: e[k+1] = (1 - h K) e[k], exactly for a linear contribution
+    error = wanted - abstract
+    inside = np.array(limited[:-1])
+    assert np.abs(error[inside + 1] - 0.8 * error[inside]).max() < 1e-10
+    changes = np.array([limited[0] - 1, limited[-1]])
+    assert np.abs(error[changes + 1] - 0.8 * error[changes]).max() > 1e-5, "the others hear of a change one step later"
+    assert abs(vectors(run, ParentState, "state")[-1][0] - 1.0) < 0.1
+
+
+def test_robots_that_lose_control_of_a_row_are_held_and_say_so() -> None:
+    """Of two robots one leaves; the other cannot control torque and inertia."""
+    run = ran(
+        BEAM_SCENARIO, "duration=1", "faults=[{kind: leave, agent: 2, at: 0.5}, {kind: leave, agent: 3, at: 0.5}]"
+    )
+    assert not [e for e in run.events() if e.kind == EventKind.SAFE_STOP]
+    all_but_one = "faults=[" + ", ".join(f"{{kind: leave, agent: {n}, at: 0.5}}" for n in (2, 3, 4)) + "]"
+    run = ran(BEAM_SCENARIO, "duration=1", all_but_one)
+    (event,) = [e for e in run.events() if e.kind == EventKind.SAFE_STOP]
+    assert (event.agent_id, event.detail) == (1, HELD)
+    assert 49 <= event.step <= 53
+    places = [s.coordinates for s in run.of(RobotState) if s.agent_id == 1 and s.step > event.step]
+    assert len(set(places)) == 1, "it stands"
+
+
+def test_a_completion_that_becomes_unreachable_is_held_or_slowed_by_the_effort_bound() -> None:
+    """The inertia that is asked for becomes negative as the torque grows."""
+    overrides = ("duration=2", "system.type=faulty", "system.fault=unreachable", "system.angle=0.8", "system.added=5")
+    free = vectors(ran(BEAM_SCENARIO, *overrides), SwarmAbstract, "value")
+    bounded = ran(BEAM_SCENARIO, *overrides, "swarm.effort=0.5")
+    assert np.isfinite(free).all()
+    masses = {1: 0.36, 2: 0.35, 3: 0.67, 4: 0.46}
+    efforts = np.zeros(201)
+    for state in bounded.of(RobotState):
+        efforts[state.step] += masses[state.agent_id] * state.command[0] ** 2
+    assert efforts.max() <= 0.5**2 * (1.0 + 1e-9)
+    assert efforts.max() > 0.2
+
+
+@pytest.mark.parametrize("law", ["second_order", "velocity"])
+@pytest.mark.parametrize("forces", [(0, 1, 2, 3), (1, 2), (3,)])
+def test_every_mixture_of_robots_follows_the_request(law: str, forces: tuple[int, ...]) -> None:
+    kinds = [f"swarm.agents.{n}.kind=double_integrator" for n in forces]
+    damped = [f"swarm.agents.{n}.constants.damping=0.4" for n in forces]
+    run = ran(BEAM_SCENARIO, "duration=4", f"swarm.force_law={law}", *kinds, *damped)
+    abstract, wanted = (vectors(run, kind, "value") for kind in (SwarmAbstract, SwarmDesired))
+    error = np.abs(wanted - abstract)
+    assert error[150:].max() < 0.02
+    alone = vectors(ran(BEAM_SCENARIO, "duration=4"), ParentState, "state")
+    assert np.abs(vectors(run, ParentState, "state") - alone).max() < 0.06
+    assert not [e for e in run.events() if e.kind == EventKind.SAFE_STOP]

@@ -1,0 +1,136 @@
+"""The theory for parent systems: the sampled loop against poles of the continuous one, and what fails when it must."""
+
+from math import exp
+
+import numpy as np
+import pytest
+from tests.systems import BEAM_SCENARIO
+
+from swarmabs_config.scenario import parse_scenario
+from swarmabs_config.theory import check_scenario
+from swarmabs_core.theory.report import Condition, Report, Verdict
+
+pytestmark = pytest.mark.usefixtures("systems")
+LIFT = """
+schema: 1
+system: {type: lift}
+swarm:
+  gains: {k: 20.0}
+  agents:
+    - {id: 1, kind: first_order_lag, coordinates: [0.0], constants: {place: 0.6}}
+    - {id: 2, kind: first_order_lag, coordinates: [0.0], constants: {place: -0.5, time_constant: 0.04}}
+    - {id: 3, kind: first_order_lag, coordinates: [0.0], constants: {place: 0.3, time_constant: 0.06}}
+"""
+
+
+def report(text: str, *overrides: str) -> Report:
+    return check_scenario(parse_scenario(text, overrides=overrides))
+
+
+def conditions(text: str, *overrides: str) -> dict[str, Condition]:
+    found = report(text, *overrides)
+    return {one.name: one for theorem in (*found.theorems, found.beyond) for one in theorem.conditions}
+
+
+def slowest(integral: float = 0.0) -> float:
+    """Return the largest real part of the poles of beam, filter and damper, whose mass is that at rest, 1/s."""
+    filtered = np.polymul([1.0, 50.0], [1.0, 50.0])
+    # J s^3 + c s^2 + k s before the filter, and damping s^2 + integral behind it
+    closed = np.polyadd(np.polymul([0.8 + 0.025, 0.3, 5.0, 0.0], filtered), 2500.0 * np.array([2.0, 0.0, integral]))
+    roots = np.roots(closed)
+    return float(max(root.real for root in roots if abs(root) > 1e-9))
+
+
+@pytest.mark.parametrize("integral", [0.0, 2.0])
+def test_the_spectral_radius_is_that_of_the_slowest_pole(integral: float) -> None:
+    """With its integral, the controller keeps a number that the loop must contain."""
+    loop = conditions(BEAM_SCENARIO, "step=0.002", f"system.integral={integral}")["loop"]
+    assert np.log(loop.corrected.value) / 0.002 == pytest.approx(slowest(integral), rel=0.02)
+    assert loop.inputs["unseen"] == 4 - 2 + (not integral), "an integral that is not used is not seen either"
+    assert loop.inputs["numbers"] == 2 + 2 + 1 + 4
+
+
+def test_an_integral_that_is_too_strong_is_unstable() -> None:
+    assert slowest(20.0) > 0.0
+    loop = conditions(BEAM_SCENARIO, "system.integral=20")["loop"]
+    assert loop.verdict is Verdict.FAILS
+    assert loop.corrected.value == pytest.approx(exp(slowest(20.0) * 0.01), rel=2e-3)
+    found = report(BEAM_SCENARIO, "system.integral=20")
+    assert {"loop", "V_p"} == {condition.name for _, condition in found.failed}
+    assert not found.covered
+
+
+@pytest.mark.parametrize(("step", "radius"), [(0.01, None), (0.1, 1.0), (0.12, 1.4)])
+def test_the_period_is_limited_by_the_gain_of_the_swarm(step: float, radius: float | None) -> None:
+    found = conditions(LIFT, f"step={step}", "duration=0.6")
+    period = found["period, first order"]
+    assert period.corrected.bound == pytest.approx(2.0 / 20.0, rel=1e-6)
+    if radius is None:
+        assert found["loop"].corrected.value < 1.0
+    else:
+        assert found["loop"].corrected.value == pytest.approx(radius, rel=1e-6), "1 - h K"
+    assert step == 0.1 or (period.verdict is Verdict.HOLDS) == (step < 0.1)
+
+
+def test_a_delay_of_broadcasts_tightens_the_limit_of_the_period() -> None:
+    found = conditions(BEAM_SCENARIO, "faults=[{kind: delay, steps: 3}]")["period, first order"]
+    assert found.corrected.bound == pytest.approx(2.0 * np.sin(np.pi / 14.0) / 5.0, rel=1e-6)
+    assert any("faults" in note for note in report(BEAM_SCENARIO, "faults=[{kind: delay, steps: 3}]").notes)
+
+
+def test_the_margin_states_that_nothing_couples_the_parent_to_the_error() -> None:
+    found = conditions(BEAM_SCENARIO, "swarm.gains.k=[5.0, 8.0]")
+    assert found["l"].corrected.value == pytest.approx(5.0 * (1.0 - 0.025))
+    margin = found["margin"]
+    assert margin.verdict is Verdict.HOLDS
+    c2, c3, c5, decay, kappa = (margin.inputs[name] for name in ("c2", "c3", "c5", "l", "smallest_kappa"))
+    assert c3 < 1e-6, "a' = v exactly"
+    assert kappa == pytest.approx(c5 / decay + c2 * c2 / (4.0 * decay))  # type: ignore[operator]
+    doubled = conditions(BEAM_SCENARIO, "swarm.gains.k=10.0")["margin"].inputs["smallest_kappa"]
+    assert 0.0 < doubled < kappa  # type: ignore[operator]
+
+
+def test_double_integrators_have_conditions_of_their_own() -> None:
+    text = BEAM_SCENARIO.replace("single_integrator", "double_integrator")
+    found = conditions(text, "swarm.gains.kp=[16, 9]", "swarm.gains.kd=8", "swarm.gains.sigma=1.5")
+    assert found["period, second order, 16, 8"].corrected.bound == pytest.approx(2.0 / 8.0, rel=1e-3)
+    assert found["period, unseen motion"].corrected.bound == pytest.approx(2.0 / 1.5, rel=1e-6)
+    assert found["loop"].inputs == {"numbers": 13, "unseen": 3}
+    assert found["loop"].corrected.value == pytest.approx(max(1.0 - 0.015, exp(slowest() * 0.01)), rel=2e-3)
+    general = report(text).theorems[0]
+    assert not general.applicable
+    assert "single integrators" in general.note
+    assert "period, first order" in conditions(text, "swarm.force_law=velocity")
+    mixed = conditions(text, "swarm.agents.0.kind=single_integrator")
+    assert {"period, first order", "period, unseen motion"} < mixed.keys()
+
+
+def test_requests_that_the_robots_cannot_reach_fail() -> None:
+    found = conditions(BEAM_SCENARIO, "system.type=faulty", "system.fault=unreachable")
+    completion = found["completion"].corrected
+    assert (completion.value, completion.bound) == (1, 7)
+    assert found["completion"].inputs["first_missed"] == (-5.0,)
+    sound = conditions(BEAM_SCENARIO)
+    assert sound["completion"].verdict is sound["reach"].verdict is sound["Gram matrix"].verdict is Verdict.HOLDS
+    assert conditions(BEAM_SCENARIO, "system.far=0.1")["reach"].inputs["first_outside"] == (-5.0,)
+
+
+def test_a_loop_without_rest_fails_with_the_reason() -> None:
+    loop = conditions(BEAM_SCENARIO, "system.hit=8e-4", "system.angle=5e-4")["loop"]
+    assert loop.verdict is Verdict.FAILS
+    assert loop.note == "RunError: step 1: the beam hit the ground"
+
+
+def test_a_system_that_raises_away_from_the_start_fails_the_condition() -> None:
+    found = conditions(BEAM_SCENARIO, "system.type=faulty", "system.fault=far_out")["completion"]
+    assert (found.verdict, found.note) == (Verdict.FAILS, "ValueError: too far out")
+
+
+def test_the_loop_of_a_large_swarm_is_left_out_with_a_note() -> None:
+    many = ", ".join(
+        f"{{id: {n}, kind: single_integrator, coordinates: [{0.1 + n / 1000}], constants: {{mass: 0.01}}}}"
+        for n in range(1, 122)
+    )
+    found = report(BEAM_SCENARIO, f"swarm.agents=[{many}]")
+    assert "loop" not in [condition.name for condition in found.beyond.conditions]
+    assert any("up to 120 coordinates only" in note for note in found.notes)
