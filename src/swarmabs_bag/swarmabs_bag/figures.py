@@ -164,13 +164,12 @@ class RunFigures(Figures):
         self._digest = Digest()
 
     def add(self, step: Step) -> None:
-        """Add the next step."""
+        """Add the next step, or steps."""
         self._digest.update(step)
         self._messages += step.messages
-        if step.max_abs_position is not None:
-            self.reach(step.max_abs_position)
-        parent = step.parent
-        if parent is not None:
+        for distance in step.max_abs_positions:
+            self.reach(distance)
+        for parent in step.parents:
             state = (parent.angle,) if isinstance(parent, PlaneState) else parent.state
             self.follow(parent.step, parent.stamp / 1e9, state)
 

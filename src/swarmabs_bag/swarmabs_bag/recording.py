@@ -44,11 +44,11 @@ _NOT_IN_DIGEST = {EVENTS, *(topic for family in FAMILIES for topic in family.onc
 
 
 class Step(Protocol):
-    """A complete step of a run, independent of how its messages are stored."""
+    """A complete step of a run, or several without events, independent of how their messages are stored."""
 
     @property
     def step(self) -> int:
-        """Number of the step."""
+        """Number of the step, the last of several."""
 
     @property
     def messages(self) -> int:
@@ -56,21 +56,25 @@ class Step(Protocol):
 
     @property
     def parent(self) -> AnyParentState | None:
-        """State of the parent system; None for a late event of an earlier step."""
+        """State of the parent system, in the last step; None for a late event of an earlier step."""
 
     @property
-    def max_abs_position(self) -> float | None:
-        """Largest absolute coordinate of a robot: on the plane, its distance from the axis, m."""
+    def parents(self) -> tuple[AnyParentState, ...]:
+        """State of the parent system in each step; empty for a late event of an earlier step."""
+
+    @property
+    def max_abs_positions(self) -> tuple[float, ...]:
+        """Largest absolute coordinate of a robot in each step: on the plane, its distance from the axis, m."""
 
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
         """The events of the step."""
 
     def states(self) -> Iterable[AnyRobotState]:
-        """Return the robots' states."""
+        """Return the robots' states, in the last step."""
 
     def digest_text(self) -> bytes:
-        """Return the contribution of the step to the digest of a run."""
+        """Return the contribution to the digest of a run."""
 
     def stored(self) -> Iterable[tuple[Topic, int, bytes]]:
         """Return topic, time (ns) and bytes of every message, in the order of a bag."""
@@ -102,15 +106,22 @@ class RecordedStep(NamedTuple):
         return next((r.message for r in self.records if isinstance(r.message, PARENT_STATES)), None)
 
     @property
+    def parents(self) -> tuple[AnyParentState, ...]:
+        """State of the parent system; empty for a late event of an earlier step."""
+        parent = self.parent
+        return () if parent is None else (parent,)
+
+    @property
     def plane(self) -> PlaneState | None:
         """State of the plane, if it is the parent system."""
         parent = self.parent
         return parent if isinstance(parent, PlaneState) else None
 
     @property
-    def max_abs_position(self) -> float | None:
+    def max_abs_positions(self) -> tuple[float, ...]:
         """Largest absolute coordinate of a robot: on the plane, its distance from the axis, m."""
-        return max((abs(x) for state in self.states() for x in coordinates_of(state)), default=None)
+        found = [abs(x) for state in self.states() for x in coordinates_of(state)]
+        return (max(found),) if found else ()
 
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
@@ -152,7 +163,7 @@ class Digest:
         self._hash = sha256()
 
     def update(self, step: Step) -> None:
-        """Add the next step."""
+        """Add the next step, or steps."""
         self._hash.update(step.digest_text())
 
     def hexdigest(self) -> str:

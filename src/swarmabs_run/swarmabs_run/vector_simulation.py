@@ -91,9 +91,14 @@ class ArrayStep(NamedTuple):
         return plane
 
     @property
-    def max_abs_position(self) -> float:
+    def parents(self) -> tuple[PlaneState, ...]:
+        """State of the plane."""
+        return (self.parent,)
+
+    @property
+    def max_abs_positions(self) -> tuple[float, ...]:
         """Largest distance of a robot from the axis, m."""
-        return float(np.abs(self.agents["payload"]["position"]).max())
+        return (float(np.abs(self.agents["payload"]["position"]).max()),)
 
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
