@@ -37,6 +37,7 @@ from swarmabs_core.messages import (
     MAIN_TOPICS,
     PLANE_STATE,
     ROBOT_STATE,
+    SWARM_STATES,
     TOPICS,
     Kind,
     Mode,
@@ -173,12 +174,15 @@ def test_nodes_in_real_time() -> None:
 
 PACKED, STEERED, CREDITED, WATCHING, FEELING, SYSTEM = Option
 STATE, ABSTRACT, AUXILIARY, DESIRED = (topic.name for topic in (AGENT_STATE, *BROADCASTS))
+STATES = "swarm/states"
 MAIN = {"plane/state", STATE, ABSTRACT, AUXILIARY, DESIRED}
 CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
     (PLANE, LOCKSTEP, set(), {"plane/state", "swarm/events"}, {STATE, "swarm/events"}),
     (PLANE, LOCKSTEP, {STEERED}, {"plane/state", "swarm/events"}, {STATE, "swarm/events", "swarm/steering"}),
+    (PLANE, LOCKSTEP, {PACKED}, {"plane/state", "swarm/events"}, {STATES, "swarm/events"}),
     (OBSERVER, LOCKSTEP, set(), {ABSTRACT, AUXILIARY, "swarm/events"}, {STATE}),
     (OBSERVER, LOCKSTEP, {WATCHING}, {ABSTRACT, AUXILIARY, "swarm/events"}, {STATE, "plane/state"}),
+    (OBSERVER, LOCKSTEP, {PACKED}, {ABSTRACT, AUXILIARY, STATES, "swarm/events"}, {STATE}),
     (CONTROLLER, LOCKSTEP, set(), {DESIRED, "swarm/events"}, {"plane/state"}),
     (CONTROLLER, LOCKSTEP, {CREDITED}, {DESIRED, "swarm/events"}, {"plane/state", "recording/progress"}),
     (
@@ -190,6 +194,7 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
     ),
     (RECORDER, LOCKSTEP, set(), {"recording/progress"}, {*MAIN, "swarm/events"}),
     (RECORDER, LOCKSTEP, {STEERED}, {"recording/progress"}, {*MAIN, "swarm/events", "swarm/steering"}),
+    (RECORDER, LOCKSTEP, {PACKED}, {"recording/progress"}, {*MAIN, STATES, "swarm/events"} - {STATE}),
     (STEERER, LOCKSTEP, set(), {"swarm/steering"}, {"plane/state", "swarm/events"}),
     (ROBOT, LOCKSTEP, set(), {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED}),
     (ROBOT, LOCKSTEP, {FEELING}, {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED, "plane/state"}),
@@ -237,6 +242,7 @@ def test_there_is_room_for_what_comes_from_all_robots(robots: int, recorded: int
         assert endpoints(node, LOCKSTEP, robots=robots).subscriptions[AGENT_STATE].depth == max(100, 4 * robots)
     waiting = endpoints(RECORDER, LOCKSTEP, robots=robots).subscriptions
     assert waiting[AGENT_STATE].depth == recorded <= 100_000, "the steps under way and one; what a profile allows"
+    assert endpoints(RECORDER, LOCKSTEP, frozenset({PACKED}), robots=robots).subscriptions[SWARM_STATES].depth >= 101
     assert all(waiting[topic].depth >= 101 for topic in (*BROADCASTS, PLANE_STATE)), "more than is under way"
 
 

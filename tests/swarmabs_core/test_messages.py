@@ -7,7 +7,7 @@ from hypothesis import given, settings, strategies as st
 from tests.swarmabs_core.helpers import agent_state, broadcasts
 
 from swarmabs_core import messages as msg
-from swarmabs_core.cdr import canonical, decode, encode
+from swarmabs_core.cdr import canonical, decode, encode, split
 from swarmabs_core.desired_state import TORQUE_LIMITED
 from swarmabs_core.errors import InputError, MalformedMessageError
 from swarmabs_core.publishers import NodeName, publisher_of
@@ -47,6 +47,7 @@ CASES: dict[msg.Message, tuple[int, int]] = {
     msg.RecordingProgress(STAMP, STEP, 1230): (0, 0),
     msg.Basis(STAMP, STEP, 1, msg.NEVER, 2, (4, 5, 2**32), (1, 258, 65535), (0, 1, 0)): (17, 3),
     msg.Basis(STAMP, STEP, 1, 2, 3, (), (), ()): (17, 3),
+    msg.SwarmStates(STAMP, STEP, b"\x00\xff\x01"): (0, 0),
     msg.Steering(STAMP, STEP, 7, 1, 513, 1.0): (12, 4),
     msg.Broadcast(STAMP, STEP, *PARTS): (18, 6),
     ROBOT: (44, 4),  # behind the length of the velocities
@@ -99,6 +100,16 @@ def test_padding_is_ignored_and_records_hold_topic_robot_message_and_bytes(messa
     )
     assert Record.of(message) == Record.heard(topic, padded) == made
     assert Record.read(topic, 5, padded, 7) == made._replace(payload=padded, time=5, published=7)
+
+
+def test_messages_that_follow_one_another_are_told_apart_and_the_last_may_be_cut_off() -> None:
+    for messages in ([AGENT, AGENT._replace(agent_id=7)], [ROBOT, ROBOT._replace(constants=()), ROBOT]):
+        payloads = [encode(message) for message in messages]
+        assert split(type(messages[0]), b"".join(payloads)) == payloads
+        assert split(type(messages[0]), b"".join(payloads)[:-1]) == [*payloads[:-1], payloads[-1][:-1]]
+    assert split(msg.AgentState, b"") == []
+    with pytest.raises(MalformedMessageError, match="a list of 4294967295 numbers, at most 8"):
+        split(msg.RobotState, b"\xff" * 200)
 
 
 @each

@@ -16,10 +16,11 @@ from swarmabs_ros.endpoints import ros_type
 
 FOLDER = Path(__file__).parents[2] / "src" / "swarmabs_msgs" / "msg"
 LINE = re.compile(r"(?P<type>\S+)\s+(?P<name>\w+)\s*(?:=\s*(?P<value>\S+))?\s*(?:#\s*(?P<comment>.*))?$")
-SIZES = {"uint8": 1, "uint16": 2, "uint32": 4, "uint64": 8, "float64": 8}
+SIZES = {"byte": 1, "uint8": 1, "uint16": 2, "uint32": 4, "uint64": 8, "float64": 8}
 MESSAGES = {topic.message.__name__: topic.message for topic in TOPICS}
 PARTS = {topic.message.__name__: topic for family in FAMILIES for topic in family.broadcasts}
-PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str} | MESSAGES
+PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str, "byte[]": bytes}
+PYTHON_TYPE |= MESSAGES
 PYTHON_TYPE |= {f"{name}[]": tuple[int, ...] for name in ("uint8", "uint16", "uint64")}
 PYTHON_TYPE |= {f"float64[<={bound}]": tuple[float, ...] for bound in (8, 16, 32, 136)}
 NO_STEP = {name: {"NO_BROADCAST": NEVER} for name in ("AgentState", "RobotState")} | {"Basis": {"NO_STEP": NEVER}}
@@ -82,7 +83,7 @@ def test_a_definition_says_what_the_core_declares_and_explains_it(name: str) -> 
             assert re.search(r"\bm/s\b.*\bN\b|\bin the unit\b", field.comment)
         elif field.type == "float64":
             assert re.match(rf"{re.escape(found.unit)}(,| along|$)", field.comment) and found.unit
-        elif field.type == "string":
+        elif field.type in {"string", "byte[]"}:
             assert not found.unit
         elif field.type.startswith("float64["):
             assert found.unit == "by system"
@@ -136,6 +137,8 @@ def messages(message: type[Message]) -> st.SearchStrategy[Message]:
             values[field.name] = lengths.flatmap(lists_of_floats)
         elif field.type == "string":
             values[field.name] = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40)
+        elif field.type == "byte[]":
+            values[field.name] = st.binary(max_size=40)
         elif field.type in PARTS:
             values[field.name] = messages(PARTS[field.type].message)
         else:
@@ -157,7 +160,8 @@ def to_ros(message: Message, topic: Topic) -> Any:
     for name, value in message._asdict().items():
         if name != "stamp":
             part = PARTS.get(type(value).__name__)
-            setattr(ros, name, value if part is None else to_ros(value, part))
+            given = [bytes([byte]) for byte in value] if isinstance(value, bytes) else value
+            setattr(ros, name, given if part is None else to_ros(value, part))
     return ros
 
 
@@ -170,6 +174,8 @@ def from_ros(ros: Any, topic: Topic) -> Message:
         part = PARTS.get(type(value).__name__)
         if isinstance(value, array):
             value = tuple(value)
+        elif isinstance(value, list):
+            value = b"".join(value)
         values.append(value if part is None else from_ros(value, part))
     return topic.message(*values)
 

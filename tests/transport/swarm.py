@@ -58,7 +58,7 @@ class Cast:
         changed: Mapping[str, Mapping[str, object]] | None = None,
     ) -> None:
         self.scenario = scenario
-        self.steered = options.steered
+        self.packed, self.steered = options.packed, options.steered
         processes = plan(scenario, RunFolder(Path("/nowhere")), options)
         self.roles = [self._role(process, (changed or {}).get(process.name, {})) for process in processes]
 
@@ -125,7 +125,7 @@ class Swarm:
         reports = Reports()
         if role.name == RECORDER:
             recording = cast("Any", SimpleNamespace(add=self.recorded.append, offset=lambda *_: None))
-            behaviour = Recorder(cast_.scenario, recording, lambda _: None, steered=cast_.steered)
+            behaviour = Recorder(cast_.scenario, recording, lambda _: None, packed=cast_.packed, steered=cast_.steered)
             spec = NodeSpec(behaviour, lingers=False, gather=GATHER_SECONDS, hear=behaviour.hear)
         elif role.name == STEERER:
             spec = NodeSpec(self.steerer)

@@ -42,13 +42,17 @@ class Case(NamedTuple):
     changed: Mapping[str, Mapping[str, object]] = MappingProxyType({})
 
 
+PACKED = RunOptions(packed=True)
+
+
 def _faults(*faults: str) -> Case:
     return Case((f"faults=[{', '.join(f'{{{fault}}}' for fault in faults)}]",))
 
 
 CASES = {
     "plain": Case(),
-    "packed": Case(options=RunOptions(packed=True)),
+    "packed": Case(options=PACKED),
+    "plane watched, packed": Case(("observer={type: parent_response}",), PACKED),
     "little credit": Case(("duration=0.16",), changed={CONTROLLER: {"recording_window": 10}}),
     "noise and lag": Case(
         ("plane.sensor={noise: [1.0e-4, 1.0e-3]}", "swarm.sensor={noise: [1.0e-5, 1.0e-4]}", "swarm.actuator_lag=0.01")
@@ -75,15 +79,15 @@ CASES = {
         "kind: loss, probability: 0.3",
         "kind: duplication, probability: 0.5",
         "kind: join, agent: 3, at: 0.02",
-    )._replace(options=RunOptions(packed=True)),
+    )._replace(options=PACKED),
 }
 
-
+STEERED = _faults("kind: join, agent: 3, at: null", "kind: reference, offset: 0.05, at: 0.02")
 OTHERS = {
     "drop": Case(("lockstep.on_stall=drop",)),
-    "steered": _faults("kind: join, agent: 3, at: null", "kind: reference, offset: 0.05, at: 0.02")._replace(
-        options=RunOptions(steered=True)
-    ),
+    "drop, packed": Case(("lockstep.on_stall=drop",), PACKED),
+    "steered": STEERED._replace(options=RunOptions(steered=True)),
+    "steered, packed": STEERED._replace(options=RunOptions(steered=True, packed=True)),
 }
 """Runs of which more is known only when they are over."""
 
@@ -193,9 +197,13 @@ def test_who_waits_for_the_recorder_names_it() -> None:
     assert swarm.stalls()[CONTROLLER]["missing"] == (RECORDER,)
 
 
-def test_a_run_that_drops_who_is_silent_is_that_of_a_plan_with_its_death() -> None:
-    """It ends, unless the last word of the dead has reached some of those who must know it, and not all."""
-    cast_, ended = cast_of("drop"), 0
+@pytest.mark.parametrize("name", ["drop", "drop, packed"])
+def test_a_run_that_drops_who_is_silent_is_that_of_a_plan_with_its_death(name: str) -> None:
+    """It ends, unless the last word of the dead has reached some of those who must know it, and not all.
+
+    If all but the observer know it from the observer, it always ends.
+    """
+    cast_, ended = cast_of(name), 0
     for seed in range(40):
         swarm = Swarm(cast_, script(seed, LENGTH))
         while swarm.nodes[OBSERVER].spec.behaviour.missing()[0] == 0:
@@ -210,7 +218,7 @@ def test_a_run_that_drops_who_is_silent_is_that_of_a_plan_with_its_death() -> No
         else:
             stalls = swarm.stalls()
             assert ("agent 2",) in (stalls[RECORDER]["missing"], stalls[PLANE]["missing"])
-    assert ended > 25
+    assert ended == 40 if cast_.packed else ended > 25
 
 
 ASKED = (
@@ -223,10 +231,11 @@ ASKED = (
 )
 
 
+@pytest.mark.parametrize("name", ["steered", "steered, packed"])
 @pytest.mark.parametrize("seed", range(40))
-def test_a_steered_run_is_that_of_a_plan_with_what_was_ordered(seed: int) -> None:
+def test_a_steered_run_is_that_of_a_plan_with_what_was_ordered(seed: int, name: str) -> None:
     draw = Random(seed)
-    cast_ = cast_of("steered")
+    cast_ = cast_of(name)
     swarm = Swarm(cast_, script(seed, LENGTH))
     for request in draw.sample(ASKED, draw.randint(1, 3)):
         swarm.run_turns(draw.randint(0, 60))

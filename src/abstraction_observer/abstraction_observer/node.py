@@ -12,17 +12,17 @@ from swarmabs_core.messages import Messages
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
-from swarmabs_ros.runner import STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 ON_STALL = Parameter("on_stall", "fail", "reaction to a robot that does not answer", choices=("fail", "drop"))
 CONFIG = BySystem(ObserverConfig, SystemObserverConfig)
-PARAMETERS = (CONFIG, ON_STALL, STEERED)
+PARAMETERS = (CONFIG, ON_STALL, PACKED, STEERED)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour and its reaction to a stall."""
-    observer = Observer(settings.chosen(CONFIG))
+    observer = Observer(settings.chosen(CONFIG), packed=settings.flag(PACKED.name))
     gate = Steered(observer) if settings.flag(STEERED.name) else None
 
     def drop() -> Messages:

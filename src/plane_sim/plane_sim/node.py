@@ -12,16 +12,16 @@ from swarmabs_core.behaviours import Parent, PlaneConfig, Steered
 from swarmabs_core.behaviours.systems import SystemParentConfig
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
-from swarmabs_ros.runner import STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 CONFIG = BySystem(PlaneConfig, SystemParentConfig)
-PARAMETERS = (CONFIG, STEERED)
+PARAMETERS = (CONFIG, PACKED, STEERED)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour."""
-    parent = Parent(settings.chosen(CONFIG))
+    parent = Parent(settings.chosen(CONFIG), packed=settings.flag(PACKED.name))
     return NodeSpec(Steered(parent) if settings.flag(STEERED.name) else parent)
 
 

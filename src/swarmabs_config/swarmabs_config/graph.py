@@ -42,6 +42,7 @@ from swarmabs_core.messages import (
     SWARM_AUXILIARY,
     SWARM_BROADCAST,
     SWARM_DESIRED,
+    SWARM_STATES,
     SYSTEM,
     Topic,
 )
@@ -95,7 +96,7 @@ class Option(Enum):
     """An option of a node that adds or removes endpoints."""
 
     PACKED = "packed"
-    """Robots receive the three broadcasts in one message."""
+    """Robots receive the three broadcasts in one message, plane and recorder the states of all robots."""
     STEERED = "steered"
     """Each step begins with the steering message for it."""
     CREDITED = "credited"
@@ -204,9 +205,12 @@ def _recorded(robots: int) -> int:
     return max(1000, (recording_window(robots) + 1) * robots)
 
 
-def _recorder(depth: int | Callable[[int], int] = 1000, *, reliable: bool = False) -> tuple[End, End]:
+def _recorder(
+    depth: int | Callable[[int], int] = 1000, *, reliable: bool = False, unless: Option | None = None
+) -> tuple[End, End]:
     """Return the recorder's ends; in lockstep, acknowledgements would wake a thread of each writer several times."""
-    return End(RECORDER, depth, reliable, LOCKSTEP), End(RECORDER, _RECORDED, reliable=True, driver=REALTIME)
+    lockstep = End(RECORDER, depth, reliable, LOCKSTEP, unless=unless)
+    return lockstep, End(RECORDER, _RECORDED, reliable=True, driver=REALTIME, unless=unless)
 
 
 def _both(lockstep: Qos, realtime: Qos) -> dict[Driver, Qos]:
@@ -220,7 +224,11 @@ GRAPH = (
         AGENT_STATE,
         _both(Qos("best_effort", 10), Qos("best_effort", 1, lease=LEASE)),
         (End(ROBOT),),
-        (End(PLANE, _gathered), End(OBSERVER, _gathered), *_recorder(_recorded)),
+        (
+            End(PLANE, _gathered, unless=Option.PACKED),
+            End(OBSERVER, _gathered),
+            *_recorder(_recorded, unless=Option.PACKED),
+        ),
         system=ROBOT_STATE,
     ),
     Link(
@@ -287,6 +295,13 @@ GRAPH = (
         (End(CONTROLLER, only=Option.PACKED),),
         (End(ROBOT, only=Option.PACKED),),
         system=SWARM_BROADCAST,
+    ),
+    Link(
+        SWARM_STATES,
+        {LOCKSTEP: Qos("best_effort", 10)},
+        (End(OBSERVER, only=Option.PACKED),),
+        (End(PLANE, only=Option.PACKED), End(RECORDER, 1000, only=Option.PACKED)),
+        system=SWARM_STATES,
     ),
     Link(
         BASIS,

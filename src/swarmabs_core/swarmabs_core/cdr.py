@@ -33,6 +33,7 @@ _NANOSECONDS = 11
 """Offset of the most significant byte of the header's nanoseconds."""
 _BEGIN = 4
 """Size of the encapsulation header, after which alignment starts."""
+_BYTES = "byte[]"
 _CODES = {"uint8": "B", "uint16": "H", "uint64": "Q", "float64": "d"}
 _new: Any = tuple.__new__  # of a NamedTuple, without the Python wrappers `__new__` and `_make`
 
@@ -101,15 +102,15 @@ class _Layout:
         The nested messages, each with the number of its values in `fixed`.
     lists : tuple of str
         Element formats of the lists.
-    text : str
-        Name of the string field, empty if there is none.
+    text, raw : str
+        Name of the field with a string or with bytes, which is the last one; empty if there is none.
     bounds : tuple of int
         Largest lengths of the bounded lists; if there are any, a `_Shape` has the rest.
     latest : dict
         By size in bytes, the `_Shape` of the latest message.
     """
 
-    __slots__ = ("bounds", "content", "fixed", "latest", "lists", "message", "parts", "plain", "size", "text")
+    __slots__ = ("bounds", "content", "fixed", "latest", "lists", "message", "parts", "plain", "raw", "size", "text")
 
     def __init__(self, message_type: type[Message]) -> None:
         self.message = message_type
@@ -122,11 +123,15 @@ class _Layout:
         # Seconds, nanoseconds and frame id replace the stamp.
         self.parts = tuple((part, len(fields_of(part)) + 2) for part in parts)
         own = {name: field.ros_type for name, field in fields.items() if isinstance(field, Field)}
-        self.lists = tuple(_CODES[kind.removesuffix("[]")] for kind in own.values() if kind.endswith("[]"))
-        self.text = next((name for name, kind in own.items() if kind == "string"), "")
+        self.lists = tuple(
+            _CODES[kind.removesuffix("[]")] for kind in own.values() if kind.endswith("[]") and kind != _BYTES
+        )
+        self.text, self.raw = (
+            next((name for name, kind in own.items() if kind == wanted), "") for wanted in ("string", _BYTES)
+        )
         self.bounds = tuple(_bounds(message_type))
         self.latest: dict[int, _Shape] = {}
-        self.plain = not (self.parts or self.lists or self.text or self.bounds)
+        self.plain = not (self.parts or self.lists or self.text or self.raw or self.bounds)
 
 
 def _bounds(message_type: type[Message]) -> Iterator[int]:
@@ -235,7 +240,7 @@ def _shape_of(layout: _Layout, data: bytes) -> _Shape:
     return shape
 
 
-def lengths_of(message_type: type[Message], data: bytes | bytearray) -> tuple[int, ...]:
+def lengths_of(message_type: type[Message], data: bytes | bytearray | memoryview) -> tuple[int, ...]:
     """Return the lengths of the bounded lists in serialized bytes, which may be longer than one message.
 
     Raises `MalformedMessageError` if one is too long.
@@ -311,10 +316,10 @@ def _values(part: Any) -> tuple[Any, ...]:
 
 
 def _encode_tail(layout: _Layout, message: Any) -> bytes:
-    """Serialize a message that ends with a string or with lists."""
-    if layout.text:
-        text: bytes = message[-1].encode() + b"\x00"
-        return layout.fixed.pack(ENCAPSULATION, *_values(message[:-1]), len(text)) + text
+    """Serialize a message that ends with a string, with bytes or with lists."""
+    if layout.text or layout.raw:
+        end: bytes = message[-1].encode() + b"\x00" if layout.text else message[-1]
+        return layout.fixed.pack(ENCAPSULATION, *_values(message[:-1]), len(end)) + end
     lists = message[-len(layout.lists) :]
     _check_lengths(type(message), [len(values) for values in lists])
     number = len(lists[0])
@@ -344,7 +349,7 @@ def decode(message_type: type[Message], data: bytes) -> Message:
     size = layout.size
     if layout.bounds:
         return _decode_bounded(layout, data)
-    if layout.lists or layout.text:
+    if layout.lists or layout.text or layout.raw:
         return _decode_tail(layout, message_type, data)
     if not size <= len(data) < size + _TRANSPORT_PADDING:
         raise MalformedMessageError(message_type.__name__, f"{len(data)} bytes, expected {size}")
@@ -365,7 +370,7 @@ def decode(message_type: type[Message], data: bytes) -> Message:
 
 
 def _decode_tail(layout: _Layout, message_type: type[Message], data: bytes) -> Message:
-    """Deserialize a message that ends with a string or with lists."""
+    """Deserialize a message that ends with a string, with bytes or with lists."""
     name, size = message_type.__name__, layout.size
     if len(data) < size:
         raise MalformedMessageError(name, f"{len(data)} bytes, expected at least {size}")
@@ -373,7 +378,7 @@ def _decode_tail(layout: _Layout, message_type: type[Message], data: bytes) -> M
     if values[0] != ENCAPSULATION or values[3] != FRAME:
         _refuse_head(message_type, values[0])
     own = (values[1] * _SECOND + values[2], *values[4:-1])
-    read = _text if layout.text else _lists
+    read = _text if layout.text else _raw if layout.raw else _lists
     tail = read(layout, message_type, data, values[-1])
     return _new(message_type, (*own, *tail))  # type: ignore[no-any-return]
 
@@ -389,6 +394,13 @@ def _text(layout: _Layout, message_type: type[Message], data: bytes, count: int)
         return [text[:-1].decode()]
     except UnicodeDecodeError as error:
         raise MalformedMessageError(name, f"`{layout.text}` is not UTF-8") from error
+
+
+def _raw(layout: _Layout, message_type: type[Message], data: bytes, count: int) -> list[Any]:
+    end = layout.size + count
+    if not end <= len(data) < end + _TRANSPORT_PADDING:
+        raise MalformedMessageError(message_type.__name__, f"{len(data)} bytes, expected {end}")
+    return [data[layout.size : end]]
 
 
 def _lists(layout: _Layout, message_type: type[Message], data: bytes, number: int) -> list[Any]:
@@ -427,10 +439,27 @@ def canonical(message_type: type[Message], data: bytes) -> bytes:
     if layout.plain or layout.bounds:
         return fixed
     number = int.from_bytes(fixed[-4:], "little")
-    if layout.text:
+    if layout.text or layout.raw:
         return fixed + data[size : size + number]
     lists = _tail(layout, number)
     return fixed + lists.pack(*lists.unpack_from(data, size))
+
+
+def split(message_type: type[Message], data: bytes) -> list[bytes]:
+    """Return the messages of a class that follow one another in bytes; the last one may be cut off.
+
+    Raises
+    ------
+    MalformedMessageError
+        If a list is too long.
+    """
+    layout, found, start = _LAYOUTS[message_type], [], 0
+    while start < len(data):
+        rest = memoryview(data)[start:]
+        size = _shape(layout, lengths_of(message_type, rest)).whole.size if layout.bounds else layout.size
+        found.append(data[start : start + size])
+        start += size
+    return found
 
 
 def agent_id_of(message: Message) -> int:

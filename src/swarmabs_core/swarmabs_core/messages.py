@@ -121,6 +121,7 @@ FieldType = Literal[
     "uint64",
     "float64",
     "string",
+    "byte[]",
     "uint8[]",
     "uint16[]",
     "uint64[]",
@@ -268,6 +269,17 @@ class Broadcast(NamedTuple):
     desired: DesiredAbstractState
 
 
+class SwarmStates(NamedTuple):
+    """The robots' states of a step in one message, for nodes that need them all.
+
+    `states` are their payloads in canonical CDR, each with encapsulation header, one after the other by ascending id.
+    """
+
+    stamp: Stamp
+    step: StepNumber
+    states: Annotated[bytes, Field("byte[]", "", "serialized states of the robots")]
+
+
 class Basis(NamedTuple):
     """Provenance of a coordinator's output in real time: the data from which it was computed.
 
@@ -392,6 +404,7 @@ Message = (
     | SwarmEvent
     | RecordingProgress
     | Broadcast
+    | SwarmStates
     | Basis
     | Steering
     | RobotState
@@ -435,6 +448,7 @@ DESIRED_ABSTRACT_STATE = _topic("swarm/desired_abstract_state", DesiredAbstractS
 EVENTS = _topic("swarm/events", SwarmEvent)
 RECORDING_PROGRESS = _topic("recording/progress", RecordingProgress)
 BROADCAST = _topic("swarm/broadcast", Broadcast)
+SWARM_STATES = _topic("swarm/states", SwarmStates)
 BASIS = _topic("recording/basis", Basis)
 STEERING = _topic("swarm/steering", Steering)
 ROBOT_STATE = _topic("swarm/robot_state", RobotState)
@@ -489,7 +503,7 @@ PARENT_STATES = (PlaneState, ParentState)
 
 TOPICS = (
     *MAIN_TOPICS,
-    *(EVENTS, RECORDING_PROGRESS, BROADCAST, BASIS, STEERING),
+    *(EVENTS, RECORDING_PROGRESS, BROADCAST, SWARM_STATES, BASIS, STEERING),
     *(*SYSTEM_FAMILY.main, SWARM_BROADCAST, SYSTEM),
 )
 TOPIC_OF: dict[type[Message], Topic] = {topic.message: topic for topic in TOPICS}

@@ -47,7 +47,11 @@ COMMON = (
 )
 """Parameters that every node in lockstep has."""
 
-PACKED = Parameter("packed", default=False, description="whether robots receive the three broadcasts as one message")
+PACKED = Parameter(
+    "packed",
+    default=False,
+    description="whether robots receive the three broadcasts as one message, plane and recorder the robots' states",
+)
 STEERED = Parameter(
     "steered", default=False, description="whether the run is steered: each step starts with the order for it"
 )

@@ -7,7 +7,8 @@ from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
 from swarmabs_core import messages as msg, plant
 from swarmabs_core.behaviours import Parent, PlaneConfig
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError, UnknownAgentError
-from swarmabs_core.errors import RunError
+from swarmabs_core.cdr import encode
+from swarmabs_core.errors import MalformedMessageError, RunError
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.plant import Disturbance, Friction, RobotPath
 from swarmabs_core.sensing import Sensor
@@ -188,3 +189,19 @@ def test_what_is_published_is_measured_and_what_is_integrated_is_true() -> None:
     for step in range(5):
         expected = sensor.measure(*angle(true, robots(step)), f"4:{step}:plane")
         assert angle(measuring, robots(step)) == expected
+
+
+def test_packed_states_count_like_single_ones_and_only_where_they_are_expected() -> None:
+    alone, packed = plane(), Parent(PlaneConfig((1, 2, 3), PERIOD_NS, PLANE), packed=True)
+    assert packed.awaits() == (msg.SWARM_STATES, msg.EVENTS)
+    assert packed.missing() == (0, ("abstraction_observer",))
+    for step in range(3):
+        message = msg.SwarmStates(step * PERIOD_NS, step, b"".join(map(encode, robots(step))))
+        assert list(packed.handle(message)) == feed(alone, robots(step))
+        assert packed.handle(message) == (), "repeated"
+    with pytest.raises(ConflictError, match="agent 2"):
+        packed.handle(msg.SwarmStates(0, 3, b"".join(encode(agent_state(2, 3, position=p)) for p in (0.1, 0.2))))
+    with pytest.raises(MalformedMessageError, match="malformed AgentState: 91 bytes, expected 92"):
+        packed.handle(msg.SwarmStates(0, 3, encode(agent_state(1, 3))[:-1]))
+    with pytest.raises(UnexpectedMessageError):
+        alone.handle(msg.SwarmStates(0, 3, b""))

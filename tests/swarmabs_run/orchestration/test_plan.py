@@ -27,7 +27,15 @@ from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_core.behaviours import AgentConfig, ObserverConfig, PlaneConfig
 from swarmabs_core.declaration import made_of
-from swarmabs_core.messages import ABSTRACT_STATE, AUXILIARY_STATE, BROADCAST, PLANE_STATE, STEERING
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    BROADCAST,
+    PLANE_STATE,
+    STEERING,
+    SWARM_STATES,
+)
 from swarmabs_core.parameters import resolve
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.observer import RealtimeObserverConfig
@@ -250,7 +258,7 @@ def test_orders_reach_whom_they_concern_and_no_robot_that_is_there() -> None:
 
 
 @pytest.mark.parametrize("agents_per_process", [1, 3])
-def test_packed_broadcasts_stand_between_controller_and_robots(agents_per_process: int) -> None:
+def test_packed_messages_take_the_place_of_single_ones(agents_per_process: int) -> None:
     options = RunOptions(agents_per_process=agents_per_process, packed=True)
     named = planned(scenario_of("faulty"), options=options)
     processes, controller = named.values(), named[CONTROLLER]
@@ -258,8 +266,11 @@ def test_packed_broadcasts_stand_between_controller_and_robots(agents_per_proces
     assert all({*process.subscriptions} - {PLANE_STATE} == {BROADCAST} for process in robots)
     assert {p.name for p in processes if BROADCAST in p.publications} == {CONTROLLER}
     assert {ABSTRACT_STATE, AUXILIARY_STATE} <= {*controller.subscriptions}
+    assert [p.name for p in processes if AGENT_STATE in p.subscriptions] == [OBSERVER]
+    assert [p.name for p in processes if SWARM_STATES in p.publications] == [OBSERVER]
+    assert [p.name for p in processes if SWARM_STATES in p.subscriptions] == [PLANE, RECORDER]
     told = [process.name for process in processes if process.parameters.get("packed")]
-    assert told == [CONTROLLER, *(process.name for process in robots)]
+    assert told == [PLANE, OBSERVER, CONTROLLER, RECORDER, *(process.name for process in robots)]
 
 
 @pytest.mark.parametrize(("per_process", "groups"), [(3, [(1, 2, 3), (4,)]), (4, [(1, 2, 3, 4)]), (9, [(1, 2, 3, 4)])])

@@ -15,23 +15,26 @@ from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, RECORDER
 from swarmabs_config.scenario import SystemScenario, load_scenario
 from swarmabs_core.behaviours.base import UnexpectedMessageError, refuse_other_system
+from swarmabs_core.cdr import decode, split
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change, with_ends
 from swarmabs_core.messages import (
     EVENTS,
     NEVER,
     STEERING,
+    SWARM_STATES,
     Action,
     Message,
     Messages,
     RecordingProgress,
     Steering,
+    SwarmStates,
     Topic,
 )
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.record import Record
 from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
-from swarmabs_ros.runner import STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -59,6 +62,7 @@ PARAMETERS = (
     *COMMON,
     Parameter("replay", "", "description of the replay as JSON for the provenance; empty: not a replay"),
     Parameter("ends", (), "ends of robots that the replayed run's scenario does not plan, each 'KIND AGENT STEP'"),
+    PACKED,
     STEERED,
 )
 
@@ -121,6 +125,13 @@ class Reporter:
         self._status.send("done", complete=complete, problem=told, figures=figures)
 
 
+def states_in(robot: Topic, data: bytes) -> list[bytes]:
+    """Return the payloads of the robots' states that one serialized message contains."""
+    message = decode(SwarmStates, data)
+    assert isinstance(message, SwarmStates)  # noqa: S101 - `decode` returns this type
+    return split(robot.message, message.states)
+
+
 class Recorder:
     """Records complete steps, and reports its progress to the parent controller.
 
@@ -130,6 +141,8 @@ class Recorder:
         Receives the number of recorded steps.
     ends : iterable of Change
         Ends of robots that the scenario does not plan.
+    packed : bool
+        Whether it receives the robots' states as one message per step.
     steered : bool
         Whether the run is steerable.
     """
@@ -141,6 +154,7 @@ class Recorder:
         on_step: Callable[[int], None],
         ends: Iterable[Change] = (),
         *,
+        packed: bool = False,
         steered: bool = False,
     ) -> None:
         self._period_ns = scenario.step_ns
@@ -152,7 +166,9 @@ class Recorder:
         self._collector = RunCollector(
             configure.members(scenario), schedule, scenario.steps, steered=steered, family=family
         )
-        self._topics = (*((STEERING,) if steered else ()), EVENTS, *family.main, *family.once)
+        self._robot = family.robot
+        states = SWARM_STATES if packed else family.robot
+        self._topics = (*((STEERING,) if steered else ()), EVENTS, states, *family.main[1:], *family.once)
         self._credit_every = max(1, configure.recording_window(scenario) // CREDITS)
         self._credited = -1
         self._newest = -1
@@ -167,7 +183,12 @@ class Recorder:
 
     def hear(self, topic: Topic, data: bytes) -> Messages:
         """Record a serialized message; see `take`."""
-        return self.take(Record.heard(topic, data))
+        if topic is not SWARM_STATES:
+            return self.take(Record.heard(topic, data))
+        found: Messages = ()
+        for payload in states_in(self._robot, data):
+            found += self.take(Record.heard(self._robot, payload))
+        return found
 
     def take(self, record: Record) -> Messages:
         """Record a message of the run; periodically return the progress.
@@ -244,7 +265,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         reporter.progress(at_once=steps - 1 in planned or steps > scenario.steps)
 
     ends = [Change.parse(text) for text in settings.texts("ends")]
-    recorder = Recorder(scenario, recording, report, ends, steered=steered)
+    recorder = Recorder(scenario, recording, report, ends, packed=settings.flag(PACKED.name), steered=steered)
     return NodeSpec(
         recorder,
         settings.endpoints(RECORDER, LOCKSTEP, *configure.options_for(scenario), robots=len(scenario.agents)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from swarmabs_core.cdr import encode
+from swarmabs_core.cdr import decode, encode, split
 from swarmabs_core.declaration import setting
 from swarmabs_core.errors import ProtocolError
 from swarmabs_core.membership import Change
@@ -134,6 +134,12 @@ def packed_broadcasts(family: Family, heard: Callable[[Topic], Message]) -> Any:
     return made(desired.stamp, desired.step, heard(family.abstract), heard(family.auxiliary), desired)
 
 
+def states_of(family: Family, message: Any) -> list[Any]:
+    """Return the robots' states that a `SwarmStates` contains."""
+    robot = family.robot.message
+    return [decode(robot, payload) for payload in split(robot, message.states)]
+
+
 def at_rest(state: AnyRobotState) -> AnyRobotState:
     """Return the state of a robot that stands where it was."""
     if isinstance(state, RobotState):
@@ -216,13 +222,17 @@ class Gathering:
         states = self._states
         return len(states) >= len(members) and all(agent_id in states for agent_id in members)
 
+    def states(self) -> list[AnyRobotState]:
+        """Return the states of the complete step by ascending id."""
+        return [self._states[i] for i in self._membership.publishing(self._step)]
+
     def missing(self) -> tuple[int, ...]:
         """Return the ids of the members whose state is missing."""
         return tuple(i for i in self._membership.publishing(self._step) if i not in self._states)
 
     def take(self) -> list[AnyRobotState]:
         """Return the states of the complete step by ascending id, and advance to the next step."""
-        states = [self._states[i] for i in self._membership.publishing(self._step)]
+        states = self.states()
         self._step += 1
         self._states = {}
         return states

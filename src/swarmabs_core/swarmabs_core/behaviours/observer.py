@@ -15,6 +15,7 @@ from swarmabs_core.behaviours.base import (
     place_of,
     refuse_other_system,
 )
+from swarmabs_core.cdr import encode
 from swarmabs_core.declaration import same, setting
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import Change, Membership
@@ -33,6 +34,7 @@ from swarmabs_core.messages import (
     Status,
     Steering,
     SwarmEvent,
+    SwarmStates,
     Topic,
 )
 from swarmabs_core.parent_response import ParentResponse, TorqueEstimator
@@ -96,10 +98,13 @@ class Observer:
     ----------
     config : ObserverConfig or SystemObserverConfig
         Configuration, which determines the parent system.
+    packed : bool
+        Whether it also publishes the states of a step as one message.
     """
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: Any, *, packed: bool = False) -> None:
         self._config = config
+        self._packed = packed
         self._system: int | None = config.system_hash
         self._estimator = config.estimator()
         self._plane: PlaneState | None = None
@@ -177,6 +182,8 @@ class Observer:
         if self._announced < self._gathering.step:
             self._announced = self._gathering.step
             events = self._announce()
+            if self._packed:
+                events = (*events, self._states())
         if self._estimator is not None and self._plane is None:
             return events
         return (*events, *self._sum_up())
@@ -195,6 +202,11 @@ class Observer:
             torque, rate = self._estimator.update(plane.angle, plane.angular_velocity, abstract.inertia)
             abstract = abstract._replace(torque=torque, torque_rate=rate)
         return abstract, sums
+
+    def _states(self) -> SwarmStates:
+        """Return the states of the complete step as one message."""
+        step = self._gathering.step
+        return SwarmStates(step * self._config.period_ns, step, b"".join(map(encode, self._gathering.states())))
 
     def _announce(self) -> Messages:
         """Return events for the membership changes that take effect at the current step."""

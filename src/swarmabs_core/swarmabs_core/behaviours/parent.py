@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
-from swarmabs_core.behaviours.base import Gathering, StepAheadError, UnexpectedMessageError, refuse_other_system
+from swarmabs_core.behaviours.base import (
+    Gathering,
+    StepAheadError,
+    UnexpectedMessageError,
+    refuse_other_system,
+    states_of,
+)
 from swarmabs_core.errors import RunError
 from swarmabs_core.faults import failed_drives, true_state
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
     EVENTS,
     ROBOT_STATES,
+    SWARM_STATES,
     Action,
     AnyRobotState,
     EventKind,
@@ -18,6 +25,7 @@ from swarmabs_core.messages import (
     Messages,
     Steering,
     SwarmEvent,
+    SwarmStates,
     Topic,
 )
 from swarmabs_core.steering import DISTURBANCE, StepSchedule, change_of
@@ -30,10 +38,13 @@ class Parent:
     ----------
     config : PlaneConfig or SystemParentConfig
         Configuration, which determines the parent system.
+    packed : bool
+        Whether the observer sends it the robots' states of a step as one message.
     """
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: Any, *, packed: bool = False) -> None:
         self._config = config
+        self._packed = packed
         self._system: int | None = config.system_hash
         self._motion = config.motion()
         self._disturbances = StepSchedule(config.torques)
@@ -47,7 +58,13 @@ class Parent:
         return found
 
     def handle(self, message: Message) -> Messages:
-        """Take a robot's state or an event; return the parent's state when a step is complete."""
+        """Take states of robots or an event; return the parent's state when a step is complete."""
+        packed = self._packed and isinstance(message, SwarmStates)
+        for each in states_of(self._config.family, message) if packed else (message,):
+            self._take(each)
+        return self._finish() if self._gathering.complete() and not self._finished() else ()
+
+    def _take(self, message: Message) -> None:
         if self._system is not None:
             refuse_other_system(message, self._system)
         if isinstance(message, ROBOT_STATES):
@@ -56,7 +73,6 @@ class Parent:
             self._take_over(message)
         else:
             raise UnexpectedMessageError("plane", message)
-        return self._finish() if self._gathering.complete() and not self._finished() else ()
 
     def _take_over(self, event: SwarmEvent) -> None:
         """Apply a membership change that the observer announced.
@@ -89,11 +105,12 @@ class Parent:
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for states of robots, and for events about robots that will not send one."""
-        return () if self._finished() else (self._config.family.robot, EVENTS)
+        return () if self._finished() else (SWARM_STATES if self._packed else self._config.family.robot, EVENTS)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the current step and the robots whose states are missing."""
-        return self._gathering.step, tuple(f"agent {i}" for i in self._gathering.missing())
+        """Return the current step and the robots whose states are missing, or the observer that sends them."""
+        robots = tuple(f"agent {i}" for i in self._gathering.missing())
+        return self._gathering.step, ("abstraction_observer",) if self._packed else robots
 
     def _finished(self) -> bool:
         last = self._config.last_step

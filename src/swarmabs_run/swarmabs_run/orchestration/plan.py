@@ -141,13 +141,11 @@ def _lockstep_plan(
         "repeat_steps": min(WINDOW, 2 * window),
     }
     # These nodes begin each step by applying the steering requests for it.
-    obeying = common | ({"steered": True} if options.steered else {})
+    obeying = common | {"packed": options.packed} | ({"steered": True} if options.steered else {})
     coordinators = {
         PLANE: obeying | values_of(configure.parent_config(scenario)),
         OBSERVER: obeying | values_of(configure.observer_config(scenario)) | {"on_stall": scenario.lockstep.on_stall},
-        CONTROLLER: obeying
-        | values_of(configure.controller_config(scenario, recording_window=window))
-        | {"packed": options.packed},
+        CONTROLLER: obeying | values_of(configure.controller_config(scenario, recording_window=window)),
         RECORDER: obeying | recorder,
     }
     also = options_for(scenario)
