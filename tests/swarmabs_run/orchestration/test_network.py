@@ -18,7 +18,7 @@ from rclpy.serialization import serialize_message
 from tests.processes import until
 
 from swarmabs_config import ports
-from swarmabs_config.graph import CONTROLLER, COORDINATORS, NODES, Qos
+from swarmabs_config.graph import COORDINATORS, Qos
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import AGENT_STATE
 from swarmabs_ros.endpoints import WaitSetReceiver, profile, ros_type
@@ -107,13 +107,13 @@ def test_the_profile_says_who_hears_whom_and_how(options: dict[str, object], pat
     assert {*said("address", **options)} == loopback  # type: ignore[arg-type]
 
 
-def test_robots_the_controller_and_who_hears_the_robots_are_three_groups() -> None:
-    controller = multicast_group(NODES[CONTROLLER].participant)
-    gatherers = {multicast_group(n) for n in range(COORDINATORS) if n != NODES[CONTROLLER].participant}
-    robots = {multicast_group(participant) for participant in range(COORDINATORS, LARGE_SWARM)}
-    assert len(gatherers) == len(robots) == 1
-    assert len({controller} | gatherers | robots) == 3
-    assert all(ipaddress.ip_address(group).is_multicast for group in {controller} | gatherers | robots)
+def test_robots_share_a_group_and_so_do_those_who_hear_them_while_others_have_their_own() -> None:
+    robots = {multicast_group(participant, gathers=False) for participant in range(COORDINATORS, LARGE_SWARM)}
+    gatherers = {multicast_group(participant, gathers=True) for participant in range(COORDINATORS)}
+    others = {multicast_group(participant, gathers=False) for participant in range(COORDINATORS)}
+    assert (len(robots), len(gatherers), len(others)) == (1, 1, COORDINATORS)
+    assert len(robots | gatherers | others) == 2 + COORDINATORS
+    assert all(ipaddress.ip_address(group).is_multicast for group in robots | gatherers | others)
 
 
 @pytest.mark.parametrize("arrived", [b"swarmabs", b"another", None])

@@ -269,6 +269,7 @@ def test_packed_messages_take_the_place_of_single_ones(agents_per_process: int) 
     assert [p.name for p in processes if AGENT_STATE in p.subscriptions] == [OBSERVER]
     assert [p.name for p in processes if SWARM_STATES in p.publications] == [OBSERVER]
     assert [p.name for p in processes if SWARM_STATES in p.subscriptions] == [PLANE, RECORDER]
+    assert [process.name for process in processes if process.gathers] == [OBSERVER]
     told = [process.name for process in processes if process.parameters.get("packed")]
     assert told == [PLANE, OBSERVER, CONTROLLER, RECORDER, *(process.name for process in robots)]
 

@@ -100,7 +100,7 @@ class LauncherClient:
             module=process.module,
             environment={
                 PARTICIPANT_VARIABLE: str(process.participant),
-                GROUP_VARIABLE: multicast_group(process.participant),
+                GROUP_VARIABLE: multicast_group(process.participant, gathers=process.gathers),
             },
             arguments=arguments,
             log=str(log),

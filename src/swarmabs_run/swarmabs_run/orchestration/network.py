@@ -7,8 +7,8 @@ quadratically: 200 processes discover each other in seconds. The only transport 
 shared-memory files behind.
 
 Where the machine supports multicast on loopback, a broadcast is sent once to all robots, and a robot's state once to
-all coordinators that use it. Robots, coordinators and the parent controller form separate groups, so no process is
-woken by messages that are not addressed to it.
+all coordinators that use it. Robots, coordinators that hear them, and each other coordinator form separate groups, so
+no process is woken by messages that are not addressed to it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 from swarmabs_config import ports
-from swarmabs_config.graph import CONTROLLER, COORDINATORS, NODES
+from swarmabs_config.graph import COORDINATORS
 from swarmabs_core.errors import RunError
 from swarmabs_run.rendering import templates
 
@@ -33,7 +33,10 @@ PARTICIPANT_VARIABLE = "SWARMABS_PARTICIPANT"
 """Environment variable with a process's participant id, so that one profile serves all processes of a run."""
 GROUP_VARIABLE = "SWARMABS_GROUP"
 """Environment variable with the address of a process's multicast group."""
-_ROBOTS_GROUP, _CONTROLLER_GROUP, _GATHERERS_GROUP = "239.255.83.1", "239.255.83.2", "239.255.83.3"
+_GROUPS = "239.255.83."
+_ROBOTS_GROUP, _GATHERERS_GROUP = f"{_GROUPS}1", f"{_GROUPS}3"
+_OWN_GROUP = 100
+"""Last number of the group of the participant 0, if it has one of its own."""
 
 FROM_ENVIRONMENT = PARTICIPANT_VARIABLE
 """The process reads its participant id from its environment."""
@@ -99,12 +102,11 @@ def dds_environment(domain: int, profile_path: str) -> dict[str, str]:
     }
 
 
-def multicast_group(participant: int) -> str:
-    """Return the address of the group to which a participant listens."""
+def multicast_group(participant: int, *, gathers: bool) -> str:
+    """Return the address of the group to which a participant listens; a coordinator may gather the robots' states."""
     if participant >= COORDINATORS:
         return _ROBOTS_GROUP
-    # The parent controller is the only coordinator that does not receive the robots' states.
-    return _CONTROLLER_GROUP if participant == NODES[CONTROLLER].participant else _GATHERERS_GROUP
+    return _GATHERERS_GROUP if gathers else f"{_GROUPS}{_OWN_GROUP + participant}"
 
 
 @dataclass(frozen=True, slots=True)

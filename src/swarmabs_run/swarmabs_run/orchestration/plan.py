@@ -29,7 +29,7 @@ from swarmabs_config.graph import (
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import values_of
 from swarmabs_core.membership import UNPLANNED
-from swarmabs_core.messages import Topic
+from swarmabs_core.messages import FAMILIES, Topic
 from swarmabs_core.steering import STEERER
 from swarmabs_ros.lockstep import FIRST, WINDOW
 from swarmabs_run.run import DEFAULTS
@@ -72,6 +72,11 @@ class ProcessPlan:
     publications: tuple[Topic, ...]
     subscriptions: tuple[Topic, ...]
     agents: tuple[int, ...] = ()
+
+    @property
+    def gathers(self) -> bool:
+        """Whether it receives the robots' states one by one."""
+        return any(family.robot in self.subscriptions for family in FAMILIES)
 
     def arguments(self, namespace: str) -> list[str]:
         """Return the node's command line."""
