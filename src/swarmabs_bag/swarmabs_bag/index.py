@@ -74,7 +74,8 @@ MOST_DEFINITIONS = 2**26
 """Maximum total size of schemas and channels in an index, bytes."""
 
 
-def _no_statistics() -> Statistics:
+def no_statistics() -> Statistics:
+    """Return the statistics of a file without records."""
     counts: dict[str, Any] = dict.fromkeys((field.name for field in fields(Statistics)), 0)
     return Statistics(**{**counts, "channel_message_counts": defaultdict(int)})
 
@@ -103,7 +104,7 @@ class FileIndex:
     chunks: list[ChunkIndex] = field(default_factory=list)
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
-    statistics: Statistics = field(default_factory=_no_statistics)
+    statistics: Statistics = field(default_factory=no_statistics)
     data_end: int = len(MAGIC)
     crc: int = 0
     problem: str | None = None
@@ -207,6 +208,24 @@ class FileIndex:
             return "the summary describes other topics than those in the file"
         return None
 
+    def add_chunk(self, chunk: Chunk, offset: int, size: int, messages: Statistics) -> None:
+        """Add a chunk whose record has this position and size, and the statistics of its messages."""
+        self.chunks.append(
+            ChunkIndex(
+                chunk_length=size,
+                chunk_start_offset=offset,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                message_end_time=chunk.message_end_time,
+                message_index_length=0,
+                message_index_offsets={},
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+        self.statistics.chunk_count += 1
+        add_messages(self.statistics, messages)
+
     def check_number(self, offset: int) -> None:
         """Raise `RecordError` for more entries than any useful file has."""
         for name, entries in self.entries().items():
@@ -218,24 +237,10 @@ class FileIndex:
         inner = FileIndex()  # complete or an error: a partial chunk must not be in the statistics
         for opcode, begin, end in inner_records(data, record.offset):
             inner.take_inner(opcode, data, (begin, end), record.offset)
-        self.chunks.append(
-            ChunkIndex(
-                chunk_length=record.size,
-                chunk_start_offset=record.offset,
-                compression=chunk.compression,
-                compressed_size=len(chunk.data),
-                message_end_time=chunk.message_end_time,
-                message_index_length=0,
-                message_index_offsets={},
-                message_start_time=chunk.message_start_time,
-                uncompressed_size=chunk.uncompressed_size,
-            )
-        )
-        self.statistics.chunk_count += 1
+        self.add_chunk(chunk, record.offset, record.size, inner.statistics)
         for definitions in (inner.schemas.values(), inner.channels.values()):
             for definition in definitions:
                 self.define(definition, record.offset)
-        add_messages(self.statistics, inner.statistics)
         self.unknown = self.unknown if inner.unknown is None else inner.unknown
 
 
@@ -374,18 +379,19 @@ def _check_summary_crc(stream: BinaryIO, footer: Footer, footer_start: int) -> N
         raise RecordError(footer.summary_start, "the CRC of the summary section does not match")
 
 
-def ending(index: FileIndex, description: str) -> Iterator[bytes]:
+def ending(index: FileIndex, description: str, *, with_empty_groups: bool = False) -> Iterator[bytes]:
     """Yield the bytes that complete a file with these records: rosbag2's description and the `tail`."""
     record = encoded(Metadata(name=RECORD_NAME, metadata={RECORD_KEY: description}))
     index.take(Record(index.data_end, Opcode.METADATA, record[HEAD_SIZE:]))
     yield record
-    yield from tail(index)
+    yield from tail(index, with_empty_groups=with_empty_groups)
 
 
-def tail(index: FileIndex) -> Iterator[bytes]:
+def tail(index: FileIndex, *, with_empty_groups: bool = False) -> Iterator[bytes]:
     """Yield the end of a file with the records of `index`: end of the data section, summary section, footer.
 
-    Its position is `FileIndex.data_end`.
+    Its position is `FileIndex.data_end`. The summary section may also state the place of groups without records, as the
+    mcap library does.
     """
     data_end = encoded(DataEnd(data_section_crc=index.crc))
     yield data_end
@@ -401,7 +407,7 @@ def tail(index: FileIndex) -> Iterator[bytes]:
     summary, offsets = bytearray(), bytearray()
     for opcode, records in groups:
         group = b"".join(map(encoded, records))
-        if group:
+        if group or with_empty_groups:
             offsets += encoded(
                 SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
             )

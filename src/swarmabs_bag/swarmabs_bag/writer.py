@@ -7,16 +7,17 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
-from mcap.writer import CompressionType, Writer
+import numpy as np
+from mcap.records import Channel, Schema
 
+from swarmabs_bag.chunks import BlockRecords
 from swarmabs_bag.errors import REMEDIES, BagFolderError, BagWriteError
 from swarmabs_bag.index import ending, scan_index
+from swarmabs_bag.mcap_file import McapFile
 from swarmabs_bag.metadata import (
     ABORTED_KEY,
-    RECORD_KEY,
-    RECORD_NAME,
     BagChannel,
     FileRecord,
     bag_metadata,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+    from swarmabs_bag.blocks import Block
     from swarmabs_config.graph import Qos
     from swarmabs_core.messages import Topic
 
@@ -46,10 +48,6 @@ CHUNK_SECONDS = 0.8
 """Age at which a chunk is closed, s; with the polling interval it stays below 1 s."""
 
 CHUNK_BYTES = 2**20
-
-_PROFILE = "ros2"
-_SEQUENCE_MASK = 2**32 - 1
-_MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json"}
 
 # Reserve for the end of the file and metadata.yaml, which grow with the number of chunks.
 _RESERVE_BASE = 2**18
@@ -139,33 +137,28 @@ class BagWriter:
             self._reserve = Reserve(folder)
             undo.callback(self._reserve.release)
             self._reserve.hold(_RESERVE_BASE)
-            self._writer = self._begin(self._file)
+            self._mcap = self._begin(self._file)
             # From here on nothing is undone.
             undo.pop_all()
-        channels = self._register()
-        self._channels = {topic.name: channel for topic, channel in zip(topics, channels, strict=True)}
-        self._counts = dict.fromkeys(channels, 0)
+        self._register()
+        self._channels = {topic.name: channel for channel, topic in enumerate(topics, start=1)}
+        self._counts = dict.fromkeys(self._channels.values(), 0)
 
-    def _begin(self, file: RecordFile) -> Writer:
+    def _begin(self, file: RecordFile) -> McapFile:
         """Write the beginning of a file."""
-        writer = Writer(
-            cast("IO[bytes]", file),  # the library only uses `write`, `tell` and `flush`
-            chunk_size=self._chunk_bytes,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
-        writer.start(profile=_PROFILE, library=_library())
-        _attach(writer, self._attachments, 0)
+        mcap = McapFile(file, _library(), self._chunk_bytes)
+        for name, data in self._attachments.items():
+            mcap.attach(name, data, 0)
         file.commit()
-        return writer
+        return mcap
 
-    def _register(self) -> list[int]:
-        ids = {
-            name: self._writer.register_schema(name=name, encoding="ros2msg", data=schema.text.encode())
-            for name, schema in self._schemas.items()
-        }
-        return [
-            self._writer.register_channel(
+    def _register(self) -> None:
+        ids = {name: number for number, name in enumerate(self._schemas, start=1)}
+        for name, schema in self._schemas.items():
+            self._mcap.define(Schema(id=ids[name], name=name, encoding="ros2msg", data=schema.text.encode()))
+        for number, topic in enumerate(self._topics, start=1):
+            channel = Channel(
+                id=number,
                 topic=topic.name,
                 message_encoding="cdr",
                 schema_id=ids[topic.ros_type],
@@ -174,8 +167,7 @@ class BagWriter:
                     "topic_type_hash": topic.type_hash,
                 },
             )
-            for topic in self._topics
-        ]
+            self._mcap.define(channel)
 
     def __enter__(self) -> Self:
         return self
@@ -205,24 +197,60 @@ class BagWriter:
         channel = self._channels[topic.name]
         if log_time_ns < 0:
             raise ValueError(f"{topic.name}: log time {log_time_ns} ns is negative")
+        self._turn(log_time_ns)
+        published = log_time_ns if publish_time_ns is None else publish_time_ns
+        self._open_chunk()
+        self._mcap.add(channel, self._counts[channel], (log_time_ns, published), payload)
+        self._counts[channel] += 1
+        self._cover(log_time_ns, log_time_ns)
+        if self._file.pending:  # the chunk was full
+            self._end_chunk()
+        self.poll()
+
+    def write_block(self, block: Block) -> None:
+        """Write the messages of a block of lockstep, as `write` does one after the other; errors as for `write`."""
+        self._check_open()
+        channels = {topic: self._channels[topic.name] for topic in block.tables}
+        while True:
+            self._turn(int(block.times[0]))
+            steps = self._steps_to_turn(block)
+            part = block[:steps]
+            records, following = BlockRecords(part, channels, self._counts), 0
+            while following < len(records):
+                self._open_chunk()
+                following = self._mcap.add_records(records, following)
+                if self._file.pending:  # the chunk was full
+                    self._end_chunk()
+            for topic, channel in channels.items():
+                self._counts[channel] += part.tables[topic].size
+            self._cover(int(part.times.min()), int(part.times.max()))
+            if steps >= len(block):
+                break
+            block = block[steps:]
+        self.poll()
+
+    def _turn(self, log_time_ns: int) -> None:
+        """Begin the next file if a step at this time belongs there."""
         if self._first is not None and log_time_ns > self._last and self._is_full(log_time_ns):
             self._next_file()
+
+    def _steps_to_turn(self, block: Block) -> int:
+        """Return how many steps of a block come before the first one that may belong in the next file."""
+        first = int(block.times[0]) if self._first is None else self._first
+        turns = [self._mcap.steps_to_fill(block)]
+        if self._split.nanoseconds:
+            late = np.flatnonzero(block.times[1:] - first >= self._split.nanoseconds)
+            turns += (late[:1] + 1).tolist()
+        return min(turns)
+
+    def _open_chunk(self) -> None:
         if self._chunk_opened is None:
             self._chunk_opened = self._monotonic()
-        self._writer.add_message(
-            channel_id=channel,
-            log_time=log_time_ns,
-            data=payload,
-            publish_time=log_time_ns if publish_time_ns is None else publish_time_ns,
-            sequence=self._counts[channel] & _SEQUENCE_MASK,
-        )
-        self._counts[channel] += 1
-        self._first = log_time_ns if self._first is None else min(self._first, log_time_ns)
-        self._last = max(self._last, log_time_ns)
-        if self._file.pending:  # the library has closed a full chunk
-            self._end_chunk()
-        else:
-            self.poll()
+
+    def _cover(self, start: int, end: int) -> None:
+        """Extend the times of the file, ns."""
+        self._first = start if self._first is None else min(self._first, start)
+        self._last = max(self._last, end)
 
     def _is_full(self, log_time_ns: int) -> bool:
         """Return whether a step at this time belongs in the next file."""
@@ -237,13 +265,13 @@ class BagWriter:
             file = RecordFile(path)
         try:
             with self._remembering_errors(path):
-                writer = self._begin(file)
+                mcap = self._begin(file)
             self._finish_file({}, aborted=None)
         except BagWriteError:
             file.close()
             path.unlink(missing_ok=True)
             raise
-        self.path, self._file, self._writer = path, file, writer
+        self.path, self._file, self._mcap = path, file, mcap
         self._first, self._last, self._chunks_in_file = None, 0, 0
         self._counts = dict.fromkeys(self._counts, 0)
         self._register()
@@ -252,7 +280,7 @@ class BagWriter:
         """Close the current chunk if it is older than `chunk_seconds`; errors as for `write`."""
         self._check_open()
         if self._chunk_opened is not None and self._monotonic() - self._chunk_opened >= self._chunk_seconds:
-            self._writer.flush()
+            self._mcap.flush()
             self._end_chunk()
 
     def close(self, attachments: Mapping[str, bytes] | None = None) -> None:
@@ -316,14 +344,14 @@ class BagWriter:
     def _finish_file(self, attachments: Mapping[str, bytes], *, aborted: str | None) -> None:
         with self._remembering_errors():
             self._chunk_opened = None
-            self._writer.flush()
+            self._mcap.flush()
             self._file.commit()
-            _attach(self._writer, attachments, self._last)
+            for name, data in attachments.items():
+                self._mcap.attach(name, data, self._last)
             self._file.commit()
             record = FileRecord(self.path.name, self._first or 0, self._last, sum(self._counts.values()))
             description = self._description([(record, self._counts)], aborted)
-            self._writer.add_metadata(RECORD_NAME, {RECORD_KEY: dump_yaml(description)})
-            self._writer.finish()
+            self._mcap.finish(dump_yaml(description))
             self._file.commit()
             self._file.sync()
             self._file.close()
@@ -388,17 +416,6 @@ def _new_folder(folder: Path, file: Path) -> Iterator[ExitStack]:
             if error.errno in REMEDIES:
                 raise BagWriteError(file, error) from error
             raise BagFolderError(f"cannot create {file}: {error.strerror}; name another folder for the bag") from error
-
-
-def _attach(writer: Writer, attachments: Mapping[str, bytes], log_time: int) -> None:
-    for name, data in attachments.items():
-        writer.add_attachment(
-            create_time=0,
-            log_time=log_time,
-            name=name,
-            media_type=_MEDIA_TYPES.get(Path(name).suffix, "text/plain"),
-            data=data,
-        )
 
 
 def _library() -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from swarmabs_bag.attached import attachments, provenance
+from swarmabs_bag.blocks import Block
 from swarmabs_bag.figures import RealtimeFigures, RunFigures, tracking_of
 from swarmabs_bag.realtime import RECORDED, RealtimeCollector, RealtimeWorld
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
@@ -102,10 +103,14 @@ class Recording(_Recording[RunFigures]):
         )
 
     def add(self, step: Step) -> None:
-        """Record the next step; after a `BagWriteError`, call `abort` to complete the bag."""
+        """Record the next step, or a block of steps; after a `BagWriteError`, call `abort` to complete the bag."""
         self.run.add(step)
         self._tracker.take(step)
-        if self._writer is not None:
+        if self._writer is None:
+            return
+        if isinstance(step, Block):
+            self._writer.write_block(step)
+        else:
             for topic, stamp, payload in step.stored():
                 self._writer.write(topic, stamp, payload)
 

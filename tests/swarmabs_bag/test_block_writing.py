@@ -1,0 +1,113 @@
+"""Bags of blocks: byte for byte those of their messages one after the other, and those of the mcap library."""
+
+import io
+from pathlib import Path
+from random import Random
+
+import pytest
+from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from tests.swarmabs_bag.sample_run import PERIOD
+from tests.swarmabs_bag.test_blocks import in_blocks, run
+from tests.swarmabs_bag.test_writer import Clock, on_disk
+
+from swarmabs_bag.blocks import Block
+from swarmabs_bag.run_folder import ONE_FILE, Split
+from swarmabs_bag.writer import CHUNK_BYTES, BagWriter
+from swarmabs_core.messages import EVENTS
+
+pytestmark = pytest.mark.usefixtures("systems")
+
+
+def bag_writer(name: str, folder: Path, **options: object) -> BagWriter:
+    family = run(name)[0].family
+    topics = (*family.once, *family.main, EVENTS)
+    return BagWriter(folder, topics=topics, attachments={"scenario.yaml": b"name: x\n"}, **options)
+
+
+def files(name: str, folder: Path, blocks: int | None, **options: object) -> dict[str, bytes]:
+    """Write a run to a bag, message by message or in blocks by a seed, and return its files."""
+    steps = run(name)[1]
+    with bag_writer(name, folder, monotonic=Clock(), **options) as writer:
+        for step in steps if blocks is None else in_blocks(steps, Random(blocks)):
+            if isinstance(step, Block):
+                writer.write_block(step)
+            else:
+                for stored in step.stored():
+                    writer.write(*stored)
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("name", ["pd_di_4", "arise_het_20", "sheet"])
+@pytest.mark.parametrize(
+    ("chunk_bytes", "split", "number"),
+    [
+        (1, ONE_FILE, 1),
+        (1, Split(bytes=6000), 2),
+        (3001, ONE_FILE, 1),
+        (3001, Split(bytes=1), 3),
+        (3001, Split(5000, 5 * PERIOD), 5),
+        (CHUNK_BYTES, ONE_FILE, 1),
+        (CHUNK_BYTES, Split(nanoseconds=4 * PERIOD), 6),
+    ],
+)
+def test_blocks_are_written_as_their_messages_are(
+    name: str, chunk_bytes: int, split: Split, number: int, tmp_path: Path
+) -> None:
+    single = files(name, tmp_path / "single", None, split=split, chunk_bytes=chunk_bytes)
+    assert len(single) > number, "so many files, and metadata.yaml"
+    assert files(name, tmp_path / "blocks", 1, split=split, chunk_bytes=chunk_bytes) == single
+
+
+@pytest.mark.parametrize("chunk_bytes", [1, 3001, CHUNK_BYTES])
+@pytest.mark.parametrize("name", ["pd_di_4", "sheet", ""])
+def test_files_are_those_of_the_mcap_library(name: str, chunk_bytes: int, tmp_path: Path) -> None:
+    if name:
+        written = files(name, tmp_path / "bag", 3, chunk_bytes=chunk_bytes)["bag_0.mcap"]
+    else:
+        with BagWriter(tmp_path / "bag", topics=(EVENTS,), attachments={}) as empty:
+            pass
+        written = empty.path.read_bytes()
+    output = io.BytesIO()
+    library = Writer(output, chunk_size=chunk_bytes, enable_data_crcs=True)
+    read = StreamReader(io.BytesIO(written), validate_crcs=True).records
+    definitions: set[tuple[type, int]] = set()
+    for record in read:
+        match record:
+            case Header(profile, made_by):
+                library.start(profile, made_by)
+            case Attachment(created, logged, label, media_type, data):
+                library.add_attachment(created, logged, label, media_type, data)
+            case Schema(number, data, encoding, label) if (Schema, number) not in definitions:
+                definitions.add((Schema, library.register_schema(label, encoding, data)))
+            case Channel(number, topic, encoding, metadata, schema) if (Channel, number) not in definitions:
+                definitions.add((Channel, library.register_channel(topic, encoding, schema, metadata)))
+            case Message(channel, logged, data, published, sequence):
+                library.add_message(channel, logged, data, published, sequence)
+            case Metadata(label, described):
+                library.flush()
+                library.add_metadata(label, described)
+    library.finish()
+    assert output.getvalue() == written
+
+
+def test_a_block_reaches_the_disk_when_its_chunk_is_full_or_old(tmp_path: Path) -> None:
+    clock, steps = Clock(), run("pd_het_4")[1]
+    with bag_writer("pd_het_4", tmp_path / "bag", chunk_bytes=17_000, monotonic=clock) as writer:
+        one, other = Block.gathered(steps[:1]), Block.gathered(steps[1:])
+        assert one is not None and other is not None
+        writer.write_block(one)
+        assert on_disk(writer.path) == []
+        clock.now += 1.0
+        writer.poll()
+        assert on_disk(writer.path) == [0] * 8
+        writer.write_block(other)
+        full = len(on_disk(writer.path)) - 8
+        assert 0 < full < 20 * 8, "as much as fills a chunk"
+        clock.now += 0.5
+        writer.poll()
+        assert len(on_disk(writer.path)) == 8 + full
+        clock.now += 0.5
+        writer.poll()
+        assert len(on_disk(writer.path)) == 21 * 8, "the rest was as old"
