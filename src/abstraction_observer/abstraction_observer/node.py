@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
 
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.behaviours import Observer, ObserverConfig, Steered
@@ -15,6 +16,11 @@ from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from swarmabs_core.messages import Topic
+
 ON_STALL = Parameter("on_stall", "fail", "reaction to a robot that does not answer", choices=("fail", "drop"))
 CONFIG = BySystem(ObserverConfig, SystemObserverConfig)
 PARAMETERS = (CONFIG, ON_STALL, PACKED, STEERED)
@@ -22,7 +28,7 @@ PARAMETERS = (CONFIG, ON_STALL, PACKED, STEERED)
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour and its reaction to a stall."""
-    observer = Observer(settings.chosen(CONFIG), packed=settings.flag(PACKED.name))
+    observer, hear = _observer(settings)
     gate = Steered(observer) if settings.flag(STEERED.name) else None
 
     def drop() -> Messages:
@@ -31,7 +37,19 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
         silent = observer.silent_agents()
         return observer.drop(silent, SILENT) if silent else ()
 
-    return NodeSpec(gate or observer, on_stall=drop if settings.text(ON_STALL.name) == "drop" else None)
+    on_stall = drop if settings.text(ON_STALL.name) == "drop" else None
+    return NodeSpec(gate or observer, on_stall=on_stall, hear=None if gate else hear)
+
+
+def _observer(settings: Settings) -> tuple[Observer, Callable[[Topic, bytes], Messages] | None]:
+    """Return the behaviour, and what takes its serialized messages, if it does so itself."""
+    config = settings.chosen(CONFIG)
+    if not settings.flag(PACKED.name):
+        return Observer(config), None
+    from swarmabs_core.behaviours.packed import PackedObserver  # noqa: PLC0415 - only packed runs need numpy
+
+    packed = PackedObserver(config)
+    return packed, packed.hear
 
 
 def main(args: list[str] | None = None) -> int:

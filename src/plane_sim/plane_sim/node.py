@@ -21,8 +21,17 @@ PARAMETERS = (CONFIG, PACKED, STEERED)
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour."""
-    parent = Parent(settings.chosen(CONFIG), packed=settings.flag(PACKED.name))
+    parent = _parent(settings)
     return NodeSpec(Steered(parent) if settings.flag(STEERED.name) else parent)
+
+
+def _parent(settings: Settings) -> Parent:
+    config = settings.chosen(CONFIG)
+    if not settings.flag(PACKED.name):
+        return Parent(config)
+    from swarmabs_core.behaviours.packed import PackedParent  # noqa: PLC0415 - only packed runs need numpy
+
+    return PackedParent(config)
 
 
 def main(args: list[str] | None = None) -> int:

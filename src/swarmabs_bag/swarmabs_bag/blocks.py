@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmabs_bag.recording import RecordedStep, digest_head
-from swarmabs_core.arrays import LENGTH, PADDING, Tables, layout_of
-from swarmabs_core.cdr import ENCAPSULATION, FRAME, decode
+from swarmabs_core.arrays import Tables, is_canonical, layout_of, raw
+from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import FAMILIES, PLANE_FAMILY, Topic
 from swarmabs_core.record import Record
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_core.messages import AnyParentState, AnyRobotState, SwarmEvent
-
-    Bytes = NDArray[np.uint8]
 
 _SECOND = 1_000_000_000
 _LONGEST = 4096
@@ -79,7 +77,7 @@ class Block:
             return None
         tables[family.robot] = tables[family.robot].reshape(steps, robots)
         block = cls(tables)
-        return block if block._is_canonical() and block._is_consecutive() else None
+        return block if all(map(is_canonical, tables.values())) and block._is_consecutive() else None
 
     @classmethod
     def gathered(cls, steps: Sequence[RecordedStep]) -> Block | None:
@@ -93,20 +91,6 @@ class Block:
         if any(len({len(payload) for payload in found}) > 1 for found in payloads.values()):
             return None
         return cls.of({topic: b"".join(found) for topic, found in payloads.items()})
-
-    def _is_canonical(self) -> bool:
-        """Return whether every message has the head, the padding and the list lengths of its layout."""
-        for table in self.tables.values():
-            rows = raw(table).reshape(-1, table.itemsize)
-            expected = rows[0].copy()
-            head = expected.view(table.dtype)
-            head["encapsulation"], head["frame"] = np.void(ENCAPSULATION), np.void(FRAME)
-            for name in table.dtype.names or ():
-                if name.startswith(PADDING):
-                    head[name] = np.void(table.dtype[name].itemsize)
-            if ((rows ^ expected) & _constant(table.dtype)).any() or (table["nanosec"] >= _SECOND).any():
-                return False
-        return True
 
     def _is_consecutive(self) -> bool:
         """Return whether step follows step, each with the same robots in ascending order."""
@@ -205,21 +189,6 @@ class Block:
 
     def _read(self, topic: Topic, place: int | slice) -> list[Any]:
         return [decode(topic.message, data) for data in self._payloads(topic, place)]
-
-
-def raw(table: NDArray[np.void]) -> Bytes:
-    """Return the rows of a contiguous table as bytes, with one more axis."""
-    return table.view(np.uint8).reshape(*table.shape, table.itemsize)
-
-
-@lru_cache(maxsize=64)
-def _constant(layout: np.dtype[np.void]) -> Bytes:
-    """Return 255 for each byte of a message that the layout determines, 0 for the others."""
-    mask = np.zeros(layout.itemsize, dtype=np.uint8)
-    for name, (kind, offset, *_) in (layout.fields or {}).items():
-        if name in {"encapsulation", "frame"} or name.startswith((PADDING, LENGTH)):
-            mask[offset : offset + kind.itemsize] = 255
-    return mask
 
 
 @lru_cache(maxsize=16)

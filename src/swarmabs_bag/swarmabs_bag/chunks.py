@@ -12,8 +12,8 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Chunk
 
-from swarmabs_bag.blocks import raw
 from swarmabs_bag.records import HEAD_SIZE
+from swarmabs_core.arrays import raw
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

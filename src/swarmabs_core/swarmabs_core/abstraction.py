@@ -14,7 +14,7 @@ take robots as tuples or, with ``sums=column_sums``, as columns of arrays.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_core.messages import AbstractState, AuxiliaryState, Kind
 from swarmabs_core.summation import Columns, Sums, robot_sums
@@ -127,12 +127,25 @@ def observed(
     ksd : float
         Damping that the law of double integrators adds, N s/m.
     """
-    *abstract, q = abstraction(weights, gravity)
-    moments = second_moments((s.mass, s.position) for s in followers)
-    damped = ((s.mass, s.position, s.damping) for s in followers if s.kind == Kind.DOUBLE_INTEGRATOR)
+    moved = [(s.mass, s.position) for s in followers]
+    damped = [(s.mass, s.position, s.damping) for s in followers if s.kind == Kind.DOUBLE_INTEGRATOR]
+    return summed(stamp, step, len(weights), (weights, moved, damped), gravity, ksd)
+
+
+def summed(
+    stamp: int, step: int, count: int, robots: tuple[Any, Any, Any], gravity: float, ksd: float, sums: Sums = robot_sums
+) -> tuple[AbstractState, AuxiliaryState]:
+    """Return what `observed` does for `robots` as `sums` takes them.
+
+    They are the `count` robots whose weight is on the plane, as for `abstraction`; those that follow the law, as for
+    `second_moments`; and the double integrators among these, as for `damping_sums`.
+    """
+    weights, followers, damped = robots
+    *abstract, q = abstraction(weights, gravity, sums)
+    moments = second_moments(followers, sums)
     return (
-        AbstractState(stamp, step, len(weights), *abstract),
-        AuxiliaryState(stamp, step, *moments, *damping_sums(damped, ksd), q),
+        AbstractState(stamp, step, count, *abstract),
+        AuxiliaryState(stamp, step, *moments, *damping_sums(damped, ksd, sums), q),
     )
 
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmabs_core.cdr import lengths_of, places
+from swarmabs_core.cdr import ENCAPSULATION, FRAME, lengths_of, places
+from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
     FAMILIES,
     MAIN_TOPICS,
@@ -33,6 +34,9 @@ PADDING = "padding"
 
 _NUMPY = {"i": "<i4", "I": "<u4", "B": "u1", "H": "<u2", "Q": "<u8", "d": "<f8"}
 
+_SECOND = 1_000_000_000
+_LONGEST = 4096
+"""More bytes than a message of a main topic has."""
 LENGTH = "length of list "
 """Prefix of the names of lengths of lists in a layout."""
 
@@ -55,6 +59,43 @@ LAYOUT = {topic: _layout(topic, ()) for topic in MAIN_TOPICS}
 def layout_of(topic: Topic, payload: bytes | bytearray) -> np.dtype[np.void]:
     """Return the layout of a topic's messages, with lists as long as in a payload; an empty list has no field."""
     return _layout(topic, lengths_of(topic.message, payload))
+
+
+def raw(table: NDArray[np.void]) -> NDArray[np.uint8]:
+    """Return the rows of a contiguous table as bytes, with one more axis."""
+    return table.view(np.uint8).reshape(*table.shape, table.itemsize)
+
+
+def is_canonical(table: NDArray[np.void]) -> bool:
+    """Return whether every message of a contiguous table has the head, padding and list lengths of its layout."""
+    rows = raw(table).reshape(-1, table.itemsize)
+    expected = rows[0].copy()
+    head = expected.view(table.dtype)
+    head["encapsulation"], head["frame"] = np.void(ENCAPSULATION), np.void(FRAME)
+    for name in table.dtype.names or ():
+        if name.startswith(PADDING):
+            head[name] = np.void(table.dtype[name].itemsize)
+    differs = ((rows ^ expected) & _constant(table.dtype)).any()
+    return not (differs or (table["nanosec"] >= _SECOND).any())
+
+
+@lru_cache(maxsize=64)
+def _constant(layout: np.dtype[np.void]) -> NDArray[np.uint8]:
+    """Return 255 for each byte of a message that the layout determines, 0 for the others."""
+    mask = np.zeros(layout.itemsize, dtype=np.uint8)
+    for name, (kind, offset, *_) in (layout.fields or {}).items():
+        if name in {"encapsulation", "frame"} or name.startswith((PADDING, LENGTH)):
+            mask[offset : offset + kind.itemsize] = 255
+    return mask
+
+
+def canonical_table(topic: Topic, payloads: bytes) -> NDArray[np.void] | None:
+    """Return joined payloads of at least one message as a table, None if they are not canonical or not equally long."""
+    try:
+        table = np.frombuffer(payloads, layout_of(topic, payloads[:_LONGEST]))
+    except (MalformedMessageError, ValueError):
+        return None
+    return table if len(table) and is_canonical(table) else None
 
 
 class MessageArrays:

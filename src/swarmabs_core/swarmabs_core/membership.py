@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EventKind
@@ -98,12 +98,24 @@ class Span:
         return self.first <= step and (self.last is None or step <= self.last)
 
 
+class Interval(NamedTuple):
+    """Steps from the first to before the end in which the robots with these ids, ascending, publish their states."""
+
+    first: int
+    end: int
+    ids: tuple[int, ...]
+
+
+_NEVER = 2**64
+_NONE = Interval(0, 0, ())
+
+
 class Membership:
     """Membership by step of all robots that ever take part; those without a scheduled ``join`` start at step 0."""
 
     def __init__(self, members: Iterable[int], schedule: Iterable[Change] = ()) -> None:
         self._spans = {agent_id: Span() for agent_id in sorted(members)}
-        self._cached: tuple[int, tuple[int, ...]] = (-1, ())
+        self._current = _NONE
         for change in sorted(schedule):
             if change.agent_id not in self._spans:
                 raise InputError(f"membership change '{change}': there is no robot {change.agent_id}")
@@ -113,7 +125,7 @@ class Membership:
         """Add a change, whether scheduled or requested from outside; a known earlier end takes precedence."""
         if change.kind is ChangeKind.JOIN:
             self._spans[change.agent_id].first = change.step
-            self._cached = (-1, ())
+            self._current = _NONE
         else:
             self.end(change.agent_id, change.step, stays=change.kind.stays, reason=change.kind.value)
 
@@ -122,9 +134,19 @@ class Membership:
 
     def publishing(self, step: int) -> tuple[int, ...]:
         """Return the ids, ascending, of the robots that publish a state in a step."""
-        if self._cached[0] != step:
-            self._cached = (step, tuple(i for i, span in self._spans.items() if span.covers(step)))
-        return self._cached[1]
+        return self._around(step).ids
+
+    def _around(self, step: int) -> Interval:
+        """Return the steps around this one in which the same robots publish."""
+        if not self._current.first <= step < self._current.end:
+            edges = {span.first for span in self._spans.values()}
+            edges |= {span.last + 1 for span in self._spans.values() if span.last is not None}
+            self._current = Interval(
+                max((edge for edge in edges if edge <= step), default=0),
+                min((edge for edge in edges if edge > step), default=_NEVER),
+                tuple(i for i, span in self._spans.items() if span.covers(step)),
+            )
+        return self._current
 
     def publishes(self, agent_id: int, step: int) -> bool:
         """Return whether a robot publishes its state of a step."""
@@ -137,7 +159,9 @@ class Membership:
 
     def changes(self, step: int) -> list[tuple[int, EventKind, str]]:
         """Return robot, kind and reason of every change that takes effect at a step, by robot id."""
-        found = []
+        found: list[tuple[int, EventKind, str]] = []
+        if self._around(step).first != step:
+            return found
         for agent_id, span in self._spans.items():
             if span.first == step and step > 0:
                 found.append((agent_id, EventKind.JOINED, ""))
@@ -150,7 +174,7 @@ class Membership:
         span = self._spans[agent_id]
         if span.last is None or span.last > last:
             span.last, span.stays, span.reason = last, stays, reason
-            self._cached = (-1, ())
+            self._current = _NONE
 
     def apply(self, kind: int, agent_id: int, step: int, reason: str) -> None:
         """Apply a change that the observer announced; `step` is the first at which it holds."""

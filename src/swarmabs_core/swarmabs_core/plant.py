@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, copysign, cos, inf, isfinite, sin, tanh
+from operator import methodcaller
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_core.declaration import part, setting
@@ -69,6 +70,22 @@ def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
     return summed_load(
         term_columns((path[:3] for path in paths), linear_terms), term_columns(curved, cubic_terms), gravity
     )
+
+
+def column_load(
+    mass: Any, start: tuple[Any, Any], end: tuple[Any, Any], curved: Any, period: float, gravity: float
+) -> SwarmLoad:
+    """Return the load of robots given as columns, with the same bits as `swarm_load` of their paths.
+
+    `curved` selects those on cubics; the others move at constant velocity. All else is as for `hermite`.
+    """
+    path: Any = hermite
+    (p0, v0), (p1, v1) = start, end
+    cubics = path(mass[curved], (p0[curved], v0[curved]), (p1[curved], v1[curved]), period)
+    rise = p1 - p0
+    rise[curved] = cubics.c1
+    linear: Any = linear_terms
+    return summed_load(linear(mass, p0, rise), cubic_terms(*cubics), gravity, methodcaller("tolist"))
 
 
 def linear_terms(m: float = 0.0, a: float = 0.0, b: float = 0.0) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from swarmabs_bag.recording import digest_head
 from swarmabs_config import configure
-from swarmabs_core.abstraction import abstraction, damping_sums, is_degenerate, second_moments
+from swarmabs_core.abstraction import is_degenerate, summed
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.behaviours import Controller
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, decode
@@ -36,7 +36,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.parent_response import SumObserver
-from swarmabs_core.plant import PlaneDynamics, SwarmLoad, cubic_terms, hermite, linear_terms, summed_load
+from swarmabs_core.plant import PlaneDynamics, SwarmLoad, column_load
 from swarmabs_core.record import Record
 from swarmabs_core.robot_controller import Limits
 from swarmabs_core.summation import column_sums
@@ -49,8 +49,6 @@ if TYPE_CHECKING:
 
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Message, Topic
-
-    Floats = NDArray[np.float64]
 
 _PAYLOAD = LAYOUT[AGENT_STATE]
 _HEAD = digest_head(AGENT_STATE, _PAYLOAD.itemsize)
@@ -179,10 +177,8 @@ class _Swarm:
     def sums(self, step: int, stamp: int) -> tuple[AbstractState, AuxiliaryState]:
         """Return abstract and auxiliary state, as `swarmabs_core.abstraction` defines them."""
         m, p, di = self.mass, self.position, self.di
-        *abstract, q = abstraction((m, p, self.velocity), self.gravity, column_sums)
-        moments = second_moments((m, p), column_sums)
-        damping = damping_sums((m[di], p[di], self.di_damping), self.gains.ksd, column_sums)
-        return AbstractState(stamp, step, len(m), *abstract), AuxiliaryState(stamp, step, *moments, *damping, q)
+        robots = (m, p, self.velocity), (m, p), (m[di], p[di], self.di_damping)
+        return summed(stamp, step, len(m), robots, self.gravity, self.gains.ksd, column_sums)
 
     def move(self, abstract: AbstractState, sums: AuxiliaryState, desired: DesiredAbstractState) -> SwarmLoad:
         """Command all robots, move them for one period, and return their load on the plane over it."""
@@ -198,17 +194,7 @@ class _Swarm:
             raise NotVectorisableError
         self.position[si], self.velocity[si] = self.si_drive.advance(p[si], v[si], u[si])
         self.position[di], self.velocity[di] = self.di_drive.advance(p[di], v[di], u[di])
-        return self._load(p, v)
-
-    def _load(self, p0: Floats, v0: Floats) -> SwarmLoad:
-        """Return the torque and the inertia over the period."""
-        m, di = self.mass, self.di
-        path: Any = hermite
-        terms: Any = linear_terms, cubic_terms
-        curves = path(m[di], (p0[di], v0[di]), (self.position[di], self.velocity[di]), self.period)
-        rise = self.position - p0
-        rise[di] = curves.c1
-        return summed_load(terms[0](m, p0, rise), terms[1](*curves), self.gravity, np.ndarray.tolist)
+        return column_load(m, (p, v), (self.position, self.velocity), di, self.period, self.gravity)
 
 
 class VectorSimulation:

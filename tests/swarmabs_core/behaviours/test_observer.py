@@ -8,6 +8,7 @@ from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
 from swarmabs_core import messages as msg
 from swarmabs_core.behaviours import Observer, ObserverConfig
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError, UnknownAgentError
+from swarmabs_core.behaviours.packed import PackedObserver
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import Change, ChangeKind
@@ -201,7 +202,7 @@ def test_end_of_a_robot_is_announced_before_the_plane_answers(*, planned: bool) 
 
 def test_packed_states_follow_what_is_announced_and_precede_the_sums() -> None:
     config = ObserverConfig(MEMBERS, PERIOD_NS, 9.81, 1.0, (Change(0, 2, ChangeKind.KILL),))
-    node = Observer(config, packed=True)
+    node = PackedObserver(config)
     states = robots(0)
     packed, *sums = feed(node, states[::-1])
     assert packed == msg.SwarmStates(0, 0, b"".join(map(encode, states)))

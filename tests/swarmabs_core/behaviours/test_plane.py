@@ -7,6 +7,7 @@ from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
 from swarmabs_core import messages as msg, plant
 from swarmabs_core.behaviours import Parent, PlaneConfig
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError, UnknownAgentError
+from swarmabs_core.behaviours.packed import PackedParent
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import MalformedMessageError, RunError
 from swarmabs_core.membership import Change, ChangeKind
@@ -192,7 +193,7 @@ def test_what_is_published_is_measured_and_what_is_integrated_is_true() -> None:
 
 
 def test_packed_states_count_like_single_ones_and_only_where_they_are_expected() -> None:
-    alone, packed = plane(), Parent(PlaneConfig((1, 2, 3), PERIOD_NS, PLANE), packed=True)
+    alone, packed = plane(), PackedParent(PlaneConfig((1, 2, 3), PERIOD_NS, PLANE))
     assert packed.awaits() == (msg.SWARM_STATES, msg.EVENTS)
     assert packed.missing() == (0, ("abstraction_observer",))
     for step in range(3):

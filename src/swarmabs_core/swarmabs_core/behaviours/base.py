@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from swarmabs_core.cdr import decode, encode, split
+from swarmabs_core.cdr import encode
 from swarmabs_core.declaration import setting
 from swarmabs_core.errors import ProtocolError
 from swarmabs_core.membership import Change
 from swarmabs_core.messages import AnyRobotState, Family, Message, Messages, RobotState, RobotStatus, Status, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from swarmabs_core.membership import Membership
 
@@ -134,12 +134,6 @@ def packed_broadcasts(family: Family, heard: Callable[[Topic], Message]) -> Any:
     return made(desired.stamp, desired.step, heard(family.abstract), heard(family.auxiliary), desired)
 
 
-def states_of(family: Family, message: Any) -> list[Any]:
-    """Return the robots' states that a `SwarmStates` contains."""
-    robot = family.robot.message
-    return [decode(robot, payload) for payload in split(robot, message.states)]
-
-
 def at_rest(state: AnyRobotState) -> AnyRobotState:
     """Return the state of a robot that stands where it was."""
     if isinstance(state, RobotState):
@@ -222,7 +216,7 @@ class Gathering:
         states = self._states
         return len(states) >= len(members) and all(agent_id in states for agent_id in members)
 
-    def states(self) -> list[AnyRobotState]:
+    def states(self) -> Sequence[AnyRobotState]:
         """Return the states of the complete step by ascending id."""
         return [self._states[i] for i in self._membership.publishing(self._step)]
 
@@ -230,7 +224,7 @@ class Gathering:
         """Return the ids of the members whose state is missing."""
         return tuple(i for i in self._membership.publishing(self._step) if i not in self._states)
 
-    def take(self) -> list[AnyRobotState]:
+    def take(self) -> Sequence[AnyRobotState]:
         """Return the states of the complete step by ascending id, and advance to the next step."""
         states = self.states()
         self._step += 1

@@ -15,7 +15,6 @@ from swarmabs_core.behaviours.base import (
     place_of,
     refuse_other_system,
 )
-from swarmabs_core.cdr import encode
 from swarmabs_core.declaration import same, setting
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import Change, Membership
@@ -34,7 +33,6 @@ from swarmabs_core.messages import (
     Status,
     Steering,
     SwarmEvent,
-    SwarmStates,
     Topic,
 )
 from swarmabs_core.parent_response import ParentResponse, TorqueEstimator
@@ -98,20 +96,19 @@ class Observer:
     ----------
     config : ObserverConfig or SystemObserverConfig
         Configuration, which determines the parent system.
-    packed : bool
-        Whether it also publishes the states of a step as one message.
     """
 
-    def __init__(self, config: Any, *, packed: bool = False) -> None:
+    _gatherer: ClassVar[type[Gathering]] = Gathering
+
+    def __init__(self, config: Any) -> None:
         self._config = config
-        self._packed = packed
         self._system: int | None = config.system_hash
         self._estimator = config.estimator()
         self._plane: PlaneState | None = None
         self._announced = -1
         self._membership = Membership(config.members, config.schedule)
-        self._gathering = Gathering(self._membership)
-        self._previous: dict[int, AnyRobotState] = {}
+        self._gathering = self._gatherer(self._membership)
+        self._previous: Iterable[AnyRobotState] = ()
         self._standing: dict[int, AnyRobotState] = {}
 
     def start(self) -> Messages:
@@ -182,8 +179,6 @@ class Observer:
         if self._announced < self._gathering.step:
             self._announced = self._gathering.step
             events = self._announce()
-            if self._packed:
-                events = (*events, self._states())
         if self._estimator is not None and self._plane is None:
             return events
         return (*events, *self._sum_up())
@@ -195,27 +190,28 @@ class Observer:
         states = self._gathering.take()
         if not self._finished() and not self._membership.publishing(self._gathering.step):
             raise RunError(f"step {self._gathering.step}: no robot is left in the run")
-        self._previous = {s.agent_id: s for s in states}
-        abstract, sums = config.observed(stamp, step, states, self._standing.values())
+        self._previous = states
+        abstract, sums = self._observed(stamp, step, states)
         plane, self._plane = self._plane, None
         if self._estimator is not None and plane is not None and isinstance(abstract, AbstractState):
             torque, rate = self._estimator.update(plane.angle, plane.angular_velocity, abstract.inertia)
             abstract = abstract._replace(torque=torque, torque_rate=rate)
         return abstract, sums
 
-    def _states(self) -> SwarmStates:
-        """Return the states of the complete step as one message."""
-        step = self._gathering.step
-        return SwarmStates(step * self._config.period_ns, step, b"".join(map(encode, self._gathering.states())))
+    def _observed(self, stamp: int, step: int, states: Sequence[AnyRobotState]) -> Messages:
+        found: Messages = self._config.observed(stamp, step, states, self._standing.values())
+        return found
 
     def _announce(self) -> Messages:
         """Return events for the membership changes that take effect at the current step."""
         step = self._gathering.step
         stamp = step * self._config.period_ns
         events = []
-        for agent_id, kind, reason in self._membership.changes(step):
-            if kind is EventKind.DEAD and agent_id in self._previous:
-                self._standing[agent_id] = at_rest(self._previous[agent_id])
-            position = place_of(self._previous[agent_id]) if agent_id in self._previous else 0.0
+        changes = self._membership.changes(step)
+        previous = {state.agent_id: state for state in self._previous} if changes else {}
+        for agent_id, kind, reason in changes:
+            if kind is EventKind.DEAD and agent_id in previous:
+                self._standing[agent_id] = at_rest(previous[agent_id])
+            position = place_of(previous[agent_id]) if agent_id in previous else 0.0
             events.append(SwarmEvent(stamp, step, agent_id, kind, position, reason))
         return tuple(events)

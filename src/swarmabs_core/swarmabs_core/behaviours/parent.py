@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from swarmabs_core.behaviours.base import (
-    Gathering,
-    StepAheadError,
-    UnexpectedMessageError,
-    refuse_other_system,
-    states_of,
-)
+from swarmabs_core.behaviours.base import Gathering, StepAheadError, UnexpectedMessageError, refuse_other_system
 from swarmabs_core.errors import RunError
 from swarmabs_core.faults import failed_drives, true_state
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
     EVENTS,
     ROBOT_STATES,
-    SWARM_STATES,
     Action,
     AnyRobotState,
     EventKind,
@@ -25,10 +18,12 @@ from swarmabs_core.messages import (
     Messages,
     Steering,
     SwarmEvent,
-    SwarmStates,
     Topic,
 )
 from swarmabs_core.steering import DISTURBANCE, StepSchedule, change_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 class Parent:
@@ -38,18 +33,17 @@ class Parent:
     ----------
     config : PlaneConfig or SystemParentConfig
         Configuration, which determines the parent system.
-    packed : bool
-        Whether the observer sends it the robots' states of a step as one message.
     """
 
-    def __init__(self, config: Any, *, packed: bool = False) -> None:
+    _gatherer: ClassVar[type[Gathering]] = Gathering
+
+    def __init__(self, config: Any) -> None:
         self._config = config
-        self._packed = packed
         self._system: int | None = config.system_hash
         self._motion = config.motion()
         self._disturbances = StepSchedule(config.torques)
         self._membership = Membership(config.members, config.schedule)
-        self._gathering = Gathering(self._membership)
+        self._gathering = self._gatherer(self._membership)
         self._robots: dict[int, AnyRobotState] = {}
 
     def start(self) -> Messages:
@@ -58,11 +52,9 @@ class Parent:
         return found
 
     def handle(self, message: Message) -> Messages:
-        """Take states of robots or an event; return the parent's state when a step is complete."""
-        packed = self._packed and isinstance(message, SwarmStates)
-        for each in states_of(self._config.family, message) if packed else (message,):
-            self._take(each)
-        return self._finish() if self._gathering.complete() and not self._finished() else ()
+        """Take a robot's state or an event; return the parent's state when a step is complete."""
+        self._take(message)
+        return self._proceed()
 
     def _take(self, message: Message) -> None:
         if self._system is not None:
@@ -73,6 +65,9 @@ class Parent:
             self._take_over(message)
         else:
             raise UnexpectedMessageError("plane", message)
+
+    def _proceed(self) -> Messages:
+        return self._finish() if self._gathering.complete() and not self._finished() else ()
 
     def _take_over(self, event: SwarmEvent) -> None:
         """Apply a membership change that the observer announced.
@@ -105,12 +100,11 @@ class Parent:
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for states of robots, and for events about robots that will not send one."""
-        return () if self._finished() else (SWARM_STATES if self._packed else self._config.family.robot, EVENTS)
+        return () if self._finished() else (self._config.family.robot, EVENTS)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
-        """Return the current step and the robots whose states are missing, or the observer that sends them."""
-        robots = tuple(f"agent {i}" for i in self._gathering.missing())
-        return self._gathering.step, ("abstraction_observer",) if self._packed else robots
+        """Return the current step and the robots whose states are missing."""
+        return self._gathering.step, tuple(f"agent {i}" for i in self._gathering.missing())
 
     def _finished(self) -> bool:
         last = self._config.last_step
@@ -121,19 +115,24 @@ class Parent:
         step = self._gathering.step
         stamp = step * config.period_ns
         states = self._gathering.take()
+        events: Messages = ()
+        if (disturbance := self._disturbances.changing(step)) is not None:
+            events = (SwarmEvent(stamp, step, 0, EventKind.STEERING, disturbance, DISTURBANCE),)
+        return (*events, *self._move(step, stamp, states), self._motion.state(step))
+
+    def _move(self, step: int, stamp: int, states: Sequence[AnyRobotState]) -> list[SwarmEvent]:
+        """Move through the period before a step with the states at its end; return the events."""
+        config, events = self._config, []
         if config.falsifications:
             states = [true_state(state, config.falsifications) for state in states]
-        events: list[SwarmEvent] = []
-        if (disturbance := self._disturbances.changing(step)) is not None:
-            events.append(SwarmEvent(stamp, step, 0, EventKind.STEERING, disturbance, DISTURBANCE))
         coasting = self._coasting(step - 1)
         states = [coasting.get(state.agent_id, state) for state in states]
         if step > 0:
             now = {state.agent_id: state for state in states} | coasting
             paths = [(before, now.get(agent_id)) for agent_id, before in self._robots.items()]
-            events += self._motion.advance(step, paths, self._disturbances.at(step - 1))
+            events = self._motion.advance(step, paths, self._disturbances.at(step - 1))
         self._keep(states, coasting)
-        return (*events, *self._motion.limits(states, stamp), self._motion.state(step))
+        return [*events, *self._motion.limits(states, stamp)]
 
     def _coasting(self, step: int) -> dict[int, AnyRobotState]:
         """Return the true states, after a step, of the robots whose drives have failed."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import copysign
-from typing import TYPE_CHECKING, ClassVar
+from math import copysign, inf
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from swarmabs_core import plant
 from swarmabs_core.behaviours.base import Run
@@ -22,7 +22,16 @@ from swarmabs_core.messages import (
     PlaneState,
     SwarmEvent,
 )
-from swarmabs_core.plant import PlaneDynamics, RobotPath, hermite, standing, straight, swarm_load
+from swarmabs_core.plant import (
+    PlaneDynamics,
+    RobotPath,
+    SwarmLoad,
+    column_load,
+    hermite,
+    standing,
+    straight,
+    swarm_load,
+)
 from swarmabs_core.sensing import measured_plane
 from swarmabs_core.steering import StepChange
 
@@ -88,9 +97,20 @@ class PlaneMotion:
 
         Robots are given by their states at both ends, None for one that stands; the disturbance is in N m.
         """
+        paths = [self._path(before, after) for before, after in robots]
+        return self._carry(step, swarm_load(paths, self._config.plane.gravity), disturbance)
+
+    def advance_all(self, step: int, before: Any, after: Any, disturbance: float) -> list[SwarmEvent]:
+        """Do what `advance` does for robots that are the rows of two tables, which hold the states at both ends."""
+        start, end = ((table["position"], table["velocity"]) for table in (before, after))
+        curved = before["kind"] != self._straight
+        load = column_load(before["mass"], start, end, curved, self._period, self._config.plane.gravity)
+        return self._carry(step, load, disturbance)
+
+    def _carry(self, step: int, load: SwarmLoad, disturbance: float) -> list[SwarmEvent]:
+        """Move through the period before a step under a load and a disturbance (N m), and return events."""
         config = self._config
         time = (step - 1) * config.period_ns / 1e9
-        load = swarm_load([self._path(before, after) for before, after in robots], config.plane.gravity)
         self._angle, self._angular_velocity = self._dynamics.advance(
             self._angle, self._angular_velocity, time, load, disturbance
         )
@@ -125,10 +145,15 @@ class PlaneMotion:
         start, end = (before.position, before.velocity), (after.position, after.velocity)
         return hermite(before.mass, start, end, self._period)
 
-    def limits(self, states: Sequence[AgentState], stamp: int) -> list[SwarmEvent]:
-        """Return events for the robots that have just crossed an end of the plane (eq. swarmStateConstraint)."""
+    def limits(self, states: Sequence[AgentState], stamp: int, farthest: float = inf) -> list[SwarmEvent]:
+        """Return events for the robots that have just crossed an end of the plane (eq. swarmStateConstraint).
+
+        None of them is farther than `farthest` (m) from the axis.
+        """
         half = 0.5 * self._config.plane.length
-        events = []
+        events: list[SwarmEvent] = []
+        if farthest <= half and not self._outside:
+            return events
         for state in states:
             outside = abs(state.position) > half
             if outside and state.agent_id not in self._outside:

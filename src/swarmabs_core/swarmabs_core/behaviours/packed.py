@@ -1,0 +1,239 @@
+"""Observer and parent of packed runs: the states of all robots in a step are one message and one table.
+
+What is not ordinary - repeated, outdated or malformed states, robots that leave, dead robots on the plane - they leave
+to the state machines that take one message after the other. Bits and refusals are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, overload
+
+import numpy as np
+
+from swarmabs_core.abstraction import summed
+from swarmabs_core.arrays import canonical_table
+from swarmabs_core.behaviours.base import Gathering
+from swarmabs_core.behaviours.observer import Observer
+from swarmabs_core.behaviours.parent import Parent
+from swarmabs_core.cdr import decode, encode, split
+from swarmabs_core.messages import (
+    EVENTS,
+    PLANE_FAMILY,
+    SWARM_STATES,
+    AnyRobotState,
+    Kind,
+    Status,
+    SwarmStates,
+)
+from swarmabs_core.summation import column_sums
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from swarmabs_core.messages import Message, Messages, SwarmEvent, Topic
+
+
+class TableStates(Sequence[AnyRobotState]):
+    """States of robots as rows of a table, decoded only where single ones are needed.
+
+    Parameters
+    ----------
+    topic : Topic
+        The topic of the states.
+    table : ndarray, (N,)
+        Their canonical CDR, by ascending id.
+    """
+
+    def __init__(self, topic: Topic, table: NDArray[np.void]) -> None:
+        self._topic = topic
+        self.table = table
+
+    @cached_property
+    def _states(self) -> list[Any]:
+        kind = self._topic.message
+        return [decode(kind, payload) for payload in split(kind, self.table.tobytes())]
+
+    @overload
+    def __getitem__(self, place: int) -> AnyRobotState: ...
+    @overload
+    def __getitem__(self, place: slice) -> list[AnyRobotState]: ...
+    def __getitem__(self, place: int | slice) -> Any:
+        """Return a state, or several, as messages."""
+        return self._states[place]
+
+    def __len__(self) -> int:
+        """Return the number of robots."""
+        return len(self.table)
+
+
+class TableGathering(Gathering):
+    """Collects the states of a step one by one, or takes those of all members at once."""
+
+    _all: TableStates | None = None
+
+    def add_all(self, states: TableStates) -> bool:
+        """Take the states of all members; return False, and take nothing, unless that is all that happens.
+
+        They must be those of the step, of every member once, of robots that do not leave, and the first ones.
+        """
+        table = states.table
+        first = self._all is None and not self._states
+        members = table["agent_id"].tolist() == [*self._membership.publishing(self._step)]
+        if not (first and members and (table["step"] == self._step).all() and (table["status"] != Status.LEFT).all()):
+            return False
+        self._all = states
+        return True
+
+    def outstanding(self) -> int:
+        """Return how many messages it takes at least until something can happen."""
+        return 1 if self._all is not None else len(self._membership.publishing(self._step)) - len(self._states)
+
+    def add(self, state: AnyRobotState) -> None:
+        """Take a state, as the base class does."""
+        if self._all is not None:
+            self._states, self._all = {known.agent_id: known for known in self._all}, None
+        super().add(state)
+
+    def complete(self) -> bool:
+        """Return whether the states of all members have arrived."""
+        return self._all is not None or super().complete()
+
+    def missing(self) -> tuple[int, ...]:
+        """Return the ids of the members whose state is missing."""
+        return () if self._all is not None else super().missing()
+
+    def states(self) -> Sequence[AnyRobotState]:
+        """Return the states of the complete step by ascending id."""
+        return super().states() if self._all is None else self._all
+
+    def take(self) -> Sequence[AnyRobotState]:
+        """Return the states of the complete step by ascending id, and advance to the next step."""
+        states = super().take()
+        self._all = None
+        return states
+
+
+def table_of(robot: Topic, data: bytes, system: int | None) -> TableStates | None:
+    """Return joined payloads of robots' states, None if they are not canonical or not of this parent system."""
+    table = canonical_table(robot, data)
+    if table is None or (system is not None and (table["system"] != system).any()):
+        return None
+    return TableStates(robot, table[np.argsort(table["agent_id"])])
+
+
+class PackedObserver(Observer):
+    """An observer that also publishes the states of a step as one message.
+
+    Serialized states are kept unread until all that are missing may be there.
+    """
+
+    _gatherer: ClassVar = TableGathering
+    _gathering: TableGathering
+
+    def __init__(self, config: Any) -> None:
+        super().__init__(config)
+        self._robot: Topic = config.family.robot
+        self._unread: list[bytes] = []
+
+    def hear(self, topic: Topic, data: bytes) -> Messages:
+        """Take a serialized message; return what `handle` does."""
+        if topic is not self._robot:
+            return self.handle(decode(topic.message, data))
+        self._unread.append(data)
+        return () if len(self._unread) < self._gathering.outstanding() else self._read()
+
+    def _read(self) -> Messages:
+        """Take what is unread; what it does not complete returns nothing."""
+        unread, self._unread = self._unread, []
+        alike = len(set(map(len, unread))) == 1
+        states = table_of(self._robot, b"".join(unread), self._system) if alike else None
+        if states is not None and self._gathering.add_all(states):
+            return self._proceed()
+        return tuple(answer for data in unread for answer in self.handle(decode(self._robot.message, data)))
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the current step, and the missing robots, or else the plane."""
+        self._read()
+        return super().missing()
+
+    def missing_agents(self) -> tuple[int, ...]:
+        """Return the ids of the robots whose states of the current step are missing."""
+        self._read()
+        return super().missing_agents()
+
+    def silent_agents(self) -> tuple[int, ...]:
+        """Return the ids of the robots whose states are missing in a step in which others have arrived."""
+        self._read()
+        return super().silent_agents()
+
+    def _announce(self) -> Messages:
+        step, states = self._gathering.step, self._gathering.states()
+        data = states.table.tobytes() if isinstance(states, TableStates) else b"".join(map(encode, states))
+        return (*super()._announce(), SwarmStates(step * self._config.period_ns, step, data))
+
+    def _observed(self, stamp: int, step: int, states: Sequence[AnyRobotState]) -> Messages:
+        config = self._config
+        if not isinstance(states, TableStates) or config.family is not PLANE_FAMILY:
+            return super()._observed(stamp, step, states)
+        table, standing = states.table, [*self._standing.values()]
+        weights = _columns(table, ("mass", "position", "velocity"), standing)
+        active = table[table["status"] == Status.ACTIVE]
+        followers = _columns(active, ("mass", "position"))
+        damped = _columns(active[active["kind"] == Kind.DOUBLE_INTEGRATOR], ("mass", "position", "damping"))
+        with np.errstate(all="ignore"):
+            count = len(weights[0])
+            return summed(stamp, step, count, (weights, followers, damped), config.gravity, config.ksd, column_sums)
+
+
+def _columns(table: NDArray[np.void], names: Iterable[str], also: Iterable[Any] = ()) -> tuple[Any, ...]:
+    """Return fields of robots in a table, and of others, as columns."""
+    return tuple(np.append(table[name], [getattr(state, name) for state in also]) for name in names)
+
+
+class PackedParent(Parent):
+    """A simulated parent to which the observer sends the robots' states of a step as one message."""
+
+    _gatherer: ClassVar = TableGathering
+    _gathering: TableGathering
+
+    def __init__(self, config: Any) -> None:
+        super().__init__(config)
+        self._robot: Topic = config.family.robot
+        self._before: TableStates | None = None  # the same as `_robots`, if they all move
+
+    def handle(self, message: Message) -> Messages:
+        """Take the states of robots or an event; return the parent's state when a step is complete."""
+        if not isinstance(message, SwarmStates):
+            return super().handle(message)
+        states = table_of(self._robot, message.states, self._system)
+        if states is None or not self._gathering.add_all(states):
+            for payload in split(self._robot.message, message.states):
+                self._take(decode(self._robot.message, payload))
+        return self._proceed()
+
+    def awaits(self) -> tuple[Topic, ...]:
+        """Wait for the states of the robots, and for events about robots that will not send one."""
+        return (SWARM_STATES, EVENTS) if super().awaits() else ()
+
+    def missing(self) -> tuple[int, tuple[str, ...]]:
+        """Return the current step and the node that sends the states."""
+        return self._gathering.step, ("abstraction_observer",)
+
+    def _move(self, step: int, stamp: int, states: Sequence[AnyRobotState]) -> list[SwarmEvent]:
+        before, plain = self._before, None
+        if isinstance(states, TableStates) and self._config.family is PLANE_FAMILY and not self._config.falsifications:
+            plain = states
+        if plain and before and before.table["agent_id"].tolist() == plain.table["agent_id"].tolist():
+            self._before = plain
+            with np.errstate(all="ignore"):
+                moved = self._motion.advance_all(step, before.table, plain.table, self._disturbances.at(step - 1))
+                return [*moved, *self._motion.limits(plain, stamp, float(np.abs(plain.table["position"]).max()))]
+        if before:
+            self._robots = {state.agent_id: state for state in before}
+        events = super()._move(step, stamp, states)
+        self._before = plain if plain and len(self._robots) == len(plain) else None
+        return events
