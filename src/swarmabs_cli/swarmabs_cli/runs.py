@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console, RenderableType
 
-from swarmabs_analysis.rerun import RepeatableRun, recorded_run
 from swarmabs_bag.errors import remedy
 from swarmabs_bag.figures import tracking_of
 from swarmabs_bag.run_folder import RunFolder, Split
@@ -29,13 +31,16 @@ from swarmabs_cli.output import print_json, print_tables, print_warnings, result
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import AnyScenario, Scenario, on_plane
 from swarmabs_config.scenarios import find_scenario, names_bag
-from swarmabs_config.theory import check_scenario
+from swarmabs_config.theory_setting import setting
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.ending import no_more_interrupts
 from swarmabs_run.orchestration.run_files import start_of
 from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.summary import Times, summarise, summary_table
 from swarmabs_view.terminal import shown_progress
+
+if TYPE_CHECKING:
+    from swarmabs_analysis.rerun import RepeatableRun
 
 Execute = Callable[[AnyScenario, RunFolder, RunOptions], Outcome]
 """Runs a scenario and leaves its results in a folder, such as `swarmabs_run.simulated_run.simulate_run`."""
@@ -100,29 +105,38 @@ def carry_out(
     max_bag_duration: int,
     as_json: bool,
     steered: bool = False,
+    meanwhile: bool = False,
     check: Callable[[AnyScenario], object] = bool,
 ) -> int:
-    """Load and run a scenario, and print the summary; return the exit code."""
+    """Load and run a scenario, and print the summary; return the exit code.
+
+    With `meanwhile`, the theory is checked while other processes make the steps.
+    """
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
     if bag_scenario is not None and not names_bag(scenario):
         raise InputError(f"--scenario is for a bag without one, but {scenario} is not a bag; remove --scenario")
-    recorded = recorded_run(scenario, overrides, scenario=bag_scenario) if names_bag(scenario) else None
+    recorded = _recorded_run(scenario, overrides, bag_scenario) if names_bag(scenario) else None
     loaded = find_scenario(scenario, overrides) if recorded is None else recorded.scenario
     check(loaded)
     if realtime:
         _check_realtime(loaded, recorded)
     folder = results_folder(output, loaded.name)
     differences = recorded.differences if recorded is not None else ()
-    theory = check_scenario(loaded).warnings() if isinstance(loaded, Scenario) else ()
-    print_warnings((*loaded.warnings(), *theory, *differences))
+    print_warnings((*loaded.warnings(), *differences))
+    if not meanwhile:
+        print_theory(loaded)
     loaded = loaded.resolved()
     if steered:
         click.echo(f"to steer the run: ./scripts/swarm steer {folder.path} ACTION VALUE", err=True)
     split = Split(max_bag_size, max_bag_duration * 10**9)
 
     def run(show: Callable[[Progress], None]) -> Outcome:
-        return execute(loaded, folder, RunOptions(record=not no_bag, split=split, on_progress=show))
+        options = RunOptions(record=not no_bag, split=split, on_progress=show)
+        if not meanwhile:
+            return execute(loaded, folder, options)
+        with _theory_printed(loaded, show) as shown:
+            return execute(loaded, folder, replace(options, on_progress=shown))
 
     def judge(outcome: Outcome) -> Mapping[str, object]:
         if recorded is None:
@@ -135,6 +149,38 @@ def carry_out(
         click.echo(f"error: the digest differs from that of {scenario}; see the warnings above, and compare", err=True)
         return 1
     return 0 if outcome.status == "ok" else 1
+
+
+def _recorded_run(bag: str, overrides: tuple[str, ...], scenario: str | None) -> RepeatableRun:
+    """Return the run that a bag repeats."""
+    from swarmabs_analysis.rerun import recorded_run  # noqa: PLC0415 - scenarios do not need what reads bags
+
+    return recorded_run(bag, overrides, scenario=scenario)
+
+
+def print_theory(scenario: AnyScenario) -> None:
+    """Print the warnings that follow from the theory, which covers scenarios on the plane."""
+    if isinstance(scenario, Scenario):
+        from swarmabs_core.theory.theorems import warnings  # noqa: PLC0415 - SciPy loads longer than a run starts
+
+        print_warnings(warnings(setting(scenario)))
+
+
+@contextmanager
+def _theory_printed(scenario: AnyScenario, show: Callable[[Progress], None]) -> Iterator[Callable[[Progress], None]]:
+    """Yield a function that shows progress and, after the start of the run, checks the theory in a thread."""
+    with ThreadPoolExecutor(1) as pool:
+        checked: Future[None] | None = None
+
+        def shown(progress: Progress) -> None:
+            nonlocal checked
+            show(progress)
+            if progress.phase != "starting" and checked is None:
+                checked = pool.submit(print_theory, scenario)
+
+        yield shown
+        if checked is not None:
+            checked.result()
 
 
 def _check_realtime(scenario: AnyScenario, recorded: RepeatableRun | None) -> None:

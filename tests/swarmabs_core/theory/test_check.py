@@ -8,7 +8,9 @@ import pytest
 from tests.swarmabs_core.helpers import builtin
 
 from swarmabs_config.theory import check_scenario
+from swarmabs_config.theory_setting import setting
 from swarmabs_core.theory.report import Report, Verdict
+from swarmabs_core.theory.theorems import warnings
 
 ALL = ("pd_si_4", "pd_di_4", "pd_het_4", "arise_si_4", "arise_di_4", "arise_het_4", "arise_het_20", "arise_het_200")
 FROZEN = Path(__file__).with_name("reports.json")
@@ -31,7 +33,7 @@ def test_one_of_the_six_theorems_is_about_each_run_and_covers_those_with_pd(name
     assert bool(applicable[0].note) == (kind == "het"), "what the proof drops"
     assert all(one.note for one in report.theorems if not one.applicable)
     json.dumps(report.document(), allow_nan=False)
-    assert report.covered == (controller == "pd") == (not list(report.warnings()))
+    assert report.covered == (controller == "pd") == (not list(warnings(setting(builtin(name)))))
     if report.covered:
         assert (applicable[1].verdict, applicable[1].printed_verdict) == (Verdict.HOLDS, Verdict.FAILS)
 
@@ -79,7 +81,7 @@ def test_what_fails_is_named(name: str, overrides: tuple[str, ...], failing: set
     report = check(name, *overrides)
     failed = {one.name for theorem, one in report.failed if not theorem.label.startswith("General")}
     assert {one for one in failed if "plane" not in one} == failing
-    lines = list(report.warnings())
+    lines = list(warnings(setting(builtin(name, *overrides))))
     assert any(line.startswith("sampled time: ") for line in lines) == any("period" in one for one in failed)
     unsaid = {"k1", "inertia swing", *(AT_REST if "ks, friction alone" in failing else ())}
     said = {"ks, friction alone": "does not cover this run: the friction's slope at rest, 24 N m s/rad"}

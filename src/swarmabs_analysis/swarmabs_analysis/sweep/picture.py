@@ -19,7 +19,7 @@ from matplotlib.patheffects import withStroke
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
 from swarmabs_bag.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
 from swarmabs_config.scenario import SystemScenario, parse_scenario
-from swarmabs_config.theory import setting
+from swarmabs_config.theory_setting import setting
 from swarmabs_core.systems.components import labelled
 from swarmabs_core.theory.state_feedback import Estimate, estimate
 

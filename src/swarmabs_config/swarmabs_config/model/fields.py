@@ -78,7 +78,7 @@ def nearest(name: str, known: Sequence[str]) -> str:
 class Model(BaseModel):
     """Base of every part of a scenario: frozen, strict, without unknown keys, all numbers finite."""
 
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
     def made(self) -> object:
         """Return the object that this model describes: itself, unless it is derived from a declaration."""

@@ -5,60 +5,33 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_core.robot_controller import Limits
-from swarmabs_core.theory.arise import check_arise
-from swarmabs_core.theory.error_dynamics import inertia_swing
 from swarmabs_core.theory.general_theorems import abstract_states, constrained_conditions, constraints
 from swarmabs_core.theory.report import Report, Theorem, plain
-from swarmabs_core.theory.sampled_data import sampled_conditions
-from swarmabs_core.theory.state_feedback import check_feedback
+from swarmabs_core.theory.theorems import SWARMS, parent_check, sampled_time, swarm_theorems
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from swarmabs_core.theory.general_theorems import Constraints
     from swarmabs_core.theory.report import ParentCheck
-    from swarmabs_core.theory.setting import Setting, SwarmKind
-
-_SWARMS: dict[SwarmKind, str] = {
-    "SI": "single integrators",
-    "DI": "double integrators",
-    "noHomo": "both kinds of robots",
-}
-_DROPPED = "the proof treats the errors of both parts as independent and omits the effect of damping in the null space"
+    from swarmabs_core.theory.setting import Setting
 
 
 def check(setting: Setting) -> Report:
     """Evaluate the paper's theorems and the further conditions for sampled time; nothing is simulated."""
-    parent = check_feedback(setting) or check_arise(setting)
+    parent = parent_check(setting)
     found = constraints(setting, parent.torque if parent else setting.manifold.torque_max)
     return Report(
         setting.scenario,
         setting.controller,
-        _SWARMS[setting.kind],
+        SWARMS[setting.kind],
         setting.angle_max,
-        (*_six(setting, parent), *_general(setting, found, parent)),
-        Theorem(
-            "sampled_time",
-            "beyond the paper: sampled time and the singularity S3 = 0",
-            (*inertia_swing(setting), *sampled_conditions(setting)),
-        ),
+        (*swarm_theorems(setting, parent), *_general(setting, found, parent)),
+        sampled_time(setting),
         {name: plain(value) for name, value in (parent.attraction if parent else {}).items()},
         {name: plain(value) for name, value in abstract_states(setting, found).items()},
         tuple(_notes(setting)),
     )
-
-
-def _six(setting: Setting, parent: ParentCheck | None) -> Iterator[Theorem]:
-    """Yield the theorems for controllers and swarms in the paper's order."""
-    for kind, robots in _SWARMS.items():
-        for name, law in (("LQR", "state feedback"), ("ARISE", "ARISE")):
-            label, title = f"{name}_{kind}_sys", f"{law} with {robots}"
-            if parent is None or parent.name != name:
-                yield Theorem(label, title, note=f"the parent controller is {setting.controller}")
-            elif kind != setting.kind:
-                yield Theorem(label, title, note=f"the swarm has {_SWARMS[setting.kind]}")
-            else:
-                yield Theorem(label, title, parent.conditions, _DROPPED if kind == "noHomo" else "")
 
 
 def _general(setting: Setting, found: Constraints, parent: ParentCheck | None) -> Iterator[Theorem]:

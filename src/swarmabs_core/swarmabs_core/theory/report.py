@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from math import isfinite
@@ -157,14 +157,6 @@ class Report:
             }
         )
 
-    def warnings(self) -> Iterator[str]:
-        """Yield a line if the theorem for this run does not cover it, and one for failed conditions of sampled time."""
-        for theorem in self.theorems:
-            if theorem.label.endswith("_sys") and (told := _told(theorem)):
-                yield f"theorem {theorem.label} is not fulfilled: {told}; see the command check"
-        if told := _told(self.beyond):
-            yield f"sampled time: {told}; see the command check"
-
 
 DECIDING = "ks, friction alone"
 _FOLLOWING = {"ks, all terms at rest", "initial state"}
@@ -173,18 +165,18 @@ _SAID_BY_THE_SCENARIO = {"inertia swing", "k1"}
 """Conditions that `Scenario.warnings` already reports."""
 
 
-def _told(theorem: Theorem) -> str:
+def told(theorem: Theorem) -> str:
     """Return the failed conditions that are not reported elsewhere."""
     names = {condition.name for condition in theorem.failed}
     silent = _SAID_BY_THE_SCENARIO | (_FOLLOWING if DECIDING in names else set())
-    told = []
+    failed = []
     for condition in theorem.failed:
         form = condition.corrected
         if condition.name == DECIDING:
-            told.append(condition.note)
+            failed.append(condition.note)
         elif condition.name not in silent:
-            told.append(f"{condition.name}: {form.value:.4g} is not {form.relation} {form.bound:.4g}")
-    return "; ".join(told)
+            failed.append(f"{condition.name}: {form.value:.4g} is not {form.relation} {form.bound:.4g}")
+    return "; ".join(failed)
 
 
 def plain(value: object) -> Document:

@@ -55,6 +55,8 @@ def companion(free: Matrix, entry: Matrix, feedback: Matrix, delay: int) -> Matr
 
 def is_stable(matrix: Matrix) -> bool:
     """Return whether the spectral radius is below 1; a matrix with overflow is not stable."""
+    if matrix.size == 1:  # such as those of all robots
+        return abs(float(matrix[0, 0])) < 1.0
     return bool(np.isfinite(matrix).all()) and bool(np.abs(np.linalg.eigvals(matrix)).max() < 1.0)
 
 
