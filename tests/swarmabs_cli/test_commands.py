@@ -159,15 +159,6 @@ def test_a_reader_that_goes_away_is_no_traceback(words: list[str]) -> None:
     assert "Traceback" not in errors and "Exception ignored" not in errors
 
 
-def test_the_command_starts_quickly_because_it_loads_nothing() -> None:
-    program = (
-        "import sys; from swarmabs_cli import main; main(['--help']);"
-        "print(sorted({'rclpy', 'numpy', 'pydantic', 'rich', 'scipy', 'matplotlib'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
-
-
 @pytest.mark.parametrize(("told", "seconds"), [("{own}:85.25", 85.25), ("{parent}:85.25", 0.0), ("", 0.0), (None, 0.0)])
 def test_only_a_fresh_process_counts_set_up(monkeypatch: pytest.MonkeyPatch, told: str | None, seconds: float) -> None:
     monkeypatch.delenv(SETUP, raising=False)

@@ -71,3 +71,46 @@ def together(*decorators: Decorator) -> Decorator:
         return function
 
     return add
+
+
+def _whole(unit: str, largest: int) -> Callable[[click.Context, click.Parameter, str], int]:
+    """Return a parser of whole numbers from 0 on, as accepted by the same options of ``ros2 bag record``."""
+
+    def read(_context: click.Context, _option: click.Parameter, text: str) -> int:
+        try:
+            number = int(text)
+        except ValueError:
+            number = -1
+        if not 0 <= number <= largest:
+            raise click.BadParameter(
+                f"{text!r} is not a whole number of {unit} (as with ros2 bag record); give 1 to {largest}, or 0 for a "
+                "bag in one file."
+            )
+        return number
+
+    return read
+
+
+run_options = together(
+    scenario_argument,
+    named_scenario_option("bag_scenario"),
+    output_option("Folder of the results.  [default: runs/NAME-NNN]"),
+    set_option(),
+    duration_option,
+    click.option("--no-bag", is_flag=True, help="Write no bag; the digest and the summary are still computed."),
+    click.option(
+        "--max-bag-size",
+        default="0",
+        callback=_whole("bytes", 2**63 - 1),
+        metavar="BYTES",
+        help="Start a new bag file at this size.  [default: never]",
+    ),
+    click.option(
+        "--max-bag-duration",
+        default="0",
+        callback=_whole("seconds", 10**9),
+        metavar="SECONDS",
+        help="Start a new bag file after this simulated time.  [default: never]",
+    ),
+    json_option,
+)

@@ -1,4 +1,4 @@
-"""Shared by the commands that run scenarios: their options, and the steps from a scenario to its summary."""
+"""Shared by the commands that run scenarios: the steps from a scenario to its summary."""
 
 from __future__ import annotations
 
@@ -17,16 +17,7 @@ from rich.console import Console, RenderableType
 from swarmabs_bag.errors import remedy
 from swarmabs_bag.figures import tracking_of
 from swarmabs_bag.run_folder import RunFolder, Split
-from swarmabs_cli.options import (
-    COMMAND,
-    duration_option,
-    json_option,
-    named_scenario_option,
-    output_option,
-    scenario_argument,
-    set_option,
-    together,
-)
+from swarmabs_cli.options import COMMAND
 from swarmabs_cli.output import print_json, print_tables, print_warnings, results_folder
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import AnyScenario, Scenario, on_plane
@@ -46,49 +37,6 @@ Execute = Callable[[AnyScenario, RunFolder, RunOptions], Outcome]
 """Runs a scenario and leaves its results in a folder, such as `swarmabs_run.simulated_run.simulate_run`."""
 SETUP = "SWARMABS_SETUP"
 """Environment variable in which ``scripts/swarm`` passes its process id and the duration of the set-up, s."""
-
-
-def _whole(unit: str, largest: int) -> Callable[[click.Context, click.Parameter, str], int]:
-    """Return a parser of whole numbers from 0 on, as accepted by the same options of ``ros2 bag record``."""
-
-    def read(_context: click.Context, _option: click.Parameter, text: str) -> int:
-        try:
-            number = int(text)
-        except ValueError:
-            number = -1
-        if not 0 <= number <= largest:
-            raise click.BadParameter(
-                f"{text!r} is not a whole number of {unit} (as with ros2 bag record); give 1 to {largest}, or 0 for a "
-                "bag in one file."
-            )
-        return number
-
-    return read
-
-
-run_options = together(
-    scenario_argument,
-    named_scenario_option("bag_scenario"),
-    output_option("Folder of the results.  [default: runs/NAME-NNN]"),
-    set_option(),
-    duration_option,
-    click.option("--no-bag", is_flag=True, help="Write no bag; the digest and the summary are still computed."),
-    click.option(
-        "--max-bag-size",
-        default="0",
-        callback=_whole("bytes", 2**63 - 1),
-        metavar="BYTES",
-        help="Start a new bag file at this size.  [default: never]",
-    ),
-    click.option(
-        "--max-bag-duration",
-        default="0",
-        callback=_whole("seconds", 10**9),
-        metavar="SECONDS",
-        help="Start a new bag file after this simulated time.  [default: never]",
-    ),
-    json_option,
-)
 
 
 def carry_out(

@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from swarmabs_cli.options import examples
-from swarmabs_cli.runs import carry_out, run_options
+from swarmabs_cli.options import examples, run_options
+from swarmabs_cli.runs import carry_out
 from swarmabs_run.simulated_run import simulate_run
 
 

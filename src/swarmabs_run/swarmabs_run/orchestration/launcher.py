@@ -70,7 +70,9 @@ class Launcher:
         self._end()
 
     def _obey(self, command: dict[str, Any]) -> None:
-        if command["command"] == "spawn":
+        if command["command"] == "begin":
+            _begin(command)
+        elif command["command"] == "spawn":
             self._spawn(command)
         else:
             pid = self._pids.get(command["name"])
@@ -144,27 +146,34 @@ def main() -> int:
     """Import all modules, then serve."""
     # The ROS tracing library runs two idle listener threads, which a fork may safely lose.
     warnings.filterwarnings("ignore", message=".*multi-threaded, use of fork", category=DeprecationWarning)
-    driving, processes, *plugins = sys.argv[1:]
-    driver = Driver(driving)
+    driver = Driver(sys.argv[1])
     with tracing_files_removed(if_orphaned=True):
         for node in (PLANE, OBSERVER, CONTROLLER, ROBOT):
             importlib.import_module(NODES[node].modules[driver])
         for name in LOADED_BY_SERVICES if driver is Driver.REALTIME else ():
             importlib.import_module(name)
-        registries = {registry.group: registry for registry in (CONTROLLERS, LAWS, SYSTEMS)}
-        for group, _, name in (plugin.partition(":") for plugin in plugins):
-            registries[group].find(name)  # entry points are resolved once, not in every node
         for topic in TOPICS:
             ros_type(topic).__class__.__import_type_support__()
-        gc.collect()
-        gc.freeze()  # memory that the garbage collector does not touch stays shared with the children
-        if int(processes) > CROWD * len(os.sched_getaffinity(0)):
-            # An arriving message does not preempt the running process: the receiver runs when that process waits, and
-            # handles all messages that have arrived meanwhile. This halves the number of context switches.
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-        launcher = Launcher(int(os.environ[REPORT_FD]))
-        launcher.run()
+        Launcher(int(os.environ[REPORT_FD])).run()
     return 0
+
+
+def _begin(command: dict[str, Any]) -> None:
+    """Prepare for a run: environment, log, parts from packages, memory and scheduling."""
+    os.environ.update(command["environment"])
+    log = os.open(command["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    for target in (1, 2):
+        os.dup2(log, target)
+    os.close(log)
+    registries = {registry.group: registry for registry in (CONTROLLERS, LAWS, SYSTEMS)}
+    for group, _, name in (plugin.partition(":") for plugin in command["plugins"]):
+        registries[group].find(name)  # entry points are resolved once, not in every node
+    gc.collect()
+    gc.freeze()  # memory that the garbage collector does not touch stays shared with the children
+    if command["processes"] > CROWD * len(os.sched_getaffinity(0)):
+        # An arriving message does not preempt the running process: the receiver runs when that process waits, and
+        # handles all messages that have arrived meanwhile. This halves the number of context switches.
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 if __name__ == "__main__":

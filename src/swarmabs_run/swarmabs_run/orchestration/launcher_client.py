@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_config.graph import LOCKSTEP, Driver
-from swarmabs_ros.status import REPORT_FD, START_FD
+from swarmabs_run.orchestration.launcher_process import LauncherProcess
 from swarmabs_run.orchestration.network import GROUP_VARIABLE, PARTICIPANT_VARIABLE, multicast_group
 
 if TYPE_CHECKING:
@@ -39,6 +38,8 @@ class LauncherClient:
         Number of nodes.
     plugins : iterable of str
         Parts of packages that the launcher loads before it forks, each ``GROUP:NAME``.
+    started : LauncherProcess, optional
+        The launcher, if it has been started ahead for this driver.
 
     Attributes
     ----------
@@ -54,30 +55,19 @@ class LauncherClient:
         processes: int,
         plugins: Iterable[str] = (),
         driver: Driver = LOCKSTEP,
+        started: LauncherProcess | None = None,
     ) -> None:
-        self.reports, report_write = os.pipe()
-        start_read, self._start = os.pipe()
+        started = started or LauncherProcess(driver.value, environment)
+        started.taken = True
+        self.reports, self._start, self._process = started.reports, started.start, started.process
         self._pending = b""
-        arguments = (driver.value, str(processes), *plugins)
-        with log.open("ab") as stream:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "swarmabs_run.orchestration.launcher", *arguments],
-                stdin=subprocess.PIPE,
-                stdout=stream,
-                stderr=stream,
-                pass_fds=(report_write, start_read),
-                env={
-                    **os.environ,
-                    **environment,
-                    REPORT_FD: str(report_write),
-                    START_FD: str(start_read),
-                    "OPENBLAS_NUM_THREADS": "1",  # a process with threads must not be forked
-                },
-                start_new_session=True,  # Ctrl-C in a terminal reaches the orchestrator only
-            )
-        os.close(report_write)
-        os.close(start_read)
-        os.set_blocking(self.reports, False)
+        self._command(
+            command="begin",
+            environment={**environment},
+            log=str(log),
+            processes=processes,
+            plugins=[*plugins],
+        )
 
     def __enter__(self) -> Self:
         return self

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import AnyScenario
+    from swarmabs_run.orchestration.launcher_process import LauncherProcess
     from swarmabs_run.orchestration.machine import Machine
     from swarmabs_run.run import Phase
 
@@ -67,8 +68,10 @@ class ProcessRun:
         self._started: float | None = None
         self._finished: float | None = None
 
-    def run(self) -> Outcome:
+    def run(self, launcher: LauncherProcess | None = None) -> Outcome:
         """Run until completion, failure or interruption; no process, port or shared memory of the run remains.
+
+        The `launcher` may have been started ahead for the driver of this run.
 
         Raises `RunError` if the run cannot be started, such as when no ROS domain is free.
         """
@@ -90,6 +93,7 @@ class ProcessRun:
                 processes=len(self._plan),
                 plugins=[f"{registry.group}:{name}" for registry, name in plugins(self._scenario)],
                 driver=self._driver,
+                started=launcher,
             )
             return self.drive(ThisMachine(stack.enter_context(client), wake, asked), domain, begun)
 

@@ -1,0 +1,115 @@
+"""What the command `run` does while its launcher loads, and afterwards."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from swarmabs_cli.output import open_page
+from swarmabs_cli.runs import carry_out
+from swarmabs_config.scenario import on_plane
+from swarmabs_core.errors import InputError
+from swarmabs_run.ending import interrupt_once
+from swarmabs_run.orchestration.lockstep_run import LockstepRun
+from swarmabs_run.orchestration.realtime_run import RealtimeRun
+from swarmabs_run.run import SLOWEST_STEP, Outcome, RunOptions
+from swarmabs_view.ports import check_foxglove
+from swarmabs_view.viewers import PageViewer, markers_viewer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+    from swarmabs_bag.run_folder import RunFolder
+    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_run.orchestration.launcher_process import LauncherProcess
+
+
+def run_scenario(
+    launcher: LauncherProcess,
+    *,
+    agents_per_process: int,
+    packed: bool,
+    realtime: bool,
+    steer: bool,
+    rate: float | None,
+    view: bool,
+    view_port: int | None,
+    open_browser: bool,
+    **options: Any,
+) -> int:
+    """Run a scenario with the processes that a launcher forks; the options are those of the command."""
+    with PageViewer(view_port or 0, steered=steer) if view else nullcontext() as viewer:
+
+        def execute(scenario: AnyScenario, folder: RunFolder, recording: RunOptions) -> Outcome:
+            if viewer is not None:
+                viewer.start(folder.path)
+                click.echo(f"view: {viewer.url}", err=True)
+                if viewer.steering_url is not None:
+                    click.echo(f"view, to steer: {viewer.steering_url}", err=True)
+                if open_browser:
+                    open_page(viewer.url)
+            with shown(folder.path):
+                if realtime:
+                    return RealtimeRun(on_plane(scenario, "real time"), folder, recording).run(launcher)
+                asked = replace(
+                    recording,
+                    agents_per_process=agents_per_process,
+                    packed=packed,
+                    steered=steer,
+                    step_seconds=_step_seconds(scenario, rate),
+                )
+                return LockstepRun(scenario, folder, asked).run(launcher)
+
+        drawn = next((f"--{name}" for name in ("markers", "foxglove") if options[name]), None)
+
+        def check(scenario: AnyScenario) -> None:
+            if drawn is not None:
+                on_plane(scenario, drawn)
+            _step_seconds(scenario, rate)
+
+        shown = _marker_viewers(options, clock=not realtime)
+        code = carry_out(execute, realtime=realtime, check=check, steered=steer, meanwhile=True, **options)
+        if viewer is not None and sys.stdin.isatty() and sys.stderr.isatty():
+            interrupt_once()
+            click.echo(f"view: {viewer.url} plays the bag until Ctrl-C", err=True)
+            viewer.wait()
+        return code
+
+
+def _step_seconds(scenario: AnyScenario, rate: float | None) -> float:
+    """Return the shortest wall time of a step, s; 0: as fast as possible.
+
+    Raises
+    ------
+    InputError
+        If the run would be so slow that it looked like a stall.
+    """
+    seconds = 0.0 if rate is None else scenario.period / rate
+    slowest = min(SLOWEST_STEP, 0.5 * scenario.lockstep.stall_timeout)
+    if seconds > slowest:
+        raise InputError(
+            f"--rate {rate:g}: a step would take {seconds:g} s, and more than {slowest:g} s counts as a stall; use "
+            f"at least {scenario.period / slowest:g}"
+        )
+    return seconds
+
+
+def _marker_viewers(options: dict[str, Any], *, clock: bool) -> Callable[[Path], AbstractContextManager[None]]:
+    """Remove the options of markers and Foxglove from those of a run; return a context manager that serves them.
+
+    With `clock`, the time of the run is published, because it differs from that of the machine.
+    """
+    markers, foxglove, port = (options.pop(name) for name in ("markers", "foxglove", "foxglove_port"))
+    if not (markers or foxglove):
+        return lambda _: nullcontext()
+    if foxglove:
+        check_foxglove(port)
+        click.echo(f"Foxglove: open a connection to ws://127.0.0.1:{port}", err=True)
+    served = port if foxglove else None
+    return lambda folder: markers_viewer(folder, ros=markers, foxglove_port=served, clock=clock)

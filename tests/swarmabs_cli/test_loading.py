@@ -1,0 +1,76 @@
+"""What commands and processes load: a start is quick if nothing is loaded before it is needed."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+NUMERICAL = {"numpy", "scipy"}
+MODELS = {"pydantic", "yaml", "swarmabs_config.scenario"}
+PRINTING = {"rich", "jinja2", "matplotlib", "aiohttp"}
+ROS = {"rclpy", "swarmabs_msgs"}
+BAGS = {"mcap", "swarmabs_bag"}
+SWEEPS = {"dask", "distributed", "pyarrow", "pandas"}
+NODE = NUMERICAL | MODELS - {"yaml"} | PRINTING | BAGS | SWEEPS | {"psutil"}
+"""What no node but the recorder needs; rclpy itself loads YAML."""
+ALL = NUMERICAL | MODELS | PRINTING | ROS | BAGS | SWEEPS | {"psutil"}
+
+MAIN = """
+import json, sys
+from swarmabs_cli import main
+def stop(*given, **options):
+    print(json.dumps([*sys.modules]))
+    sys.stdout.flush()
+    os._exit(0)
+import os
+{before}
+main({arguments})
+stop()
+"""
+AT_LAUNCHER = "from swarmabs_run.orchestration import launcher_process as at; at.LauncherProcess = stop"
+AT_NODES = "from swarmabs_run.orchestration.launcher_client import LauncherClient as at; at.spawn = stop"
+
+
+def loaded(arguments: list[str], before: str = "") -> set[str]:
+    """Return the modules that a command has loaded at its end, or where `before` makes it stop."""
+    program = MAIN.format(before=before, arguments=arguments)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["run", "--help"]])
+def test_help_loads_nothing(arguments: list[str]) -> None:
+    assert not ALL & loaded(arguments)
+
+
+def test_a_run_starts_its_launcher_before_it_loads_anything() -> None:
+    assert not ALL & loaded(["run"], AT_LAUNCHER)
+
+
+def test_a_run_loads_no_mathematics_and_no_ros_before_its_processes_start(tmp_path: Path) -> None:
+    arguments = ["run", "--duration", "1", "-o", str(tmp_path / "run")]
+    found = loaded(arguments, AT_NODES)
+    assert found >= MODELS
+    assert not (NUMERICAL | ROS | SWEEPS | {"mcap", "matplotlib", "aiohttp"}) & found
+
+
+@pytest.mark.parametrize(
+    ("modules", "heavy"),
+    [
+        ("swarmabs_run.orchestration.launcher_process", ALL | {"swarmabs_config"}),
+        ("swarmabs_run.orchestration.launcher", NODE),
+        ("agent_node.node, plane_sim.node, abstraction_observer.node, parent_controller.node", NODE),
+        ("swarmabs_analysis.sweep.evaluate", PRINTING | ROS | SWEEPS | {"scipy", "psutil"}),
+        ("swarmabs_core.behaviours, swarmabs_core.controllers", ALL),
+        ("swarmabs_core.theory.theorems", ALL - NUMERICAL | {"scipy.optimize"}),
+    ],
+)
+def test_processes_load_only_what_they_need(modules: str, heavy: set[str]) -> None:
+    """What the launcher and its nodes load takes time and memory in every run."""
+    said = f"import json, sys, {modules}; print(json.dumps([*sys.modules]))"
+    done = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
+    found = set(json.loads(done.stdout))
+    assert modules.partition(",")[0] in found
+    assert not heavy & found
