@@ -50,8 +50,14 @@ _IDLE = 0.5
 _PER_THREAD, _AT_LEAST = 4, 64
 """Tasks queued at remote workers: per thread, and at least in total."""
 
-_NO_PAGES: dict[str, list[str]] = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
-"""Dask settings that disable the HTTP pages of scheduler and workers."""
+_SETTINGS = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+}
+"""Dask settings without HTTP pages, profiler and frequent checks, which would take time from the cases."""
 
 _PACKAGES = (swarmabs_core, swarmabs_config, swarmabs_bag, swarmabs_run)
 SOURCES = {package.__name__: Path(package.__path__[0]) for package in _PACKAGES} | {"sweep": Path(__file__).parent}
@@ -157,18 +163,18 @@ class LocalExecutor(Executor):
     def _client(self) -> Client:
         folder = tempfile.mkdtemp(prefix="swarmabs-sweep-")
         self._open.callback(shutil.rmtree, folder, ignore_errors=True)
+        self._open.enter_context(dask.config.set({**_SETTINGS, "temporary-directory": folder}))
         try:
-            with dask.config.set({**_NO_PAGES, "temporary-directory": folder}):
-                cluster = LocalCluster(
-                    n_workers=self._most_pending,
-                    threads_per_worker=1,
-                    host="127.0.0.1",
-                    security=self._security,
-                    dashboard_address="127.0.0.1:0",
-                    memory_limit=0,
-                    silence_logs=logging.CRITICAL,
-                    scheduler_kwargs={"allowed_failures": ATTEMPTS - 1, "dashboard": False},
-                )
+            cluster = LocalCluster(
+                n_workers=self._most_pending,
+                threads_per_worker=1,
+                host="127.0.0.1",
+                security=self._security,
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+                scheduler_kwargs={"allowed_failures": ATTEMPTS - 1, "dashboard": False},
+            )
         except RuntimeError as error:
             raise RunError(f"the worker processes did not start: {error}; try fewer with --jobs") from error
         self._open.callback(cluster.close)

@@ -11,7 +11,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
-from swarmabs_analysis.sweep.picture import pictures
 from swarmabs_core.errors import RunError
 from swarmabs_run.ending import terminable
 
@@ -53,6 +52,8 @@ def run_sweep(
                     folder.add(row)
                     on_progress(folder.outcomes)
             computing = time.monotonic() - begun
+            from swarmabs_analysis.sweep.picture import pictures  # noqa: PLC0415 - Matplotlib need not delay the cases
+
             folder.write_whole(folder.results, parquet(study, folder.rows))
             for name, content in pictures(study, folder.rows).items():
                 folder.write_whole(folder.path / name, content)
