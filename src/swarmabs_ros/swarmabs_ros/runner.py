@@ -168,8 +168,9 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
     problem: str | None = "the node failed"
     try:
         expected = _expected(settings)
+        begun = time.monotonic()
         while not stopped and not _matched(expected, publishers, inbox):
-            time.sleep(SLICE / 5.0)
+            time.sleep(_look_again(time.monotonic() - begun))
         node.get_logger().info(f"ready: {sum(expected.values())} counterparts of {len(expected)} endpoints met")
         status.send("ready")
         while not stopped and not status.wait_for_start(SLICE):
@@ -181,6 +182,14 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
         raise
     finally:
         spec.on_exit(problem)
+
+
+def _look_again(waited: float) -> float:
+    """Return the time, s, until the next look for counterparts, after waiting for a time, s.
+
+    It is short where they soon appear, and grows in large swarms, where hundreds of looking nodes delay each other.
+    """
+    return min(max(SLICE / 20.0, waited / 10.0), SLICE)
 
 
 def _expected(settings: Settings) -> dict[Topic, int]:
