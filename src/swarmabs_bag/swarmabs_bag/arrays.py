@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import resource
-import struct
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -27,6 +26,7 @@ from swarmabs_core.messages import EVENTS, ROBOT_STATES, SwarmEvent, Topic
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from swarmabs_bag.grouping import TopicMessages
     from swarmabs_core.systems import SystemTables
 
 MOST_ABSENT = 50_000_000
@@ -39,7 +39,6 @@ _EVENT_BYTES = 500
 """Memory of an event without a long text, bytes."""
 
 _GROUP = Path("/sys/fs/cgroup")
-_STEP = struct.Struct("<28xQ")
 
 
 def load_arrays(
@@ -119,24 +118,31 @@ def load_messages(bag: BagReader, *, stride: int = 1) -> LoadedMessages:
     _check_memory(bag, sizes, stride)
     gathered = {topic: bytearray() for topic in family.main}
     events: list[tuple[Topic, int, bytes]] = []
-    for topic, log_time, payload in bag.messages((*family.main, EVENTS)):
-        if topic is EVENTS:
-            events.append((topic, log_time, payload))
-            continue
-        size = sizes[topic]
-        # DDS may pad a payload to four bytes.
-        if not size <= len(payload) < size + 4:
-            raise DamagedBagError(
-                f"{bag.path}: /{topic.name} at {log_time / 1e9:.9g} s: {len(payload)} bytes, expected {size}"
-            )
-        if stride == 1 or _STEP.unpack_from(payload)[0] % stride == 0:
-            gathered[topic] += payload[:size]
+    for messages in bag.tables((*family.main, EVENTS)):
+        events.extend((EVENTS, event.time, event.payload) for event in messages.on(EVENTS))
+        _check_sizes(bag, messages, sizes)
+        for topic, layout in layouts.items():
+            rows = messages.on(topic).stored.rows(layout)
+            gathered[topic] += (rows if stride == 1 else rows[rows["step"] % stride == 0]).tobytes()
     tables = {topic: np.frombuffer(data, dtype=layouts[topic]) for topic, data in gathered.items()}
     for topic, rows in tables.items():
         _check_heads(bag, topic, rows, lengths_of(topic.message, firsts[topic]))
     _check_density(bag, tables)
     found = tuple(event for _, _, event in bag.decode(events) if isinstance(event, SwarmEvent))
     return LoadedMessages(tables, found, description_of(bag) if family.once else None)
+
+
+def _check_sizes(bag: BagReader, found: TopicMessages, sizes: Mapping[Topic, int]) -> None:
+    """Raise `DamagedBagError` for the first message whose payload is not of the size of its topic."""
+    expected = np.array([sizes.get(topic, -1) for topic in found.topics])[found.places]
+    more = found.stored.sizes - expected
+    # DDS may pad a payload to four bytes.
+    wrong = np.flatnonzero((expected >= 0) & ((more < 0) | (more >= 4)))
+    if len(wrong):
+        (topic, log_time, _, payload), size = next(iter(found[wrong[0] :])), int(expected[wrong[0]])
+        raise DamagedBagError(
+            f"{bag.path}: /{topic.name} at {log_time / 1e9:.9g} s: {len(payload)} bytes, expected {size}"
+        )
 
 
 def _first(bag: BagReader, topic: Topic) -> bytes:

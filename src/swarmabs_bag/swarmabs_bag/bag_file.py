@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import DataEnd, Metadata
 
@@ -21,20 +22,23 @@ from swarmabs_bag.records import (
     MAGIC,
     Record,
     RecordError,
-    StoredMessage,
     crc_with,
-    inner_messages,
+    message_head,
     parse,
     read_record,
     read_records,
     uncompress,
 )
+from swarmabs_bag.stored import ChunkContent, StoredMessages
 from swarmabs_config.model.errors import show
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
     from typing import BinaryIO
+
+_TOGETHER = 10_000
+"""Most messages outside of chunks that are read together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,42 +49,60 @@ class BagFile:
     size: int
     index: FileIndex
 
-    def stored(self) -> Iterator[StoredMessage]:
-        """Yield every message in file order."""
+    def stored(self) -> Iterator[StoredMessages]:
+        """Yield every message in file order, those of a chunk at once."""
         index, latest, count = self.index, 0, 0
         stated = index.statistics.message_count
         most = math.inf if index.problem else stated
+        channels = list(index.channels)
         with self._opened(lambda: f"; the messages before it, up to {latest / 1e9:.9g} s, can be read") as stream:
-            for message in self._messages(stream):
-                if message.channel_id not in index.channels:
-                    raise RecordError(
-                        index.data_end, f"channel {message.channel_id} of a message is not in the summary"
-                    )
-                latest = message.log_time
-                count += 1
-                if count > most:
+            for messages in self._messages(stream):
+                unknown = np.flatnonzero(~np.isin(messages.heads["channel_id"], channels))
+                end = int(unknown[0]) if len(unknown) else len(messages)
+                end = int(min(end, most - count))
+                if end:
+                    latest = int(messages.heads["log_time"][end - 1])
+                    yield messages[:end]
+                count += end
+                if len(unknown) and end == unknown[0]:
+                    channel = messages.heads["channel_id"][end]
+                    raise RecordError(index.data_end, f"channel {channel} of a message is not in the summary")
+                if end < len(messages):
+                    count += 1
                     break
-                yield message
         if index.problem is None and count != stated:
             counted = f"at least {count}" if count > most else str(count)
             raise DamagedBagError(f"{self.path}: the summary states message_count = {stated}, but it is {counted}")
 
-    def _messages(self, stream: BinaryIO) -> Iterator[StoredMessage]:
+    def _messages(self, stream: BinaryIO) -> Iterator[StoredMessages]:
         index = self.index
         if index.data_end <= len(MAGIC):
             return
         crc = zlib.crc32(MAGIC)
-        # A damaged file ends at data_end; in a complete one, the DataEnd record there ends the loop.
-        for record in read_records(stream, len(MAGIC), index.data_end if index.problem else stream.seek(0, 2)):
-            if record.opcode == Opcode.CHUNK:
-                yield from inner_messages(uncompress(record), record.offset)
-            elif record.opcode == Opcode.MESSAGE:
-                yield from inner_messages(record.stored, record.offset)
-            elif record.opcode == Opcode.DATA_END:
-                _check_crc(record, crc)
-            crc = crc_with(crc, record)
-            if index.problem and record.end >= index.data_end:
-                return
+        single: list[Record] = []
+        try:
+            # A damaged file ends at data_end; in a complete one, the DataEnd record there ends the loop.
+            for record in read_records(stream, len(MAGIC), index.data_end if index.problem else stream.seek(0, 2)):
+                if record.opcode == Opcode.MESSAGE:
+                    message_head(record.content, 0, len(record.content), record.offset)
+                    single.append(record)
+                if single and (record.opcode != Opcode.MESSAGE or len(single) == _TOGETHER):
+                    together, single = single, []
+                    yield _joined(together)
+                if record.opcode == Opcode.CHUNK:
+                    content = ChunkContent.of(uncompress(record), record.offset)
+                    yield content.messages
+                    if content.problem is not None:
+                        raise content.problem
+                elif record.opcode == Opcode.DATA_END:
+                    _check_crc(record, crc)
+                crc = crc_with(crc, record)
+                if index.problem and record.end >= index.data_end:
+                    break
+        except RecordError:
+            yield _joined(single)
+            raise
+        yield _joined(single)
 
     def attachments(self, name: str) -> Iterator[bytes]:
         """Yield the contents of all attachments of a name, in file order."""
@@ -122,6 +144,11 @@ class BagFile:
             raise DamagedBagError(f"{self.path}: {error}{remedy()}") from error
         except OSError as error:
             raise DamagedBagError(f"{self.path} cannot be read: {error.strerror or error}") from error
+
+
+def _joined(records: list[Record]) -> StoredMessages:
+    """Return messages outside of chunks."""
+    return ChunkContent.of(b"".join(record.stored for record in records), 0).messages
 
 
 def open_file(path: Path, *, damaged: bool) -> BagFile:

@@ -108,6 +108,14 @@ class Block:
         """Return some of the steps, numbered from 0 in the block; they share its memory."""
         return Block({topic: table[steps] for topic, table in self.tables.items()})
 
+    def alike(self, other: Block) -> bool:
+        """Return whether the steps of another block are of the same robots, with lists of the same lengths."""
+        layouts = all(
+            topic in other.tables and table.dtype == other.tables[topic].dtype for topic, table in self.tables.items()
+        )
+        robots = self.family.robot
+        return layouts and np.array_equal(self.tables[robots]["agent_id"][0], other.tables[robots]["agent_id"][0])
+
     @property
     def robots(self) -> int:
         """Number of robots."""

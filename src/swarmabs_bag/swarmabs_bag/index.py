@@ -41,13 +41,13 @@ from swarmabs_bag.records import (
     crc_with,
     encoded,
     indexed_channel,
-    inner_records,
     message_head,
     parse,
     read_record,
     read_records,
     uncompress,
 )
+from swarmabs_bag.stored import ChunkContent
 from swarmabs_config.model.errors import show
 
 if TYPE_CHECKING:
@@ -235,8 +235,12 @@ class FileIndex:
     def _take_chunk(self, record: Record, data: bytes) -> None:
         chunk: Chunk = parse(Chunk, record)
         inner = FileIndex()  # complete or an error: a partial chunk must not be in the statistics
-        for opcode, begin, end in inner_records(data, record.offset):
+        content = ChunkContent.of(data, record.offset)
+        for opcode, begin, end in content.others:
             inner.take_inner(opcode, data, (begin, end), record.offset)
+        if content.problem is not None:
+            raise content.problem
+        content.messages.add_to(inner.statistics)
         self.add_chunk(chunk, record.offset, record.size, inner.statistics)
         for definitions in (inner.schemas.values(), inner.channels.values()):
             for definition in definitions:

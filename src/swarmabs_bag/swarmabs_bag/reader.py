@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from swarmabs_bag.bag_file import BagFile, open_file
+from swarmabs_bag.blocks import Block
 from swarmabs_bag.channels import bag_channel, check_definitions, chosen_swarm, named_swarms, swarm_topics
 from swarmabs_bag.errors import CONVERT, DamagedBagError, NotABagError
+from swarmabs_bag.grouping import TopicMessages, in_blocks
 from swarmabs_bag.index import FileIndex, add_messages
 from swarmabs_bag.metadata import ABORTED_KEY, custom_texts, load_yaml
 from swarmabs_bag.run_folder import SUFFIX, find_bag, missing_files, split_files
@@ -27,8 +29,10 @@ if TYPE_CHECKING:
 
     from mcap.records import Channel
 
+    from swarmabs_bag.grouping import Published
     from swarmabs_bag.metadata import BagChannel
     from swarmabs_bag.records import StoredMessage
+    from swarmabs_bag.stored import StoredMessages
     from swarmabs_core.messages import Family, Message, Topic
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -99,8 +103,9 @@ class BagReader:
     def stored_messages(self) -> Iterator[tuple[BagChannel, StoredMessage]]:
         """Yield every message of the bag in file order, including those on topics outside of the swarm."""
         channels = self._channels
-        for message in self._stored():
-            yield channels[message.channel_id], message
+        for messages in self._stored():
+            for message in messages:
+                yield channels[message.channel_id], message
 
     def messages(self, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, bytes]]:
         """Yield topic, log time in ns and CDR payload of the swarm's messages on some or all topics, in file order.
@@ -110,23 +115,40 @@ class BagReader:
         UnknownTypeError
             If a message definition is unknown to this version.
         """
-        wanted = self._wanted(topics)
-        for message in self._stored():
-            topic = wanted.get(message.channel_id)
-            if topic is not None:
-                yield topic, message.log_time, message.payload
+        for topic, log_time, _, payload in self.published(topics):
+            yield topic, log_time, payload
 
-    def published(self, topics: Collection[Topic]) -> Iterator[tuple[Topic, int, int, bytes]]:
-        """Yield topic, log time and publish time in ns, and payload; parameters and errors as for `messages`."""
+    def published(self, topics: Collection[Topic] | None = None) -> Iterator[Published]:
+        """Yield the swarm's messages on some or all topics, in file order; errors as for `messages`."""
+        for of_topics in self.tables(topics):
+            yield from of_topics
+
+    def tables(self, topics: Collection[Topic] | None = None) -> Iterator[TopicMessages]:
+        """Yield what `published` does, the messages of a chunk at once; errors as for `messages`."""
         wanted = self._wanted(topics)
-        for message in self._stored():
-            topic = wanted.get(message.channel_id)
-            if topic is not None:
-                yield topic, message.log_time, message.publish_time, message.payload
+        for messages in self._stored():
+            found = TopicMessages.of(messages, wanted)
+            if len(found):
+                yield found
+
+    def blocks(self, topics: Collection[Topic] | None = None) -> Iterator[Block | Published]:
+        """Yield what `published` does, complete steps as blocks where possible; errors as for `messages`."""
+        return in_blocks(self.tables(topics), self.family)
+
+    def steps(self) -> Iterator[Block | Record]:
+        """Yield what `records` does for all topics, complete steps as blocks where possible; errors as for it."""
+        for found in self.blocks():
+            if isinstance(found, Block):
+                yield found
+            else:
+                yield from self._heard([found[:2] + found[3:]])
 
     def records(self, topics: Collection[Topic] | None = None) -> Iterator[Record]:
         """Yield the swarm's messages with canonical bytes, in file order; parameters and errors as for `messages`."""
-        return self._each(self.messages(topics), lambda topic, payload, _: Record.heard(topic, payload))
+        return self._heard(self.messages(topics))
+
+    def _heard(self, messages: Iterable[tuple[Topic, int, bytes]]) -> Iterator[Record]:
+        return self._each(messages, lambda topic, payload, _: Record.heard(topic, payload))
 
     def decoded(self, topics: Collection[Topic] | None = None) -> Iterator[tuple[Topic, int, Message]]:
         """Yield topic, log time in ns and message, in file order; parameters and errors as for `messages`."""
@@ -155,13 +177,11 @@ class BagReader:
             if channel.topic is not None and (topics is None or channel.topic in topics)
         }
 
-    def _stored(self) -> Iterator[StoredMessage]:
+    def _stored(self) -> Iterator[StoredMessages]:
         for file, numbers in zip(self.files, self._numbers, strict=True):
-            if all(number == own for own, number in numbers.items()):
-                yield from file.stored()
-            else:
-                for message in file.stored():
-                    yield message._replace(channel_id=numbers[message.channel_id])
+            for messages in file.stored():
+                messages.renumber(numbers)
+                yield messages
 
     def attachment(self, name: str) -> bytes | None:
         """Return the content of the first attachment with a name, or None; errors as for `attachments`."""

@@ -242,17 +242,6 @@ def message_head(content: bytes, begin: int, end: int, offset: int) -> tuple[int
     return _MESSAGE_HEAD.unpack_from(content, begin)
 
 
-def inner_messages(data: bytes, offset: int) -> Iterator[StoredMessage]:
-    """Yield the messages in a chunk; parameters and errors as for `inner_records`."""
-    head_size, unpack = _MESSAGE_HEAD.size, _MESSAGE_HEAD.unpack_from
-    for opcode, begin, end in inner_records(data, offset):
-        if opcode == Opcode.MESSAGE:
-            if begin + head_size > end:
-                raise RecordError(offset, "a message record is cut off")
-            channel_id, sequence, log_time, publish_time = unpack(data, begin)
-            yield StoredMessage(channel_id, sequence, log_time, publish_time, data[begin + head_size : end])
-
-
 def encoded(record: McapRecord) -> bytes:
     """Return a record as bytes of a file."""
     builder = RecordBuilder()

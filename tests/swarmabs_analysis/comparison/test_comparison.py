@@ -6,7 +6,9 @@ import re
 import tracemalloc
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
+from math import inf, nan
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,10 @@ from swarmabs_analysis.comparison.bags import Comparison, SettingDifference, com
 from swarmabs_analysis.comparison.messages import FieldDeviation, MessageComparison, TopicComparison
 from swarmabs_analysis.difference import Difference
 from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.recording import RecordedStep
+from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import AgentState, EventKind, Message, PlaneState, SwarmEvent
 from swarmabs_core.record import Record
 
@@ -139,6 +144,42 @@ def test_topics_may_overlap_but_only_so_far_and_a_message_is_there_once() -> Non
         compare([*rest[: at + 64], PLANE, *rest[at + 64 :]], RUN)
     with pytest.raises(DamagedBagError, match="B: /swarm/agent_state of agent 2 at step 11 is duplicated"):
         compare(RUN, [*RUN[: RUN.index(STATE)], STATE, *RUN[RUN.index(STATE) :]])
+
+
+def in_blocks(run: Iterable[Message], sizes: Iterable[int]) -> Iterator[Block | RecordedStep]:
+    """Yield a run with its steps in blocks of these sizes as far as they form some."""
+    steps = list(recorded_steps(map(Record.of, run), "run"))
+    for size in sizes:
+        part, steps = steps[:size], steps[size:]
+        block = Block.gathered(part)
+        yield from part if block is None else [block]
+
+
+def test_blocks_are_compared_as_their_messages_are() -> None:
+    """Numbers are changed at random, also to such that have no deviation, and single messages are missing."""
+    random = Random(3)
+    values = (nan, inf, -inf, 0.0, -0.0, 1e308, -1e308, 5e-324)
+    for number in range(20):
+        runs: list[list[Message]] = []
+        for _ in "AB":
+            run = [
+                m
+                for step in range(40)
+                for m in make_step(step, agents=(1, 2, 7) if step < 20 or number % 2 else (1, 2))
+            ]
+            for _ in range(random.randrange(30)):
+                place = random.randrange(len(run))
+                changed: Any = run[place]
+                field = random.choice([name for name in changed._fields if name not in {"step", "agent_id"}])
+                old = getattr(changed, field)
+                run[place] = changed._replace(**{field: random.choice(values) if isinstance(old, float) else old ^ 1})
+            if number % 3 == 0:
+                del run[random.randrange(len(run))]
+            runs.append([decode(type(m), encode(m)) for m in run])
+        sizes = [[random.randrange(1, 9) for _ in range(40)] for _ in "AB"]
+        plain, blocks = compare(*runs), compare_steps(*map(in_blocks, runs, sizes))
+        assert repr(plain.first) == repr(blocks.first)
+        assert repr(plain.topics) == repr(blocks.topics)
 
 
 def test_a_fraction_of_the_runs_is_in_memory() -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from swarmabs_analysis.comparison.messages import MessageComparison, compare_steps
 from swarmabs_analysis.difference import plain
 from swarmabs_bag.attached import attached_provenance, attached_scenario, description_of, is_realtime
+from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.figures import PLANE_TRACKING, RealtimeFigures, RunFigures, tracking_of
 from swarmabs_bag.reader import open_bag
@@ -238,7 +239,7 @@ class _Side:
         self._run = RunFigures(reference, tracking)
         self._realtime = RealtimeFigures(reference, Schedule(period_ns)) if is_realtime(bag) else None
 
-    def steps(self) -> Iterator[RecordedStep]:
+    def steps(self) -> Iterator[RecordedStep | Block]:
         """Yield the steps of the bag as far as they can be read."""
         found, realtime = self.found, self._realtime is not None
         # Other recorders receive topics independently of each other, as in real time.
@@ -246,8 +247,9 @@ class _Side:
         try:
             for step in recorded_steps(self._records(), found.file, realtime=realtime, window=window):
                 self._run.add(step)
-                if step.records[0].topic is not EVENTS:
-                    found.first_step = step.step if found.first_step is None else found.first_step
+                if isinstance(step, Block) or step.records[0].topic is not EVENTS:
+                    if found.first_step is None:
+                        found.first_step = step.first if isinstance(step, Block) else step.step
                     found.last_step = step.step
                     self.robots.update(state.agent_id for state in step.states())
                 yield step
@@ -259,11 +261,13 @@ class _Side:
         found.figures = (self._realtime or self._run).figures()
         found.digest = None if realtime or found.first_step is None else self._run.digest()
 
-    def _records(self) -> Iterator[Record]:
+    def _records(self) -> Iterator[Record | Block]:
         """Yield the messages of the bag; in real time the figures also need those that are not part of a step."""
+        if self._realtime is None:
+            yield from self.bag.steps()
+            return
         for record in self.bag.records():
-            if self._realtime is not None:
-                self._realtime.add(record)
+            self._realtime.add(record)
             yield record
 
 

@@ -6,16 +6,24 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
+from math import inf
+from typing import TYPE_CHECKING, Any, TypeAlias, overload
+
+import numpy as np
 
 from swarmabs_analysis.difference import MESSAGE, Difference, Side, component_of, differing_fields
+from swarmabs_bag.blocks import Block, raw
+from swarmabs_bag.recording import RecordedStep
 from swarmabs_bag.steps import ORDER
 from swarmabs_core.messages import EVENTS
+from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
-    from swarmabs_bag.recording import RecordedStep
+    from numpy.typing import NDArray
+
     from swarmabs_core.messages import Topic
-    from swarmabs_core.record import Record
+
+    Counts: TypeAlias = NDArray[np.integer[Any]]
 
 _KEYS = {"step", "agent_id"}
 """Fields by which messages are paired."""
@@ -23,18 +31,69 @@ _MOST_EVENTS = 100_000
 """Most events of one run that wait for an equal event in the other."""
 
 
+@overload
 def side_by_side(
     a: Iterable[RecordedStep], b: Iterable[RecordedStep]
-) -> Iterator[tuple[RecordedStep | None, RecordedStep | None]]:
-    """Yield two runs step by step, with None for a step that one of them lacks; both must be in ascending order."""
-    left, right = iter(a), iter(b)
-    x, y = next(left, None), next(right, None)
-    while x is not None or y is not None:
-        step = min(found.step for found in (x, y) if found is not None)
-        ours, theirs = (found if found is not None and found.step == step else None for found in (x, y))
-        yield ours, theirs
-        x = x if ours is None else next(left, None)
-        y = y if theirs is None else next(right, None)
+) -> Iterator[tuple[RecordedStep | None, RecordedStep | None]]: ...
+@overload
+def side_by_side(
+    a: Iterable[RecordedStep | Block], b: Iterable[RecordedStep | Block]
+) -> Iterator[tuple[RecordedStep | None, RecordedStep | None] | tuple[Block, Block]]: ...
+def side_by_side(
+    a: Iterable[RecordedStep | Block], b: Iterable[RecordedStep | Block]
+) -> Iterator[tuple[RecordedStep | None, RecordedStep | None] | tuple[Block, Block]]:
+    """Yield two runs step by step, with None for a step that one of them lacks; both must be in ascending order.
+
+    Where both have blocks, yield parts of these with the same steps.
+    """
+    left, right = _Ahead(a), _Ahead(b)
+    while (step := min(left.step, right.step)) < inf:
+        ours, theirs = left.block, right.block
+        if ours is not None and theirs is not None and left.step == right.step:
+            count = min(len(ours), len(theirs))
+            yield left.part(count), right.part(count)
+        else:
+            yield left.single(step), right.single(step)
+
+
+class _Ahead:
+    """The steps of a run of which the first is known, as `step`, infinite at the end; as `block` if it is in one."""
+
+    def __init__(self, steps: Iterable[RecordedStep | Block]) -> None:
+        self._steps = iter(steps)
+        self.step = -inf
+        self.block: Block | None = None
+        self._next()
+
+    def _next(self) -> None:
+        self._found = next(self._steps, None)
+        self._begin()
+
+    def _begin(self) -> None:
+        found = self._found
+        self.block = found if isinstance(found, Block) else None
+        self.step = inf if found is None else found.first if isinstance(found, Block) else found.step
+
+    def part(self, count: int) -> Block:
+        """Remove and return the first steps of the block."""
+        block = self.block
+        assert block is not None  # noqa: S101 - the caller has looked
+        if count == len(block):
+            self._next()
+        else:
+            self._found = block[count:]
+            self._begin()
+        return block[:count]
+
+    def single(self, step: float) -> RecordedStep | None:
+        """Remove and return the first step if it has this number, None if not."""
+        if self.step != step:
+            return None
+        if self.block is not None:
+            return next(self.part(1).recorded())
+        found = self._found
+        self._next()
+        return found if isinstance(found, RecordedStep) else None
 
 
 @dataclass
@@ -81,6 +140,24 @@ class FieldDeviation:
         self._squares += deviation * deviation
         if self.largest is None or deviation > self.largest:
             self.largest, self.step, self.agent = deviation, step, agent
+
+    def add_several(self, deviations: NDArray[np.float64] | None, steps: Counts, agents: Counts) -> None:
+        """Add the deviations of messages as `add` does one after the other, None if the field has none."""
+        self.differing += len(steps)
+        if deviations is None:
+            return
+        finite = np.isfinite(deviations)
+        known = deviations[finite]
+        self.undefined += len(steps) - len(known)
+        if not len(known):
+            return
+        with np.errstate(over="ignore"):
+            # Unlike `sum`, `cumsum` adds one term after the other.
+            self._squares = float(np.cumsum(np.concatenate(([self._squares], known * known)))[-1])
+        place = int(np.argmax(known))
+        if self.largest is None or known[place] > self.largest:
+            self.largest = float(known[place])
+            self.step, self.agent = int(steps[finite][place]), int(agents[finite][place])
 
     def finish(self, compared: int) -> None:
         """Compute the result over `compared` messages."""
@@ -154,11 +231,33 @@ class MessageComparison:
         if one.payload == other.payload:
             return
         topic.differing += 1
-        for name, x, y in differing_fields(one.message, other.message):
-            if name not in _KEYS:
-                deviation = abs(x - y) if isinstance(x, float) and isinstance(y, float) else None
-                topic.field(name).add(deviation, one.message.step, one.agent_id)
-                self._note(one, Difference.of(one.message, name, x, y))
+        for difference in _differences(one, other):
+            x, y = difference.a, difference.b
+            deviation = abs(x - y) if isinstance(x, float) and isinstance(y, float) else None
+            topic.field(difference.field).add(deviation, one.message.step, one.agent_id)
+            self._note(one, difference)
+
+    def take_blocks(self, one: Block, other: Block) -> None:
+        """Compare the messages of A and B in the same steps; both have the same robots and layouts."""
+        for topic, table in one.tables.items():
+            found = self._topics.setdefault(topic, TopicComparison(topic.name))
+            found.compared += table.size
+            differ = (raw(table) != raw(other.tables[topic])).any(axis=-1)
+            if not differ.any():
+                continue
+            ours, theirs = table[differ], other.tables[topic][differ]
+            found.differing += len(ours)
+            steps = ours["step"]
+            agents = ours["agent_id"] if "agent_id" in (ours.dtype.names or ()) else np.zeros(len(ours), dtype=int)
+            for name, x, y in _columns(topic, ours, theirs):
+                bits = x.view(np.int64) != y.view(np.int64) if x.dtype == np.float64 else x != y
+                if bits.any():
+                    with np.errstate(all="ignore"):
+                        deviations = np.abs(x - y)[bits] if x.dtype == np.float64 else None
+                    found.field(name).add_several(deviations, steps[bits], agents[bits])
+            if self._place is None or (steps[0], ORDER[topic], agents[0]) < self._place:
+                mine, its = (Record.heard(topic, rows[:1].tobytes()) for rows in (ours, theirs))
+                self._note(mine, next(_differences(mine, its)))
 
     def _note(self, record: Record, difference: Difference) -> None:
         place = (record.message.step, ORDER[record.topic], record.agent_id)
@@ -173,7 +272,26 @@ class MessageComparison:
         return self
 
 
-def compare_steps(a: Iterable[RecordedStep], b: Iterable[RecordedStep]) -> MessageComparison:
+def _differences(one: Record, other: Record) -> Iterator[Difference]:
+    """Yield the fields in which the messages of A and B at one place differ."""
+    for name, x, y in differing_fields(one.message, other.message):
+        if name not in _KEYS:
+            yield Difference.of(one.message, name, x, y)
+
+
+def _columns(
+    topic: Topic, ours: NDArray[np.void], theirs: NDArray[np.void]
+) -> Iterator[tuple[str, NDArray[Any], NDArray[Any]]]:
+    """Yield the fields of messages by which `differing_fields` compares them, vectors by component, as columns."""
+    for name in topic.message._fields:
+        if name == "stamp":
+            yield name, *(rows["sec"] * np.int64(1_000_000_000) + rows["nanosec"] for rows in (ours, theirs))
+        elif name in (ours.dtype.names or ()) and name not in _KEYS:
+            x, y = (np.ascontiguousarray(rows[name].T) for rows in (ours, theirs))
+            yield from ((f"{name}[{n}]", x[n], y[n]) for n in range(len(x))) if x.ndim > 1 else ((name, x, y),)
+
+
+def compare_steps(a: Iterable[RecordedStep | Block], b: Iterable[RecordedStep | Block]) -> MessageComparison:
     """Compare two runs message by message.
 
     Both are read in parallel; only the current step and the events that have no counterpart yet are kept in memory.
@@ -184,11 +302,23 @@ def compare_steps(a: Iterable[RecordedStep], b: Iterable[RecordedStep]) -> Messa
     found = MessageComparison()
     events = _Events(found)
     for x, y in side_by_side(_main_steps(a, events, "A"), _main_steps(b, events, "B")):
-        ours, theirs = ({_place(record): record for record in step.records} if step else {} for step in (x, y))
-        for place in sorted(ours.keys() | theirs.keys()):
-            found.take(ours.get(place), theirs.get(place))
+        if isinstance(x, Block) and isinstance(y, Block):
+            if x.alike(y):
+                found.take_blocks(x, y)
+            else:
+                for ours, theirs in zip(x.recorded(), y.recorded(), strict=True):
+                    _take_step(found, ours, theirs)
+        elif not isinstance(x, Block) and not isinstance(y, Block):
+            _take_step(found, x, y)
     events.finish()
     return found.finish()
+
+
+def _take_step(found: MessageComparison, a: RecordedStep | None, b: RecordedStep | None) -> None:
+    """Compare the messages of a step."""
+    ours, theirs = ({_place(record): record for record in step.records} if step else {} for step in (a, b))
+    for place in sorted(ours.keys() | theirs.keys()):
+        found.take(ours.get(place), theirs.get(place))
 
 
 def _place(record: Record) -> tuple[int, str, int]:
@@ -196,9 +326,9 @@ def _place(record: Record) -> tuple[int, str, int]:
     return ORDER[record.topic], record.topic.name, record.agent_id
 
 
-def _main_steps(steps: Iterable[RecordedStep], events: _Events, side: Side) -> Iterator[RecordedStep]:
+def _main_steps(steps: Iterable[RecordedStep | Block], events: _Events, side: Side) -> Iterator[RecordedStep | Block]:
     for step in steps:
-        if step.records[0].topic is EVENTS:
+        if isinstance(step, RecordedStep) and step.records[0].topic is EVENTS:
             for record in step.records:
                 events.add(record, side)
         else:
