@@ -40,6 +40,8 @@ _MIB = 2**20
 _DEPLOYMENTS = ((1000, 10), (1000, 50), (1000, 1000), (10_000, 50), (10_000, 200), (10_000, 10_000))
 """Pairs of robots and hosts for which the steps per second are derived."""
 _MB = 1e6
+READERS = ("verify", "compare", "info", "load_arrays")
+"""What reads whole bags, by names in the suite ``reading``."""
 
 
 class Table(NamedTuple):
@@ -246,12 +248,13 @@ def _reading(rows: list[dict[str, Any]]) -> Table:
     for row in rows:
         summary = row["summary"]
         sizes = (shown(summary[key], _MB) for key in ("bag_bytes", "arrays_bytes_per_second"))
-        found.append((str(row["robots"]), *sizes, shown(summary["ratio_to_iteration"])))
+        rates = (shown(summary.get(name), 1000.0) for name in READERS)
+        found.append((str(row["robots"]), *sizes, shown(summary["ratio_to_iteration"]), *rates))
     return Table(
         "reading",
         "loading a bag into arrays: size of the bag before compression, speed, and the time relative to an iteration of"
-        " the mcap library over the raw messages",
-        ("robots", "MB", "MB/s", "relative to raw"),
+        " the mcap library over the raw messages; and thousands of messages per second of processor time",
+        ("robots", "MB", "MB/s", "relative to raw", *READERS),
         tuple(found),
     )
 

@@ -15,6 +15,7 @@ from benchmarks import baseline_programs
 from benchmarks.baseline_programs import BASELINES, FOLDER, Baseline, measure_baseline
 from benchmarks.processes import AGENTS
 from benchmarks.results import CHART, DOCUMENT, LARGE_CHART, TABLES
+from benchmarks.tables import READERS
 from tests.processes import marked_processes, until
 
 from swarmabs_core.errors import RunError
@@ -43,7 +44,7 @@ MEASURES = {
     "memory": {"agent_bytes", "total_bytes"},
     "large": {"start_seconds", "steps_per_second", "total_bytes", "cpu_ms_per_step"},
     "recorder": {"messages_per_second", "core_share", "messages_per_core_second"},
-    "reading": {"bag_bytes", "arrays_bytes_per_second", "ratio_to_iteration"},
+    "reading": {"bag_bytes", "arrays_bytes_per_second", "ratio_to_iteration", *READERS},
     "simulate": {"real_time_factor", "real_time_factor_without_bag"},
 }
 

@@ -19,6 +19,7 @@ from swarmabs_bag.attached import (
     supply_scenario,
     versions,
 )
+from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import RECORDED, realtime_world
@@ -77,7 +78,7 @@ class BagToVerify:
     def verify(self, tolerance: float = 0.0, on_step: Callable[[int], None] | None = None) -> VerificationResult:
         """Verify the bag; damage does not raise but is part of the result.
 
-        After each message `on_step` receives the first step that is not verified yet.
+        After each message or block of messages `on_step` receives the first step that is not verified yet.
         """
         verification: Verification = (
             LockstepVerification(self.scenario, tolerance=tolerance)
@@ -118,8 +119,11 @@ class BagToVerify:
         try:
             family = self.scenario.family
             topics = RECORDED if self._realtime else (*family.once, *family.main, EVENTS)
-            for topic, time, published, payload in self._bag.published(topics):
-                verification.add(topic, time, payload, published)
+            for found in self._bag.published(topics) if self._realtime else self._bag.blocks(topics):
+                if isinstance(found, Block):
+                    verification.add_block(found)
+                else:
+                    verification.add(found.topic, found.time, found.payload, found.published)
                 if verification.decided:
                     break
                 if on_step is not None:

@@ -116,6 +116,10 @@ class Block:
         robots = self.family.robot
         return layouts and np.array_equal(self.tables[robots]["agent_id"][0], other.tables[robots]["agent_id"][0])
 
+    def joined(self, other: Block) -> Block:
+        """Return the block of these steps and of others that are `alike` and follow them."""
+        return Block({topic: np.concatenate((table, other.tables[topic])) for topic, table in self.tables.items()})
+
     @property
     def robots(self) -> int:
         """Number of robots."""

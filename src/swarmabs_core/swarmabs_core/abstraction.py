@@ -20,7 +20,7 @@ from swarmabs_core.messages import AbstractState, AuxiliaryState, Kind
 from swarmabs_core.summation import Columns, Sums, robot_sums
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from swarmabs_core.messages import AgentState
 
@@ -71,15 +71,24 @@ def _weight_terms(m: float = 0.0, p: float = 0.0, v: float = 0.0) -> tuple[float
     return mp, mp * p, mv, mp * v, mv * v
 
 
-def second_moments(robots: Iterable[tuple[float, float]] | Columns, sums: Sums = robot_sums) -> SecondMoments:
+def quotient(a: float, b: float) -> float:
+    """Return a / b, 0 if b is 0."""
+    return a / b if b else 0.0
+
+
+def second_moments(
+    robots: Iterable[tuple[float, float]] | Columns,
+    sums: Sums = robot_sums,
+    divided: Callable[[float, float], float] = quotient,
+) -> SecondMoments:
     """Return S0 to S3 of the robots that follow the law, each given by mass (kg) and position (m) (eq. pinv).
 
     S3 is summed about the centre S1/S0, which avoids cancellation when the robots are close together; it is never
-    negative. Without robots, all sums are zero.
+    negative. Without robots, all sums are zero; `divided` is the quotient of two sums, or of arrays of sums.
     """
     members = tuple(robots)
     s0, s1, s2 = sums(members, _moment_terms)
-    centre = s1 / s0 if s0 else 0.0
+    centre = divided(s1, s0)
 
     def around_centre(m: float = 0.0, p: float = 0.0) -> tuple[float]:
         offset = p - centre
@@ -129,20 +138,27 @@ def observed(
     """
     moved = [(s.mass, s.position) for s in followers]
     damped = [(s.mass, s.position, s.damping) for s in followers if s.kind == Kind.DOUBLE_INTEGRATOR]
-    return summed(stamp, step, len(weights), (weights, moved, damped), gravity, ksd)
+    return summed(stamp, step, len(weights), (weights, moved, damped), (gravity, ksd))
 
 
 def summed(
-    stamp: int, step: int, count: int, robots: tuple[Any, Any, Any], gravity: float, ksd: float, sums: Sums = robot_sums
+    stamp: int,
+    step: int,
+    count: int,
+    robots: tuple[Any, Any, Any],
+    constants: tuple[float, float],
+    sums: Sums = robot_sums,
+    divided: Callable[[float, float], float] = quotient,
 ) -> tuple[AbstractState, AuxiliaryState]:
-    """Return what `observed` does for `robots` as `sums` takes them.
+    """Return what `observed` does for `robots` as `sums` takes them; `divided` is that of `second_moments`.
 
-    They are the `count` robots whose weight is on the plane, as for `abstraction`; those that follow the law, as for
-    `second_moments`; and the double integrators among these, as for `damping_sums`.
+    The constants are gravity (m/s^2) and `ksd` (N s/m). The robots are the `count` whose weight is on the plane, as for
+    `abstraction`; those that follow the law, as for `second_moments`; and the double integrators among these, as for
+    `damping_sums`.
     """
-    weights, followers, damped = robots
+    (weights, followers, damped), (gravity, ksd) = robots, constants
     *abstract, q = abstraction(weights, gravity, sums)
-    moments = second_moments(followers, sums)
+    moments = second_moments(followers, sums, divided)
     return (
         AbstractState(stamp, step, count, *abstract),
         AuxiliaryState(stamp, step, *moments, *damping_sums(damped, ksd, sums), q),

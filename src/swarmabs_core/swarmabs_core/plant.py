@@ -12,16 +12,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, copysign, cos, inf, isfinite, sin, tanh
-from operator import methodcaller
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from swarmabs_core.declaration import part, setting
 from swarmabs_core.errors import RunError
 from swarmabs_core.sensing import PlaneSensor
-from swarmabs_core.summation import exact_sum, term_columns
+from swarmabs_core.summation import column_total, exact_total, term_columns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+
+Function: TypeAlias = "Callable[[Any], Any]"
+Functions: TypeAlias = tuple[Function, Function, Function]
 
 STEEPEST = 1.5
 """Angle of the plane, rad, at which a run fails: robots slide off, and the ARISE law divides by its cosine."""
@@ -73,19 +75,25 @@ def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
 
 
 def column_load(
-    mass: Any, start: tuple[Any, Any], end: tuple[Any, Any], curved: Any, period: float, gravity: float
+    mass: Any,
+    start: tuple[Any, Any],
+    end: tuple[Any, Any],
+    curved: Any,
+    constants: tuple[float, float],
+    total: Callable[..., Any] = column_total,
 ) -> SwarmLoad:
     """Return the load of robots given as columns, with the same bits as `swarm_load` of their paths.
 
-    `curved` selects those on cubics; the others move at constant velocity. All else is as for `hermite`.
+    `curved` selects those on cubics; the others move at constant velocity. The constants are the period (s) and gravity
+    (m/s^2); `total` is that of `summed_load`. All else is as for `hermite`.
     """
     path: Any = hermite
-    (p0, v0), (p1, v1) = start, end
+    (p0, v0), (p1, v1), (period, gravity) = start, end, constants
     cubics = path(mass[curved], (p0[curved], v0[curved]), (p1[curved], v1[curved]), period)
     rise = p1 - p0
     rise[curved] = cubics.c1
     linear: Any = linear_terms
-    return summed_load(linear(mass, p0, rise), cubic_terms(*cubics), gravity, methodcaller("tolist"))
+    return summed_load(linear(mass, p0, rise), cubic_terms(*cubics), gravity, total)
 
 
 def linear_terms(m: float = 0.0, a: float = 0.0, b: float = 0.0) -> tuple[float, ...]:
@@ -101,7 +109,7 @@ def cubic_terms(m: float = 0.0, a: float = 0.0, b: float = 0.0, c: float = 0.0, 
 
 
 def summed_load(
-    linear: Iterable[Any], cubic: Iterable[Any], gravity: float, numbers: Callable[[Any], Iterable[float]] = iter
+    linear: Iterable[Any], cubic: Iterable[Any], gravity: float, total: Callable[..., Any] = exact_total
 ) -> SwarmLoad:
     """Sum columns of the `linear_terms` of all paths and the `cubic_terms` of curved paths.
 
@@ -111,14 +119,14 @@ def summed_load(
         One column for each term.
     gravity : float
         Acceleration of gravity, m/s^2.
-    numbers : callable
-        Returns the numbers in a column.
+    total : callable
+        Returns the correctly rounded sum of the numbers in one or several columns.
     """
     t0, t1, j0, j1, j2 = linear
     t2, t3, j2_cubic, *higher = cubic
-    x0, x1, x2, x3 = [gravity * exact_sum(numbers(column)) for column in (t0, t1, t2, t3)]
-    y0, y1, y3, y4, y5, y6 = [exact_sum(numbers(column)) for column in (j0, j1, *higher)]
-    y2 = exact_sum([*numbers(j2), *numbers(j2_cubic)])
+    x0, x1, x2, x3 = [gravity * total(column) for column in (t0, t1, t2, t3)]
+    y0, y1, y3, y4, y5, y6 = map(total, (j0, j1, *higher))
+    y2 = total(j2, j2_cubic)
     return SwarmLoad((x0, x1, x2, x3), (y0, y1, y2, y3, y4, y5, y6))
 
 
@@ -153,8 +161,8 @@ class Disturbance:
     amplitude: float = setting(0.0, "amplitude of the disturbance torque, N m")
     angular_frequency: float = setting(0.5, "angular frequency of the disturbance, rad/s")
 
-    def torques(self, times: Sequence[float]) -> list[float]:
-        """Return the disturbance torque, N m, at times in s."""
+    def torques(self, times: Sequence[Any], sin: Function = sin) -> list[Any]:
+        """Return the disturbance torque, N m, at times in s; of arrays, the sine takes each element."""
         if not self.amplitude:
             return [0.0] * len(times)
         return [self.amplitude * sin(self.angular_frequency * time) for time in times]
@@ -224,51 +232,79 @@ class PlaneDynamics:
         RunError
             If the motion is not finite.
         """
-        count, period = self._count, self._period
-        torque, inertia, inertia_rate, disturbance = self._sample(time, load)
-        if extra:
-            disturbance = [value + extra for value in disturbance]
-        g1, g2, g3, g4, g5, g6 = self._plane.friction
-
-        def acceleration(th: float, w: float, n: int) -> float:
-            friction = g1 * (tanh(g2 * w) - tanh(g3 * w)) + g4 * tanh(g5 * w) + g6 * w
-            return (-cos(th) * torque[n] - inertia_rate[n] * w - friction - disturbance[n]) / inertia[n]
-
-        h = period / count
-        half = 0.5 * h
-        th, w, end_stop = angle, angular_velocity, self._plane.end_stop
+        end_stop = self._plane.end_stop
         rests = abs(angle) == end_stop and not angular_velocity
         self.impact = None
+
+        def stopped(th: float, w: float, end: float) -> tuple[float, float]:
+            if not abs(th) > end_stop:
+                return th, w
+            if not rests:
+                self.impact = self.impact or (time + end, w)
+            return copysign(end_stop, th), 0.0
+
+        sampled = self._sample(time, load, extra, sin)
         try:
-            for n in range(0, 2 * count, 2):
-                a1 = acceleration(th, w, n)
-                w2 = w + half * a1
-                a2 = acceleration(th + half * w, w2, n + 1)
-                w3 = w + half * a2
-                a3 = acceleration(th + half * w2, w3, n + 1)
-                w4 = w + h * a3
-                a4 = acceleration(th + h * w3, w4, n + 2)
-                th += h / 6.0 * (w + 2.0 * (w2 + w3) + w4)
-                w += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
-                if abs(th) > end_stop:
-                    if not rests:
-                        self.impact = self.impact or (time + (n + 2) * half, w)
-                    th, w = copysign(end_stop, th), 0.0
+            th, w = self._integrate(
+                (angle, angular_velocity), sampled, (cos, tanh), stopped if end_stop < inf else None
+            )
         except (ValueError, OverflowError) as error:  # cos(inf)
             raise RunError(DIVERGED.format(time)) from error
         if not (isfinite(th) and isfinite(w)):
             raise RunError(DIVERGED.format(time))
         return th, w
 
-    def _sample(self, time: float, load: SwarmLoad) -> tuple[list[float], list[float], list[float], list[float]]:
+    def advance_each(
+        self, angles: Any, angular_velocities: Any, times: Any, load: SwarmLoad, extra: float, functions: Functions
+    ) -> tuple[Any, Any]:
+        """Return what `advance` does for many periods at once, given as arrays (K,), for a plane without end stops.
+
+        The arrays contain the same bits, which are not finite where `advance` raises an error, if the functions (sine,
+        cosine, hyperbolic tangent) apply those of `math` to each element, with their errors.
+        """
+        sine, cosine, tangent = functions
+        sampled = self._sample(times, load, extra, sine)
+        return self._integrate((angles, angular_velocities), sampled, (cosine, tangent), None)
+
+    def _integrate(
+        self, state: tuple[Any, Any], sampled: tuple[list[Any], ...], functions: tuple[Function, Function], stop: Any
+    ) -> tuple[Any, Any]:
+        """Return the state after a period; `stop` changes the state at the end of a substep (s after the start)."""
+        torque, inertia, inertia_rate, disturbance = sampled
+        cos, tanh = functions
+        g1, g2, g3, g4, g5, g6 = self._plane.friction
+
+        def acceleration(th: Any, w: Any, n: int) -> Any:
+            friction = g1 * (tanh(g2 * w) - tanh(g3 * w)) + g4 * tanh(g5 * w) + g6 * w
+            return (-cos(th) * torque[n] - inertia_rate[n] * w - friction - disturbance[n]) / inertia[n]
+
+        h = self._period / self._count
+        half = 0.5 * h
+        th, w = state
+        for n in range(0, 2 * self._count, 2):
+            a1 = acceleration(th, w, n)
+            w2 = w + half * a1
+            a2 = acceleration(th + half * w, w2, n + 1)
+            w3 = w + half * a2
+            a3 = acceleration(th + half * w2, w3, n + 1)
+            w4 = w + h * a3
+            a4 = acceleration(th + h * w3, w4, n + 2)
+            th = th + h / 6.0 * (w + 2.0 * (w2 + w3) + w4)
+            w = w + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
+            if stop is not None:
+                th, w = stop(th, w, (n + 2) * half)
+        return th, w
+
+    def _sample(self, time: Any, load: SwarmLoad, extra: float, sin: Function) -> tuple[list[Any], ...]:
         """Evaluate torque, inertia, inertia rate and disturbance at the ends and midpoints of the substeps."""
         t0, t1, t2, t3 = load.torque
         j0, j1, j2, j3, j4, j5, j6 = load.inertia
         period, total = self._period, self._plane.inertia + j0
         k2, k3, k4, k5 = 2.0 * j2, 3.0 * j3, 4.0 * j4, 5.0 * j5
+        disturbance = self._plane.disturbance.torques([time + s * period for s in self._shares], sin)
         return (
             [t0 + s * (t1 + s * (t2 + s * t3)) for s in self._shares],
             [total + s * (j1 + s * (j2 + s * (j3 + s * (j4 + s * (j5 + s * j6))))) for s in self._shares],
             [(j1 + s * (k2 + s * (k3 + s * (k4 + s * (k5 + s * 6.0 * j6))))) / period for s in self._shares],
-            self._plane.disturbance.torques([time + s * period for s in self._shares]),
+            [value + extra for value in disturbance] if extra else disturbance,
         )

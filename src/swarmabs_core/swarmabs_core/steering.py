@@ -76,6 +76,11 @@ class StepSchedule:
     def __bool__(self) -> bool:
         return bool(self._steps)
 
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """The steps at which the value is set, ascending."""
+        return tuple(self._steps)
+
     def at(self, step: int) -> float:
         """Return the value in a step."""
         place = bisect_right(self._steps, step)

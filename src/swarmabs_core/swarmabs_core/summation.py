@@ -7,7 +7,7 @@ robot, it computes the same bits for all robots at once.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from itertools import starmap
+from itertools import chain, starmap
 from math import fsum, nan
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -31,6 +31,11 @@ def exact_sum(terms: Iterable[float]) -> float:
         return nan
 
 
+def exact_total(*columns: Iterable[float]) -> float:
+    """Return the `exact_sum` of all numbers in columns."""
+    return exact_sum(columns[0] if len(columns) == 1 else chain.from_iterable(columns))
+
+
 def term_columns(robots: Iterable[Iterable[float]], terms: Terms) -> Iterable[Sequence[float]]:
     """Return the terms of all robots, for each sum."""
     return zip(*(list(starmap(terms, robots)) or [terms()]), strict=True)
@@ -43,4 +48,9 @@ def robot_sums(robots: Iterable[Iterable[float]], terms: Terms) -> list[float]:
 
 def column_sums(robots: Iterable[Any], terms: Terms) -> list[float]:
     """Return the sums over robots given as columns, which are numpy arrays."""
-    return [exact_sum(column.tolist()) for column in terms(*robots)]
+    return [column_total(column) for column in terms(*robots)]
+
+
+def column_total(*columns: NDArray[np.float64]) -> float:
+    """Return the `exact_sum` of all numbers in columns, which are numpy arrays."""
+    return exact_total(*(column.tolist() for column in columns))

@@ -178,7 +178,7 @@ class _Swarm:
         """Return abstract and auxiliary state, as `swarmabs_core.abstraction` defines them."""
         m, p, di = self.mass, self.position, self.di
         robots = (m, p, self.velocity), (m, p), (m[di], p[di], self.di_damping)
-        return summed(stamp, step, len(m), robots, self.gravity, self.gains.ksd, column_sums)
+        return summed(stamp, step, len(m), robots, (self.gravity, self.gains.ksd), column_sums)
 
     def move(self, abstract: AbstractState, sums: AuxiliaryState, desired: DesiredAbstractState) -> SwarmLoad:
         """Command all robots, move them for one period, and return their load on the plane over it."""
@@ -194,7 +194,7 @@ class _Swarm:
             raise NotVectorisableError
         self.position[si], self.velocity[si] = self.si_drive.advance(p[si], v[si], u[si])
         self.position[di], self.velocity[di] = self.di_drive.advance(p[di], v[di], u[di])
-        return column_load(m, (p, v), (self.position, self.velocity), di, self.period, self.gravity)
+        return column_load(m, (p, v), (self.position, self.velocity), di, (self.period, self.gravity))
 
 
 class VectorSimulation:

@@ -1,7 +1,7 @@
 """Verification of runs that are right, of runs in which a bit was changed, and of robots that cheat consistently."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from random import Random
@@ -9,12 +9,16 @@ from typing import Any
 
 import pytest
 from hypothesis import given, settings, strategies as st
+from tests.swarmabs_bag.mcap_files import message
 from tests.swarmabs_core.helpers import builtin, digest
 from tests.swarmabs_core.realtime.bags import Stored
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_analysis.verification.base import VerificationResult
+from swarmabs_analysis.verification.base import Verification, VerificationResult
 from swarmabs_analysis.verification.lockstep import LockstepVerification
+from swarmabs_bag.blocks import Block
+from swarmabs_bag.grouping import Published, TopicMessages, in_blocks
+from swarmabs_bag.stored import ChunkContent
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core import desired_state, messages as msg
@@ -37,12 +41,18 @@ FAULTS_OF_MESSAGES = (
     " {kind: loss, probability: 0.3, agents: [3], from: 0.2, to: 0.5},"
     " {kind: delay, steps: 2, agents: [1, 4], to: 0.3}]"
 )
+ENDS = (
+    "faults=[{at: 0.1, kind: join, agent: 4}, {at: 0.2, kind: kill, agent: 1}, {at: 0.3, kind: disturbance, torque: 1},"
+    " {at: 0.4, kind: leave, agent: 3}, {at: 0.4, kind: reference, offset: 0.01},"
+    " {at: 0.5, kind: disturbance, torque: 0}, {kind: loss, probability: 0.5, from: 0.5, to: 0.52}]"
+)
 NOISE = ("swarm.sensor={noise: [1.0e-4, 1.0e-3], resolution: [1.0e-5, 0]}", "plane.sensor={noise: [1.0e-4, 1.0e-3]}")
 WORLDS: dict[str, tuple[str, ...]] = {
     "faults": ("pd_het_4", SHORT, FAULTS),
     "faults of messages": ("pd_het_4", SHORT, FAULTS_OF_MESSAGES),
     "freeze": ("pd_het_4", SHORT, "faults=[{at: 0.2, kind: freeze, agent: 3}]"),
     "adaptive controller and disturbance": ("arise_het_4", SHORT),
+    "membership": ("arise_het_4", SHORT, ENDS),
     "many robots, on arrays": ("arise_het_20", "duration=0.2"),
     "limits": ("pd_het_4", SHORT, "limits={velocity: 0.05, force: 0.1}", "manifold.torque_max=0.2"),
     "noise": ("pd_het_4", SHORT, *NOISE),
@@ -83,13 +93,44 @@ def whole(*named: str) -> tuple[Scenario, list[Stored]]:
     return world(*named), list(recorded(*named))
 
 
+def in_chunks(
+    scenario: Scenario, bag: Sequence[Stored], random: Random, sizes: Sequence[int] = (7, 100, 1000)
+) -> Iterator[Block | Published]:
+    """Return messages as they are read from chunks of so many of them."""
+    topics = dict(enumerate((*scenario.family.main, msg.EVENTS)))
+    numbers = {topic: number for number, topic in topics.items()}
+
+    def chunks() -> Iterator[TopicMessages]:
+        rest = [message(numbers[s.topic], s.payload, s.time) for s in bag]
+        while rest:
+            size = random.choice(sizes)
+            chunk, rest = b"".join(rest[:size]), rest[size:]
+            yield TopicMessages.of(ChunkContent.of(chunk, 0).messages, topics)
+
+    return in_blocks(chunks(), scenario.family)
+
+
+def take(verification: LockstepVerification, parts: Iterable[Block | Published]) -> None:
+    for part in parts:
+        if isinstance(part, Block):
+            verification.add_block(part)
+        else:
+            verification.add(part.topic, part.time, part.payload)
+
+
 def verify(
     scenario: Scenario, bag: Iterable[Stored], *, whole: bool = True, tolerance: float = 0.0
 ) -> VerificationResult:
+    """Verify a bag message by message and in blocks, which must give the same."""
+    bag = list(bag)
     verification = LockstepVerification(scenario, tolerance=tolerance)
     for stored in bag:
         verification.add(*stored)
     verification.finish(whole=whole)
+    blocks = LockstepVerification(scenario, tolerance=tolerance)
+    take(blocks, in_chunks(scenario, bag, Random(len(bag))))
+    blocks.finish(whole=whole)
+    assert repr(blocks.found) == repr(verification.found)
     return verification.found
 
 
@@ -125,6 +166,19 @@ def test_a_right_run_is_found_right_and_has_its_digest(name: str) -> None:
     assert found.digest == digest(steps)
 
 
+@pytest.mark.parametrize("name", ["membership", "many robots, on arrays", "adaptive controller and disturbance"])
+def test_most_steps_without_disturbance_are_verified_at_once(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario, bag = whole(*WORLDS[name])
+    single: list[bytes] = []
+    add = Verification.add
+    monkeypatch.setattr(Verification, "add", lambda self, *given: single.append(given[2]) or add(self, *given))
+    verification = LockstepVerification(scenario)
+    take(verification, in_chunks(scenario, bag, Random(0), [len(bag)]))
+    verification.finish()
+    assert verification.found.complete
+    assert len(single) < (0.6 if name == "membership" else 0.2) * len(bag)
+
+
 # A bit is changed
 
 
@@ -139,10 +193,10 @@ def changed_fields(original: Stored, found: Stored) -> set[str]:
     return differ or {"padding"}
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(st.data())
 def test_a_changed_bit_is_found_and_named(data: st.DataObject) -> None:
-    scenario, bag = whole(*WORLDS["faults"])
+    scenario, bag = whole(*WORLDS[data.draw(st.sampled_from(("faults", "membership")))])
     events = [n for n, stored in enumerate(bag) if stored.topic is msg.EVENTS]
     index = data.draw(st.one_of(st.integers(0, len(bag) - 1), st.sampled_from(events)))
     original = bag[index]

@@ -14,6 +14,7 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from swarmabs_bag.blocks import Block
     from swarmabs_core.messages import Topic
 
 Finding: TypeAlias = "Difference | str | None"
@@ -132,6 +133,11 @@ class Verification(ABC):
             step = None if self._period_ns is None else time // self._period_ns
             found = Difference(topic.name, step, None, PAYLOAD, in_hex(payload), None, str(error))
         self._take(found)
+
+    def add_block(self, block: Block) -> None:
+        """Check the next messages of the bag, which form a block."""
+        for topic, time, payload in block.stored():
+            self.add(topic, time, payload, time)
 
     @abstractmethod
     def _take(self, found: Record | Difference) -> None:

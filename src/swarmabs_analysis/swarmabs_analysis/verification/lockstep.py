@@ -12,15 +12,19 @@ from typing import TYPE_CHECKING
 
 from swarmabs_analysis.difference import MESSAGE, Difference, judge, missing, surplus
 from swarmabs_analysis.verification.base import Verification
+from swarmabs_analysis.verification.blocks import BlockRecomputation
+from swarmabs_bag.blocks import Block
 from swarmabs_bag.recording import Digest, RecordedStep
+from swarmabs_config.scenario import Scenario
 from swarmabs_core.behaviours import Observer
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import SILENT
 from swarmabs_core.messages import EVENTS, ROBOT_STATES, TOPIC_OF, EventKind, SwarmEvent, Topic
-from swarmabs_core.publishers import OBSERVER, PLANE, NodeKind, NodeName
+from swarmabs_core.publishers import CONTROLLER, OBSERVER, PLANE, NodeKind, NodeName
 from swarmabs_core.record import Record
 from swarmabs_run.simulation import nodes_in_process
+from swarmabs_run.swarm_columns import on_columns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
@@ -133,6 +137,13 @@ class LockstepVerification(Verification):
         self._beyond: tuple[int, Record | Difference] | None = None
         self._failure = ""  # why the run could not continue, if the bag shows it
         self._ended = False
+        self._recomputation: BlockRecomputation | None = None
+        if isinstance(scenario, Scenario) and on_columns(scenario) and not tolerance:
+            self._recomputation = BlockRecomputation(scenario, self._nodes)
+        self._held: Block | None = None  # the last step of the blocks so far: late events may belong to it
+        self._before: Block | RecordedStep | None = None  # the last verified step
+        self._confirmed: Block | None = None  # the same if the nodes have to continue after it
+        self._apart = 1
         self._handles = self._connect()
         for node in self._nodes.values():
             self._expect(node.behaviour.start())
@@ -146,6 +157,75 @@ class LockstepVerification(Verification):
     def decided(self) -> bool:
         """Whether no further message can change what is found."""
         return self.found.difference is not None and not self._late
+
+    def add_block(self, block: Block) -> None:
+        """Check the next messages of the bag, which form a block: many steps at once where nothing disturbs the run."""
+        if self.found.difference is not None:  # only events may change it
+            return
+        if self._held is not None and self._held.step + 1 == block.first and self._held.alike(block):
+            block = self._held.joined(block)
+            self._held = None
+        self._release()
+        while len(block) > 1 and self.found.difference is None:
+            self._judge_ready(block.first)
+            count = self._confirm(block[:-1])
+            if count:
+                self._apart = 1
+            else:
+                count = min(self._steps_apart(block), len(block) - 1)
+                self._continue()
+                super().add_block(block[:count])
+            block = block[count:]
+        self._held = block
+
+    def _confirm(self, block: Block) -> int:
+        """Return how many steps at the beginning of a block are verified at once."""
+        undisturbed = not (self._told or self._failure or self._ended or len(self._window))
+        if self._recomputation is None or not undisturbed or block.first != self.step:
+            return 0
+        before = Block.gathered([self._before]) if isinstance(self._before, RecordedStep) else self._before
+        last = min(block.step, self._scenario.steps)
+        if before is None or last < block.first:
+            return 0
+        count = self._recomputation.confirmed(before, block[: last - block.first + 1])
+        if count:
+            self._digest.update(block[:count])
+            self.found.messages += block[:count].messages
+            self.found.steps += count
+            self._before = self._confirmed = block[count - 1 : count]
+        return count
+
+    def _steps_apart(self, block: Block) -> int:
+        """Return how many steps of a block to verify message by message: more each time, unless it is known."""
+        known = 0 if self._recomputation is None else self._recomputation.quiet(block.first)[0] - block.first
+        if not known:
+            self._apart *= 2
+        return known or self._apart
+
+    def _release(self) -> None:
+        """Take the messages of the step that is held."""
+        held, self._held = self._held, None
+        if held is not None:
+            self._continue()
+            super().add_block(held)
+
+    def _continue(self) -> None:
+        """Let the nodes continue after a step that was verified without them."""
+        last, self._confirmed = self._confirmed, None
+        if last is None or self._recomputation is None:
+            return
+        self._recomputation.resume(last)
+        self._expected = {}
+        (step,) = last.recorded()
+        for record in step.records:
+            if record.topic in self._scenario.family.broadcasts:
+                for handle in self._handles[record.topic]:
+                    self._ask(handle, record.message)
+
+    def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:
+        """Check the next message of the bag; see `Verification.add`."""
+        self._release()
+        super().add(topic, time, payload, published)
 
     def _take(self, found: Record | Difference) -> None:
         step = self._window.step_of(found)
@@ -161,11 +241,16 @@ class LockstepVerification(Verification):
                 self._beyond = (step, found)
         else:
             self._window.add(step, found)
-            while self.found.difference is None and self._ready():
-                self._judge_step(last=False)
+            self._judge_ready(self._window.newest)
+
+    def _judge_ready(self, newest: int) -> None:
+        """Judge the steps that are complete when messages of a newest step are known."""
+        while self.found.difference is None and newest <= self._scenario.steps and self._ready(newest):
+            self._judge_step(last=False)
 
     def finish(self, *, whole: bool = True) -> None:
         """Judge the remaining messages at the end of the bag."""
+        self._release()
         found = self.found
         while found.difference is None and len(self._window) and not self._ended:
             self._judge_step(last=not whole and self._window.newest == self.step)
@@ -183,9 +268,9 @@ class LockstepVerification(Verification):
                 found.difference = missing(first)
         found.digest = self._digest.hexdigest()
 
-    def _ready(self) -> bool:
-        """Return whether all messages of the step are present, or can no longer follow."""
-        newest, step = self._window.newest, self.step
+    def _ready(self, newest: int) -> bool:
+        """Return whether all messages of the step are present, or can no longer follow those of a newest step."""
+        step = self.step
         if newest <= step:
             return self._window.full
         several = (self._robots, *self._scenario.family.once)
@@ -197,7 +282,8 @@ class LockstepVerification(Verification):
         self._judge(self._findings(slot, last=last))
         if self.found.difference is None and not self._ended:
             stored = (*slot.get(self._robots), *(slot.found[topic][0] for topic in self._coordinators))
-            self._digest.update(RecordedStep(self.step, stored))
+            self._before = RecordedStep(self.step, stored)
+            self._digest.update(self._before)
             self.found.steps += 1
 
     def _take_late(self, found: Record | Difference, step: int) -> None:
@@ -232,8 +318,13 @@ class LockstepVerification(Verification):
 
     def _connect(self) -> dict[Topic, list[Callable[[Message], Messages]]]:
         """Return the handlers of the state machines by topic, in the order in which they answer."""
-        nodes = self._nodes.values()
-        return {topic: [node.behaviour.handle for node in nodes if topic in node.hears] for topic in self._topics}
+        blocks = self._recomputation
+        nodes = {name: node.behaviour.handle for name, node in self._nodes.items()}
+        if blocks is not None:
+            nodes[CONTROLLER] = blocks.control
+        return {
+            topic: [nodes[name] for name, node in self._nodes.items() if topic in node.hears] for topic in self._topics
+        }
 
     def _ask(self, answer: Callable[..., Messages], *given: object) -> None:
         """Call a state machine, unless the run has failed."""

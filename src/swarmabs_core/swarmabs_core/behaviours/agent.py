@@ -21,6 +21,7 @@ from swarmabs_core.messages import (
     STEERING,
     TOPIC_OF,
     Action,
+    AgentState,
     AnyBroadcast,
     AnyRobotState,
     EventKind,
@@ -102,6 +103,13 @@ class Agent:
     def start(self) -> Messages:
         """Publish the initial state, unless the robot joins later."""
         return self._transmission.published((self._state(),)) if self._joined else ()
+
+    def resume(self, state: AgentState) -> None:
+        """Continue on the plane from a state that it would have published, without faults, as an active robot."""
+        self._heard = {}
+        self._step, self._broadcast_step = state.step, state.broadcast_step
+        self._status, self._limited = Status.ACTIVE, False
+        self._body.resume(state)
 
     def handle(self, message: Message) -> Messages:
         """Take a broadcast; return the robot's next state when the broadcasts of the step are complete."""

@@ -224,6 +224,10 @@ class Gathering:
         """Return the ids of the members whose state is missing."""
         return tuple(i for i in self._membership.publishing(self._step) if i not in self._states)
 
+    def resume(self, step: int) -> None:
+        """Continue with a step of which nothing has arrived."""
+        self._step, self._states = step, {}
+
     def take(self) -> Sequence[AnyRobotState]:
         """Return the states of the complete step by ascending id, and advance to the next step."""
         states = self.states()

@@ -115,6 +115,17 @@ class Observer:
         """Publish nothing: the robots start."""
         return ()
 
+    @property
+    def standing(self) -> tuple[AnyRobotState, ...]:
+        """The robots that are assumed at rest."""
+        return tuple(self._standing.values())
+
+    def resume(self, states: Sequence[AnyRobotState]) -> None:
+        """Continue after a step, given by its states, since whose predecessors the membership has not changed."""
+        self._previous = states
+        self._announced = states[0].step
+        self._gathering.resume(self._announced + 1)
+
     def handle(self, message: Message) -> Messages:
         """Take a robot's state; return events, abstract and auxiliary state when a step is complete.
 

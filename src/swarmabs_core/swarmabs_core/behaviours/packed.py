@@ -185,8 +185,8 @@ class PackedObserver(Observer):
         followers = _columns(active, ("mass", "position"))
         damped = _columns(active[active["kind"] == Kind.DOUBLE_INTEGRATOR], ("mass", "position", "damping"))
         with np.errstate(all="ignore"):
-            count = len(weights[0])
-            return summed(stamp, step, count, (weights, followers, damped), config.gravity, config.ksd, column_sums)
+            robots, constants = (weights, followers, damped), (config.gravity, config.ksd)
+            return summed(stamp, step, len(weights[0]), robots, constants, column_sums)
 
 
 def _columns(table: NDArray[np.void], names: Iterable[str], also: Iterable[Any] = ()) -> tuple[Any, ...]:

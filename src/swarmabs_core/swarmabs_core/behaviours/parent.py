@@ -16,6 +16,7 @@ from swarmabs_core.messages import (
     EventKind,
     Message,
     Messages,
+    PlaneState,
     Steering,
     SwarmEvent,
     Topic,
@@ -23,7 +24,7 @@ from swarmabs_core.messages import (
 from swarmabs_core.steering import DISTURBANCE, StepSchedule, change_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Container, Iterable, Sequence
 
 
 class Parent:
@@ -50,6 +51,19 @@ class Parent:
         """Describe the parent system, unless it is the plane; then the robots start."""
         found: Messages = self._config.described()
         return found
+
+    def standing(self, moving: Container[int]) -> tuple[AnyRobotState, ...]:
+        """Return the robots that act on the parent, without those that move, by id."""
+        return tuple(state for agent_id, state in self._robots.items() if agent_id not in moving)
+
+    def resume(self, states: Iterable[AnyRobotState], parent: PlaneState) -> None:
+        """Continue after a step of the plane, given by its messages, since whose predecessors no robot has changed.
+
+        The states are true, and the plane is measured by perfect sensors.
+        """
+        self._robots.update((state.agent_id, state) for state in states)
+        self._gathering.resume(parent.step + 1)
+        self._motion.resume(parent)
 
     def handle(self, message: Message) -> Messages:
         """Take a robot's state or an event; return the parent's state when a step is complete."""

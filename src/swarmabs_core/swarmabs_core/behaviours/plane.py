@@ -104,7 +104,7 @@ class PlaneMotion:
         """Do what `advance` does for robots that are the rows of two tables, which hold the states at both ends."""
         start, end = ((table["position"], table["velocity"]) for table in (before, after))
         curved = before["kind"] != self._straight
-        load = column_load(before["mass"], start, end, curved, self._period, self._config.plane.gravity)
+        load = column_load(before["mass"], start, end, curved, (self._period, self._config.plane.gravity))
         return self._carry(step, load, disturbance)
 
     def _carry(self, step: int, load: SwarmLoad, disturbance: float) -> list[SwarmEvent]:
@@ -117,6 +117,10 @@ class PlaneMotion:
         if self._dynamics.impact is None:
             return []
         return [self._hit(*self._dynamics.impact, step, step * config.period_ns)]
+
+    def resume(self, state: PlaneState) -> None:
+        """Continue from a state that is measured by perfect sensors."""
+        self._angle, self._angular_velocity = state.angle, state.angular_velocity
 
     def coasted(self, state: AgentState) -> AgentState:
         """Return the state of a robot one period later, without a command."""

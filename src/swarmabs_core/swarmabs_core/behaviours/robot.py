@@ -154,6 +154,10 @@ class PlaneRobot:
             self._command,
         )
 
+    def resume(self, state: AgentState) -> None:
+        """Continue from a state that it would have published, with perfect sensors and without lag."""
+        self._position, self._velocity, self._command = state.position, state.velocity, state.command
+
     def wait(self) -> None:
         """Set the command for a period in which no broadcasts are known."""
         self._command = 0.0

@@ -1,0 +1,236 @@
+"""Recomputation of many steps of a swarm on the plane at once.
+
+Apart from the parent controller, nobody remembers more than the step before: a robot's state follows from its previous
+one and the broadcasts of that step, the plane's from its previous one and the robots' at both ends of the period, the
+observer's answers from the robots' states. With recorded inputs, all steps of a block are therefore computed side by
+side, by the formulas of the state machines on arrays, and compared byte by byte.
+
+This only confirms messages. Where one differs, where a fault, a change of the membership or of the disturbance is near,
+or where a robot brakes or leaves the plane's ends, the state machines continue and tell what they find.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin, tanh
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swarmabs_bag.blocks import Block
+from swarmabs_config import configure
+from swarmabs_core.abstraction import is_degenerate
+from swarmabs_core.arrays import LAYOUT, raw
+from swarmabs_core.cdr import ENCAPSULATION, FRAME, encode
+from swarmabs_core.errors import RunError
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    DESIRED_ABSTRACT_STATE,
+    PLANE_STATE,
+)
+from swarmabs_core.plant import PlaneDynamics
+from swarmabs_core.publishers import CONTROLLER, OBSERVER, PLANE, NodeKind, NodeName
+from swarmabs_core.steering import StepSchedule
+from swarmabs_run.swarm_columns import SwarmColumns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_core.messages import AgentState, Message, Messages, Topic
+    from swarmabs_core.plant import Function
+    from swarmabs_run.simulation import NodeInProcess
+
+    Floats = NDArray[np.float64]
+
+_SECOND = 1_000_000_000
+_FOREVER = 2**63
+
+
+class BlockRecomputation:
+    """Recomputes blocks of a run, next to the state machines of its nodes, which it advances.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        One that is `on_columns`.
+    nodes : mapping
+        The nodes, which have answered the step before the block.
+    """
+
+    def __init__(self, scenario: Scenario, nodes: Mapping[NodeName, NodeInProcess]) -> None:
+        self._scenario = scenario
+        self._nodes = nodes
+        self._period_ns = scenario.step_ns
+        self._dynamics = PlaneDynamics(scenario.plane, scenario.period)
+        self._disturbances = StepSchedule(configure.plane_config(scenario).torques)
+        self._configs = {config.agent_id: config for config in configure.agent_configs(scenario)}
+        self._disturbed = sorted(_disturbed(scenario, self._disturbances))
+        self._columns: SwarmColumns | None = None
+        self._ahead: tuple[int, Messages | RunError] | None = None
+
+    def quiet(self, step: int) -> tuple[int, int]:
+        """Return the first steps, from one step on, that can be recomputed, and before which they no longer can."""
+        first, end = step, _FOREVER
+        for begin, last in self._disturbed:  # sorted; the step before is an input
+            if begin <= first and first - 1 <= last:
+                first = last + 2
+            elif begin > first:
+                end = min(end, begin)
+        return first, end
+
+    def confirmed(self, before: Block, block: Block) -> int:
+        """Return how many steps of a block are as recomputed from the confirmed step before it; advance the controller.
+
+        The other nodes continue with `resume`.
+        """
+        first, end = self.quiet(block.first)
+        if first > block.first or not before.alike(block) or self._ahead is not None:
+            return 0
+        block = block[: end - block.first]
+        steps = np.arange(block.first, block.step + 1, dtype=np.uint64)
+        stamps = steps.astype(np.int64) * self._period_ns
+        with np.errstate(all="ignore"):
+            try:
+                right, expected = self._expected(before, block, steps, stamps)
+            except (ValueError, OverflowError):  # of a cosine, sine or hyperbolic tangent
+                return 0
+        for topic, table in expected.items():
+            same = (raw(table) == raw(block.tables[topic])).reshape(len(block), -1)
+            right &= same.all(axis=1)
+        count = len(block) if right.all() else int(np.argmin(right))
+        return self._controlled(block[:count]) if count else 0
+
+    def _expected(
+        self, before: Block, block: Block, steps: NDArray[np.uint64], stamps: NDArray[np.int64]
+    ) -> tuple[NDArray[np.bool_], dict[Topic, NDArray[np.void]]]:
+        """Return in which steps of a block the state machines would compute the same, and what; `confirmed` compares.
+
+        Parameters
+        ----------
+        before, block : Block
+            The step before the block, and the block.
+        steps, stamps : ndarray, (K,)
+            Numbers and time stamps (ns) of the steps.
+        """
+        columns = self._of(block)
+        tables = {topic: np.concatenate((before.tables[topic], table)) for topic, table in block.tables.items()}
+        robots = tables[AGENT_STATE]
+        p, v = (np.ascontiguousarray(robots[name].T)[columns.places] for name in ("position", "velocity"))
+        start, end = (p[:, :-1], v[:, :-1]), (p[:, 1:], v[:, 1:])
+        heard = [_named(tables[topic][:-1]) for topic in (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)]
+        command = columns.commands(*start, *heard)
+        motion = (*columns.moved(*start, command), command)
+        observer: Any = self._nodes[OBSERVER].behaviour
+        plane: Any = self._nodes[PLANE].behaviour
+        load = columns.load(start, end, _standing(plane.standing(columns.ids), len(steps)))
+        earlier = _named(tables[PLANE_STATE][:-1])
+        times = np.array([int(stamp) / 1e9 for stamp in stamps - self._period_ns])
+        moved = self._dynamics.advance_each(
+            earlier.angle, earlier.angular_velocity, times, load, self._disturbances.at(int(steps[0]) - 1), _EACH
+        )
+        abstract, auxiliary = columns.observed(*end, _standing(observer.standing, len(steps)))
+        length = self._scenario.plane.length
+        outside = np.abs(p) > 0.5 * length
+        spreads = zip(heard[1].s0.tolist(), heard[1].s3.tolist(), strict=True)
+        held = np.array([is_degenerate(s0, s3, length) for s0, s3 in spreads])
+        finite = np.isfinite(command).all(axis=0) & np.isfinite(moved).all(axis=0)
+        answers = {PLANE_STATE: moved, ABSTRACT_STATE: abstract[2:], AUXILIARY_STATE: auxiliary[2:]}
+        return finite & ~held & (outside[:, 1:] == outside[:, :1]).all(axis=0), {
+            AGENT_STATE: columns.states(steps, stamps, *(values.T for values in motion)),
+            **{topic: _rows(topic, LAYOUT[topic], steps, stamps, values) for topic, values in answers.items()},
+        }
+
+    def _of(self, block: Block) -> SwarmColumns:
+        """Return the robots of a block as columns."""
+        ids = block.tables[AGENT_STATE]["agent_id"][0].tolist()
+        if self._columns is None or sorted(self._columns.ids) != ids:
+            configs = [self._configs[agent_id] for agent_id in ids]
+            self._columns = SwarmColumns(self._scenario, configs)
+        return self._columns
+
+    def _controlled(self, block: Block) -> int:
+        """Return how many steps of a block the parent controller answers as recorded, without events.
+
+        Its answer in the first other step is kept for `control`.
+        """
+        controller = self._nodes[CONTROLLER].behaviour
+        answers, size = block.tables[DESIRED_ABSTRACT_STATE].tobytes(), block.tables[DESIRED_ABSTRACT_STATE].itemsize
+        for place, parent in enumerate(block.parents):
+            try:
+                found: Messages | RunError = controller.handle(parent)
+            except RunError as error:
+                found = error
+            if isinstance(found, RunError) or len(found) > 1 or encode(found[0]) != answers[place * size :][:size]:
+                self._ahead = (parent.step, found)
+                return place
+        return len(block)
+
+    def control(self, message: Message) -> Messages:
+        """Return the parent controller's answer to a message, which it may have given already."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is None or ahead[0] != message.step:
+            return self._nodes[CONTROLLER].behaviour.handle(message)
+        if isinstance(ahead[1], RunError):
+            raise ahead[1]
+        return ahead[1]
+
+    def resume(self, last: Block) -> None:
+        """Let the other nodes continue after a step: the robots once they hear its broadcasts."""
+        states: list[Any] = list(last.states())
+        observer: Any = self._nodes[OBSERVER].behaviour
+        plane: Any = self._nodes[PLANE].behaviour
+        observer.resume(states)
+        plane.resume(states, last.parent)
+        for state in states:
+            agent: Any = self._nodes[NodeName(NodeKind.AGENT, state.agent_id)].behaviour
+            agent.resume(state)
+
+
+def _disturbed(scenario: Scenario, disturbances: StepSchedule) -> Iterator[tuple[int, int]]:
+    """Yield first and last steps of the ranges that are left to the state machines, with the steps next to them."""
+    for change in configure.schedule(scenario):
+        yield change.step - 1, change.step + 2
+    for step in disturbances.steps:
+        yield step - 1, step + 1
+    for config in configure.agent_configs(scenario):
+        for fault in config.faults:
+            yield fault.first - 1, _FOREVER if fault.end is None else fault.end + 1
+
+
+def _each(function: Callable[[float], float]) -> Function:
+    """Return a function of `math` for each element of an array; those of numpy give other bits."""
+    return lambda values: np.fromiter(map(function, values.tolist()), np.float64, len(values))
+
+
+_EACH = (_each(sin), _each(cos), _each(tanh))
+
+
+def _named(table: NDArray[np.void]) -> Any:
+    """Return the fields of messages as attributes."""
+    return SimpleNamespace(**{name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()})
+
+
+def _standing(states: Sequence[AgentState], steps: int) -> tuple[Floats, Floats] | None:
+    """Return masses (M, 1) and positions (M, K) of robots that stand, None without such."""
+    if not states:
+        return None
+    mass, position = (np.array([[getattr(state, name)] for state in states]) for name in ("mass", "position"))
+    return mass, np.repeat(position, steps, axis=1)
+
+
+def _rows(
+    topic: Topic, layout: np.dtype[np.void], steps: NDArray[np.uint64], stamps: NDArray[np.int64], values: Any
+) -> NDArray[np.void]:
+    """Return messages of a topic with the values of their fields behind the step."""
+    rows = np.zeros(len(steps), dtype=layout)
+    rows["encapsulation"], rows["frame"] = np.void(ENCAPSULATION), np.void(FRAME)
+    rows["sec"], rows["nanosec"] = np.divmod(stamps, _SECOND)
+    rows["step"] = steps
+    for name, value in zip(topic.message._fields[2:], values, strict=True):
+        rows[name] = value
+    return rows

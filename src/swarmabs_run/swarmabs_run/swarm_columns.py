@@ -1,0 +1,161 @@
+"""The robots of a swarm on the plane as columns: laws, motion, load and sums of all robots in many steps at once.
+
+Addition, multiplication and division round each array element exactly as they round scalars, and every sum over the
+robots is correctly rounded; no other function is applied to arrays. So the same formulas give the same bits, and tests
+check this. Events of single robots (faults, limits, safe stops), imperfect sensors and drives, end stops and observers
+of the plane are left to the state machines.
+"""
+
+from __future__ import annotations
+
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swarmabs_core.abstraction import summed
+from swarmabs_core.arrays import LAYOUT
+from swarmabs_core.cdr import ENCAPSULATION, FRAME
+from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+from swarmabs_core.messages import AGENT_STATE, Kind, Status
+from swarmabs_core.parent_response import SumObserver
+from swarmabs_core.plant import column_load
+from swarmabs_core.robot_controller import Limits
+from swarmabs_core.summation import exact_sum
+from swarmabs_core.swarm_law import PAPER, double_integrator_command, single_integrator_command
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from swarmabs_config.scenario import Scenario
+    from swarmabs_core.behaviours import AgentConfig
+    from swarmabs_core.plant import SwarmLoad
+    from swarmabs_core.summation import Terms
+
+    Floats = NDArray[np.float64]
+
+_SECOND = 1_000_000_000
+
+
+def on_columns(scenario: Scenario) -> bool:
+    """Return whether the robots of a scenario, apart from faults, behave alike and use laws that support arrays."""
+    plane, swarm = scenario.plane, scenario.swarm
+    perfect = plane.sensor.perfect and swarm.sensor.perfect
+    individual = scenario.limits != Limits() or plane.robot_gravity or swarm.actuator_lag
+    special = plane.end_stop < inf or scenario.observer.type != SumObserver.type
+    return perfect and swarm.law.type == PAPER.name and not (individual or special)
+
+
+def step_total(*columns: Floats) -> Any:
+    """Return the correctly rounded sums over the robots of columns (N, K), (K,)."""
+    joined = columns[0] if len(columns) == 1 else np.concatenate(columns)
+    return np.array([exact_sum(robots) for robots in joined.T.tolist()])
+
+
+def step_sums(robots: Iterable[Any], terms: Terms) -> list[Any]:
+    """Return the sums over robots given as columns (N, K)."""
+    return [step_total(column) for column in terms(*robots)]
+
+
+class SwarmColumns:
+    """The constants of N robots: single integrators first, then double integrators, so that each kind is a slice.
+
+    Positions, velocities and commands in K steps are columns (N, K) in this order, numbers in the broadcasts (K,).
+
+    Attributes
+    ----------
+    ids : list of int
+        Ids of the robots.
+    by_id : ndarray of int
+        Places of the robots by ascending id; `places` is the inverse.
+    mass : ndarray
+        Masses, kg.
+    """
+
+    def __init__(self, scenario: Scenario, configs: Iterable[AgentConfig]) -> None:
+        ordered = sorted(configs, key=lambda config: (config.kind, config.agent_id))
+        damped = [config for config in ordered if config.kind is Kind.DOUBLE_INTEGRATOR]
+        single = len(ordered) - len(damped)
+        self.ids = [config.agent_id for config in ordered]
+        self.by_id = np.argsort(self.ids)
+        self.places = np.argsort(self.by_id)
+        self.mass = np.array([config.mass for config in ordered]).reshape(-1, 1)
+        self._si, self._di = slice(single), slice(single, None)
+        self._damping = np.array([config.damping for config in damped]).reshape(-1, 1)
+        self._period = scenario.period
+        self._gravity = scenario.plane.gravity
+        self._gains = ordered[0].gains
+        drives = [DoubleIntegratorDrive.of(scenario.period, config.mass, config.damping) for config in damped]
+        factors = np.array(drives).reshape(-1, 4).T.copy()
+        # Drives, laws and paths use arithmetic only, so they accept arrays in place of numbers.
+        self._si_drive: Any = SingleIntegratorDrive(scenario.period)
+        self._di_drive: Any = DoubleIntegratorDrive(*(factor.reshape(-1, 1) for factor in factors))
+        rows = np.zeros(len(ordered), dtype=LAYOUT[AGENT_STATE])
+        rows["encapsulation"], rows["frame"] = np.void(ENCAPSULATION), np.void(FRAME)
+        rows["agent_id"] = self.ids
+        rows["kind"] = [config.kind for config in ordered]
+        rows["status"] = Status.ACTIVE
+        rows["mass"] = [config.mass for config in ordered]
+        rows["damping"] = [config.damping for config in ordered]
+        self._rows = rows[self.by_id]
+
+    def states(self, steps: NDArray[np.uint64], stamps: NDArray[np.int64], *motion: Floats) -> NDArray[np.void]:
+        """Return the robots' messages of K steps with their stamps (ns), by step and ascending id: (K, N).
+
+        The motion is given by positions (m), velocities (m/s) and commands, (K, N) in the order of the columns.
+        """
+        rows = np.repeat(self._rows[np.newaxis], len(steps), axis=0)
+        rows["sec"], rows["nanosec"] = (part[:, np.newaxis] for part in np.divmod(stamps, _SECOND))
+        rows["step"] = steps[:, np.newaxis]
+        rows["broadcast_step"] = steps[:, np.newaxis] - np.uint64(1)  # `NEVER` in step 0
+        for name, values in zip(("position", "velocity", "command"), motion, strict=True):
+            rows[name] = values[:, self.by_id]
+        return rows
+
+    def observed(self, p: Floats, v: Floats, standing: tuple[Floats, Floats] | None = None) -> tuple[Any, Any]:
+        """Return abstract and auxiliary state of each step, without stamps and steps.
+
+        Masses (kg) and positions (m) of robots that stand add to those of the others.
+        """
+        m, di = self.mass, self._di
+        weights = _with((m, p, v), standing)
+        robots = weights, (m, p), (m[di], p[di], self._damping)
+        return summed(0, 0, len(weights[0]), robots, (self._gravity, self._gains.ksd), step_sums, np.divide)
+
+    def commands(self, p: Floats, v: Floats, abstract: Any, auxiliary: Any, desired: Any) -> Floats:
+        """Return the commands of the robots' laws."""
+        si, di, m = self._si, self._di, self.mass
+        law_si: Any = single_integrator_command
+        law_di: Any = double_integrator_command
+        common = (self._gains, self._gravity, abstract, auxiliary, desired)
+        found = np.empty_like(p)
+        found[si] = law_si(m[si], p[si], *common)
+        found[di] = law_di(m[di], self._damping, p[di], v[di], *common)
+        return found
+
+    def moved(self, p: Floats, v: Floats, command: Floats) -> tuple[Floats, Floats]:
+        """Return positions and velocities one period later."""
+        p1, v1 = np.empty_like(p), np.empty_like(v)
+        for part, drive in ((self._si, self._si_drive), (self._di, self._di_drive)):
+            p1[part], v1[part] = drive.advance(p[part], v[part], command[part])
+        return p1, v1
+
+    def load(
+        self, before: tuple[Floats, Floats], after: tuple[Floats, Floats], standing: tuple[Floats, Floats] | None = None
+    ) -> SwarmLoad:
+        """Return torque and inertia over a period from positions and velocities at both ends; `standing` as above."""
+        mass, *start = _with((self.mass, *before), standing)
+        _, *end = _with((self.mass, *after), standing)
+        curved = slice(self._di.start, len(self.ids))
+        constants = self._period, self._gravity
+        return column_load(mass, (start[0], start[1]), (end[0], end[1]), curved, constants, step_total)
+
+
+def _with(robots: tuple[Floats, Floats, Floats], standing: tuple[Floats, Floats] | None) -> tuple[Floats, ...]:
+    """Return masses, positions and velocities of robots, followed by those of others that stand."""
+    if standing is None:
+        return robots
+    also = (*standing, np.zeros_like(standing[1]))
+    return tuple(np.concatenate(pair) for pair in zip(robots, also, strict=True))
