@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from coupling import Coupled, Following, TiltDrive, carried, led
 
-from swarmabs_bag.recording import RunCollector
+from swarmabs_bag.collector import RunCollector
 from swarmabs_config import configure
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from tests.swarmabs_core.helpers import Run, agent_state, builtin, digest
 
+from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.figures import RealtimeFigures, RunFigures
 from swarmabs_bag.realtime import MEMORY, RealtimeCollector, conflict
-from swarmabs_bag.recording import RecordedStep, RunCollector
+from swarmabs_bag.recording import RecordedStep
 from swarmabs_config import configure
 from swarmabs_core import messages as msg
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, cast
 from tests.swarmabs_ros.nodes import settings_from
 from tests.transport.network import Act, Inbox, Outbox, Reports, Script, turns
 
+from swarmabs_bag.blocks import Block
 from swarmabs_bag.recorder.node import GATHER_SECONDS, Recorder
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_bag.run_folder import RunFolder
@@ -124,9 +125,9 @@ class Swarm:
     def _node(self, role: Role, cast_: Cast) -> Node:
         reports = Reports()
         if role.name == RECORDER:
-            recording = cast("Any", SimpleNamespace(add=self.recorded.append, offset=lambda *_: None))
+            recording = cast("Any", SimpleNamespace(add=self._record, offset=lambda *_: None))
             behaviour = Recorder(cast_.scenario, recording, lambda _: None, packed=cast_.packed, steered=cast_.steered)
-            spec = NodeSpec(behaviour, lingers=False, gather=GATHER_SECONDS, hear=behaviour.hear)
+            spec = NodeSpec(behaviour, lingers=False, gather=GATHER_SECONDS, hear_all=behaviour.hear_all)
         elif role.name == STEERER:
             spec = NodeSpec(self.steerer)
         else:
@@ -150,6 +151,9 @@ class Swarm:
         for topic, qos in role.endpoints.subscriptions.items():
             self._readers.setdefault(topic, []).append((node, qos.reliability == "reliable"))
         return node
+
+    def _record(self, step: RecordedStep | Block) -> None:
+        self.recorded.extend(step.recorded() if isinstance(step, Block) else (step,))
 
     @property
     def finished(self) -> bool:

@@ -75,12 +75,12 @@ def is_canonical(table: NDArray[np.void]) -> bool:
     for name in table.dtype.names or ():
         if name.startswith(PADDING):
             head[name] = np.void(table.dtype[name].itemsize)
-    differs = ((rows ^ expected) & _constant(table.dtype)).any()
+    differs = ((rows ^ expected) & constant(table.dtype)).any()
     return not (differs or (table["nanosec"] >= _SECOND).any())
 
 
 @lru_cache(maxsize=64)
-def _constant(layout: np.dtype[np.void]) -> NDArray[np.uint8]:
+def constant(layout: np.dtype[np.void]) -> NDArray[np.uint8]:
     """Return 255 for each byte of a message that the layout determines, 0 for the others."""
     mask = np.zeros(layout.itemsize, dtype=np.uint8)
     for name, (kind, offset, *_) in (layout.fields or {}).items():

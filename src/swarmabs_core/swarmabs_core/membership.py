@@ -153,6 +153,10 @@ class Membership:
         span = self._spans.get(agent_id)
         return span is not None and span.covers(step)
 
+    def constant_until(self, step: int) -> int:
+        """Return the first step after a step in which other robots publish; later than any run if there is none."""
+        return self._around(step).end
+
     def span(self, agent_id: int) -> Span:
         """Return the steps in which a robot publishes."""
         return self._spans[agent_id]

@@ -12,13 +12,14 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import TOPIC_OF
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Mapping
+    from collections.abc import Callable, Generator, Iterator, Mapping
 
     from rclpy.publisher import Publisher
 
@@ -66,6 +67,8 @@ class NodeSpec:
         Called when no more messages have arrived, at least every `SLICE` s.
     hear : callable, optional
         Takes topic and bytes of a message, for a node that needs the bytes; by default the behaviour takes the message.
+    hear_all : callable, optional
+        Takes topic and bytes of all messages that have arrived on it, for a node that handles them in batches.
     """
 
     behaviour: Behaviour
@@ -76,6 +79,7 @@ class NodeSpec:
     gather: float = 0.0
     on_idle: Callable[[], None] | None = None
     hear: Callable[[Topic, bytes], Messages] | None = None
+    hear_all: Callable[[Topic, list[bytes]], Messages] | None = None
 
 
 class RunningClock:
@@ -230,17 +234,27 @@ class Lockstep:
 
     def _drain(self, topics: tuple[Topic, ...]) -> bool:
         """Handle messages of these topics while they are the awaited ones; return whether there were any."""
-        behaviour, take = self._behaviour, self._receiver.take
+        behaviour = self._behaviour
         found = False
         for topic in topics:
-            while (data := take(topic)) is not None:
+            for answer in self._answers(topic):
                 found = True
-                answer = self._hear(topic, data)
                 if answer:
                     self._progress(answer, self._clock())
                 if behaviour.awaits() != topics:
                     return True
         return found
+
+    def _answers(self, topic: Topic) -> Iterator[Messages]:
+        """Take the messages of a topic, one after the other or all at once, and yield the answers."""
+        take, hear, hear_all = self._receiver.take, self._hear, self._spec.hear_all
+        if hear_all is not None:
+            payloads = list(iter(partial(take, topic), None))
+            if payloads:
+                yield hear_all(topic, payloads)
+            return
+        while (data := take(topic)) is not None:
+            yield hear(topic, data)
 
     def _decoded(self, topic: Topic, data: bytes) -> Messages:
         return self._behaviour.handle(decode(topic.message, data))

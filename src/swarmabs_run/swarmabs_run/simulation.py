@@ -9,8 +9,8 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.attached import scenario_of
+from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.figures import PLANE_TRACKING, RunFigures, Tracking
-from swarmabs_bag.recording import RunCollector
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, ROBOT, Option, endpoints
 from swarmabs_config.scenario import AnyScenario, Scenario, dump_scenario, parse_scenario

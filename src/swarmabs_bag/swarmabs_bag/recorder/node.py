@@ -8,14 +8,14 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.recording import RunCollector
 from swarmabs_bag.run_folder import Split
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, RECORDER
 from swarmabs_config.scenario import SystemScenario, load_scenario
-from swarmabs_core.behaviours.base import UnexpectedMessageError, refuse_other_system
-from swarmabs_core.cdr import decode, split
+from swarmabs_core.behaviours.base import UnexpectedMessageError
+from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change, with_ends
 from swarmabs_core.messages import (
@@ -23,23 +23,23 @@ from swarmabs_core.messages import (
     NEVER,
     STEERING,
     SWARM_STATES,
+    TOPIC_OF,
     Action,
     Message,
     Messages,
     RecordingProgress,
     Steering,
-    SwarmStates,
     Topic,
 )
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.record import Record
 from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
 from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from swarmabs_bag.blocks import Block
     from swarmabs_bag.recorder.recording import RealtimeRecording
     from swarmabs_bag.recording import RecordedStep
     from swarmabs_config.scenario import AnyScenario
@@ -125,20 +125,13 @@ class Reporter:
         self._status.send("done", complete=complete, problem=told, figures=figures)
 
 
-def states_in(robot: Topic, data: bytes) -> list[bytes]:
-    """Return the payloads of the robots' states that one serialized message contains."""
-    message = decode(SwarmStates, data)
-    assert isinstance(message, SwarmStates)  # noqa: S101 - `decode` returns this type
-    return split(robot.message, message.states)
-
-
 class Recorder:
     """Records complete steps, and reports its progress to the parent controller.
 
     Parameters
     ----------
     on_step : callable
-        Receives the number of recorded steps.
+        Receives the numbers of the steps that were recorded.
     ends : iterable of Change
         Ends of robots that the scenario does not plan.
     packed : bool
@@ -151,7 +144,7 @@ class Recorder:
         self,
         scenario: AnyScenario,
         recording: Recording,
-        on_step: Callable[[int], None],
+        on_step: Callable[[range], None],
         ends: Iterable[Change] = (),
         *,
         packed: bool = False,
@@ -162,11 +155,14 @@ class Recorder:
         self._on_step = on_step
         schedule = with_ends(configure.schedule(scenario), ends)
         family = scenario.family
-        self._system: int | None = scenario.named.hash if isinstance(scenario, SystemScenario) else None
         self._collector = RunCollector(
-            configure.members(scenario), schedule, scenario.steps, steered=steered, family=family
+            configure.members(scenario),
+            schedule,
+            scenario.steps,
+            steered=steered,
+            family=family,
+            system=scenario.named.hash if isinstance(scenario, SystemScenario) else None,
         )
-        self._robot = family.robot
         states = SWARM_STATES if packed else family.robot
         self._topics = (*((STEERING,) if steered else ()), EVENTS, states, *family.main[1:], *family.once)
         self._credit_every = max(1, configure.recording_window(scenario) // CREDITS)
@@ -178,51 +174,47 @@ class Recorder:
         return (self._credit(),)
 
     def handle(self, message: Message) -> Messages:
-        """Record a message created in this process; see `take`."""
-        return self.take(Record.of(message))
+        """Record a message created in this process; see `hear_all`."""
+        topic = TOPIC_OF[type(message)]
+        if topic not in self._topics:
+            raise UnexpectedMessageError("recorder", message)
+        return self.hear_all(topic, [encode(message)])
 
-    def hear(self, topic: Topic, data: bytes) -> Messages:
-        """Record a serialized message; see `take`."""
-        if topic is not SWARM_STATES:
-            return self.take(Record.heard(topic, data))
-        found: Messages = ()
-        for payload in states_in(self._robot, data):
-            found += self.take(Record.heard(self._robot, payload))
-        return found
-
-    def take(self, record: Record) -> Messages:
-        """Record a message of the run; periodically return the progress.
+    def hear_all(self, topic: Topic, payloads: Sequence[bytes]) -> Messages:
+        """Record serialized messages of a topic; periodically return the progress.
 
         A recorder that lacks a message while the run continues repeats its progress, because it has not stalled. The
         missing message is repeated at the latest when the run stops because the recorder's credit is used up.
         """
-        message = record.message
-        if self._system is not None:
-            refuse_other_system(message, self._system)
-        if isinstance(message, RecordingProgress):
-            raise UnexpectedMessageError("recorder", message)
-        steps = self._steer(message) if isinstance(message, Steering) else self._collector.add(record)
-        if not steps:
-            return self._still_here(message.step)
-        for step in steps:
+        collector, recorded = self._collector, False
+        first = collector.step
+        for step in self._steer(payloads) if topic is STEERING else collector.add_all(topic, payloads):
             self._recording.add(step)
-        written = self._collector.step - 1
-        self._on_step(self._collector.step)
-        if written - self._credited < self._credit_every and not self._collector.finished:
+            recorded = True
+        if not recorded:
+            return self._still_here()
+        self._on_step(range(first, collector.step))
+        written = collector.step - 1
+        if written - self._credited < self._credit_every and not collector.finished:
             return ()
         self._credited = written
         return (self._credit(),)
 
-    def _steer(self, order: Steering) -> list[RecordedStep]:
-        orders, steps = self._collector.steer(order)
-        for known in orders:
-            if known.action == Action.REFERENCE:
-                self._recording.offset(known.step, known.value)
-        return steps
+    def _steer(self, payloads: Sequence[bytes]) -> Iterator[RecordedStep | Block]:
+        for payload in payloads:
+            order = decode(Steering, payload)
+            assert isinstance(order, Steering)  # noqa: S101 - `decode` returns this type
+            orders, steps = self._collector.steer(order)
+            for known in orders:
+                if known.action == Action.REFERENCE:
+                    self._recording.offset(known.step, known.value)
+            yield from steps
+            yield from self._collector.ready()
 
-    def _still_here(self, step: int) -> Messages:
-        newer, self._newest = step > self._newest, max(step, self._newest)
-        return (self._credit(),) if newer and step - self._collector.step >= self._credit_every else ()
+    def _still_here(self) -> Messages:
+        newest = self._collector.newest
+        newer, self._newest = newest > self._newest, newest
+        return (self._credit(),) if newer and newest - self._collector.step >= self._credit_every else ()
 
     def _credit(self) -> RecordingProgress:
         written = self._credited
@@ -261,8 +253,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     reporter = Reporter(recording, status, settings.text("logs"))
     planned = {change.step for change in configure.schedule(scenario)}
 
-    def report(steps: int) -> None:
-        reporter.progress(at_once=steps - 1 in planned or steps > scenario.steps)
+    def report(steps: range) -> None:
+        reporter.progress(at_once=not planned.isdisjoint(steps) or steps.stop > scenario.steps)
 
     ends = [Change.parse(text) for text in settings.texts("ends")]
     recorder = Recorder(scenario, recording, report, ends, packed=settings.flag(PACKED.name), steered=steered)
@@ -272,7 +264,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         on_exit=lambda problem: reporter.done(problem, complete=recorder.finished),
         lingers=False,
         gather=GATHER_SECONDS,
-        hear=recorder.hear,
+        hear_all=recorder.hear_all,
         on_idle=recording.poll,  # otherwise the last messages of a stalled run would not reach the disk
     )
 
