@@ -17,7 +17,7 @@ from tests.swarmabs_cli.conftest import document, flipped, last_command, ran, re
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.writer import BAG_FILE
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_run.simulation import simulated_steps
+from swarmabs_run.simulation import Simulation
 
 FAULTS = "faults=[{at: 0.1, kind: kill, agent: 2}, {kind: loss, probability: 0.2}]"
 
@@ -139,7 +139,7 @@ def test_another_library_explains_a_difference(run: Path, tmp_path: Path) -> Non
 def test_an_interrupted_run_is_verified_as_far_as_it_goes(tmp_path: Path) -> None:
     scenario = find_scenario("pd_het_4", ["duration=0.3"]).resolved()
     recording = Recording(scenario, tmp_path / "bag", driver="simulate")
-    for step in simulated_steps(scenario):
+    for step in Simulation(scenario).steps():
         if step.step == 20:
             break
         recording.add(step)

@@ -12,6 +12,7 @@ import pytest
 from tests.swarmabs_core.helpers import Run, builtin, digest
 
 from swarmabs_bag.arrays import load_arrays
+from swarmabs_bag.blocks import Block
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recording import Digest, Step
@@ -198,10 +199,10 @@ def test_a_swarm_that_loses_its_spread_goes_on_with_the_state_machines(monkeypat
     whole = VectorSimulation.steps
 
     def breaks_off(self: VectorSimulation) -> Iterator[Step]:
-        for step in whole(self):
-            if step.step == 7:
-                raise NotVectorisableError
-            yield step
+        first = next(whole(self))
+        assert isinstance(first, Block)
+        yield first[:7]
+        raise NotVectorisableError
 
     monkeypatch.setattr(VectorSimulation, "steps", breaks_off)
     assert digest_and_bag(simulated_steps(scenario)) == digest_and_bag(Simulation(scenario).steps())
@@ -236,7 +237,7 @@ def test_an_interrupt_ends_it_in_order(tmp_path: Path, number: signal.Signals, m
 
     def add(self: Recording, step: object) -> None:
         real(self, step)  # type: ignore[arg-type]
-        if self.run.latest is not None and self.run.latest.step == 30:
+        if self.run.latest is not None and self.run.latest.step >= 30:
             os.kill(os.getpid(), number)
 
     monkeypatch.setattr(Recording, "add", add)
@@ -244,4 +245,4 @@ def test_an_interrupt_ends_it_in_order(tmp_path: Path, number: signal.Signals, m
     outcome = recorded(tmp_path / "run", "pd_het_4")
     assert (outcome.status, outcome.reason) == ("interrupted", "interrupted")
     assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
-    assert open_bag(tmp_path / "run").message_count == outcome.figures["messages"] >= 31 * 8
+    assert 31 * 8 <= open_bag(tmp_path / "run").message_count == outcome.figures["messages"] < 3001 * 8

@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 
     from swarmabs_core.messages import AnyParentState, AnyRobotState, SwarmEvent
 
+BLOCK_BYTES = 2**18
+"""Size of the messages of a block above which a longer one would gain nothing."""
+BLOCK_SECONDS = 0.05
+"""Time for which a producer may hold back steps for a block, s: with the age of a chunk, it stays below 1 s."""
+
 _SECOND = 1_000_000_000
 _LONGEST = 4096
 """More bytes than a message of a main topic has."""

@@ -13,10 +13,9 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 
 from swarmabs_bag.records import HEAD_SIZE
-from swarmabs_core.arrays import raw
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -43,31 +42,33 @@ class _StepLayout(NamedTuple):
     ----------
     rows : dtype
         A field by topic, with the fields `head`, `sequence`, `times` (log and publish time), `payload`.
-    begins : ndarray, (M,)
-        Offsets of the records.
-    places : ndarray, (M,)
-        Number of each message's topic.
+    bounds : ndarray, (M+1,)
+        Offsets of the records, and the size of all.
+    spans : tuple of (int, int)
+        First and last+1 message of each topic.
     """
 
     rows: np.dtype[np.void]
-    begins: NDArray[np.int64]
-    places: NDArray[np.uint8]
+    bounds: NDArray[np.int64]
+    spans: tuple[tuple[int, int], ...]
 
 
 @lru_cache(maxsize=64)
 def _step_layout(topics: tuple[str, ...], sizes: tuple[int, ...], robots: int) -> _StepLayout:
     """Return the layout of steps whose payloads have these sizes by topic, the first of which is that of the robots."""
     fields: list[Any] = []
+    spans, lengths = [], [0]
     for topic, size in zip(topics, sizes, strict=True):
+        number = 1 if fields else robots
         record = [
             ("head", f"V{_MESSAGE_HEAD.size}"),
             *(("sequence", "<u4"), ("times", "<u8", (2,))),
-            ("payload", "u1", (size,)),
+            ("payload", f"V{size}"),
         ]
-        fields.append((topic, np.dtype(record), () if fields else (robots,)))
-    places = np.repeat(np.arange(len(sizes), dtype=np.uint8), [robots, *(1 for _ in sizes[1:])])
-    lengths = _BEFORE_PAYLOAD + np.array(sizes)[places]
-    return _StepLayout(np.dtype(fields), np.cumsum(lengths) - lengths, places)
+        fields.append((topic, np.dtype(record), (number,)))
+        spans.append((len(lengths) - 1, len(lengths) - 1 + number))
+        lengths += [_BEFORE_PAYLOAD + size] * number
+    return _StepLayout(np.dtype(fields), np.cumsum(lengths), tuple(spans))
 
 
 class BlockRecords:
@@ -84,45 +85,66 @@ class BlockRecords:
 
     Attributes
     ----------
+    channels : list of int
+        The channels, as they follow each other within a step.
     data : memoryview
         The records.
-    entries : ndarray, (n, 2)
-        By message, its log time (ns) and the offset of its record in `data`.
-    ends : ndarray, (n,)
-        By message, the end of its record in `data`.
-    places : ndarray, (n,)
-        By message, the place of its channel in `order`.
-    order : list of int
-        The channels, as they follow each other within a step.
     """
 
-    __slots__ = ("data", "ends", "entries", "order", "places")
+    __slots__ = ("_entries", "_layout", "_times", "channels", "data")
 
     def __init__(self, block: Block, channels: Mapping[Topic, int], counts: Mapping[int, int]) -> None:
-        tables = block.tables
-        self.order = [channels[topic] for topic in tables]
+        tables, steps = block.tables, len(block)
+        self.channels = [channels[topic] for topic in tables]
         sizes = tuple(table.itemsize for table in tables.values())
-        layout = _step_layout(tuple(topic.name for topic in tables), sizes, block.robots)
-        steps = len(block)
+        self._layout = layout = _step_layout(tuple(topic.name for topic in tables), sizes, block.robots)
+        self._times = block.times
         rows = np.empty(steps, dtype=layout.rows)
-        for channel, (topic, table) in zip(self.order, tables.items(), strict=True):
+        begins = np.arange(steps)[:, np.newaxis] * layout.rows.itemsize
+        self._entries: list[NDArray[np.int64]] = []
+        for channel, (topic, table), (first, stop) in zip(self.channels, tables.items(), layout.spans, strict=True):
             records = rows[topic.name]
             records["head"] = np.void(_message_head(channel, table.itemsize))
-            numbers = np.arange(counts[channel], counts[channel] + table.size).reshape(table.shape)
+            numbers = np.arange(counts[channel], counts[channel] + table.size).reshape(records.shape)
             records["sequence"] = numbers & _SEQUENCE_MASK
-            records["times"] = block.times.reshape(steps, *[1] * table.ndim)
-            records["payload"] = raw(table)
+            records["times"] = block.times[:, np.newaxis, np.newaxis]
+            records["payload"] = table.view(f"V{table.itemsize}").reshape(records.shape)
+            entries = np.empty((*records.shape, 2), dtype=np.int64)
+            entries[..., 0] = block.times[:, np.newaxis]
+            entries[..., 1] = begins + layout.bounds[first:stop]
+            self._entries.append(entries.reshape(-1, 2))
         self.data = memoryview(rows.view(np.uint8))
-        entries = np.empty((steps, len(layout.begins), 2), dtype=np.int64)
-        entries[..., 0] = block.times[:, np.newaxis]
-        entries[..., 1] = np.arange(steps)[:, np.newaxis] * layout.rows.itemsize + layout.begins
-        self.entries = entries.reshape(-1, 2)
-        self.ends = np.append(self.entries[1:, 1], len(self.data))
-        self.places = np.tile(layout.places, steps)
 
     def __len__(self) -> int:
         """Return the number of messages."""
-        return len(self.entries)
+        return len(self._times) * (len(self._layout.bounds) - 1)
+
+    def begin(self, message: int) -> int:
+        """Return the offset of a message's record in `data`, or of its end for the number of messages."""
+        step, place = divmod(message, len(self._layout.bounds) - 1)
+        return step * self._layout.rows.itemsize + int(self._layout.bounds[place])
+
+    def reaching(self, offset: int) -> int:
+        """Return the first message whose record ends beyond an offset in `data`; negative or too large beyond it."""
+        step, rest = divmod(offset, self._layout.rows.itemsize)
+        place = np.searchsorted(self._layout.bounds[1:], rest, side="right")
+        return step * (len(self._layout.bounds) - 1) + int(place)
+
+    def times(self, first: int, stop: int) -> NDArray[np.int64]:
+        """Return the log times, ns, of the steps of messages `first` to `stop` - 1."""
+        each = len(self._layout.bounds) - 1
+        found: NDArray[np.int64] = self._times[first // each : (stop - 1) // each + 1]
+        return found
+
+    def entries(self, first: int, stop: int) -> Iterator[tuple[int, NDArray[np.int64]]]:
+        """Yield each channel of messages `first` to `stop` - 1, in order, with their log times (ns) and offsets."""
+        each, spans = len(self._layout.bounds) - 1, self._layout.spans
+        begun = next(number for number, (_, end) in enumerate(spans) if first % each < end)
+        for number in (*range(begun, len(spans)), *range(begun)):
+            start, end = spans[number]
+            low, high = (m // each * (end - start) + min(max(m % each - start, 0), end - start) for m in (first, stop))
+            if low < high:
+                yield self.channels[number], self._entries[number][low:high]
 
 
 def step_bytes(block: Block) -> int:
@@ -198,17 +220,14 @@ class ChunkBuilder:
 
     def add_records(self, records: BlockRecords, first: int) -> int:
         """Add message `first` and those after it until the chunk is full; return the number of the next one."""
-        begin = int(records.entries[first, 1])
+        begin = records.begin(first)
         base = len(self._data) - begin
-        filling = int(np.searchsorted(records.ends, self._limit - base, side="right"))
-        stop = min(max(filling, first) + 1, len(records))
-        entries, places = records.entries[first:stop] + np.array([0, base]), records.places[first:stop]
-        self._cover(int(entries[:, 0].min()), int(entries[:, 0].max()))
-        for turn in range(len(records.order)):
-            place = (int(places[0]) + turn) % len(records.order)
-            if len(listed := entries[places == place]):
-                self._index(records.order[place], listed.tobytes())
-        self._data += records.data[begin : int(records.ends[stop - 1])]
+        stop = min(max(records.reaching(self._limit - base), first) + 1, len(records))
+        times = records.times(first, stop)
+        self._cover(int(np.min(times)), int(np.max(times)))
+        for channel, entries in records.entries(first, stop):
+            self._index(channel, (entries + np.array([0, base])).tobytes())
+        self._data += records.data[begin : records.begin(stop)]
         return stop
 
     def take(self) -> Contents:

@@ -91,6 +91,8 @@ class Figures:
     ----------
     newest : int
         The newest step, -1 before the first.
+    max_abs_shown : float or None
+        Largest absolute value of the plane's angle, or of the number to show of another parent.
     """
 
     def __init__(self, reference: Reference, tracking: Tracking = PLANE_TRACKING) -> None:
@@ -104,6 +106,7 @@ class Figures:
         self._messages = 0
         self._latest: Latest | None = None
         self.newest = -1
+        self.max_abs_shown: float | None = None
 
     @property
     def latest(self) -> Latest | None:
@@ -133,7 +136,9 @@ class Figures:
         if error is not None:
             self._squares += error * error
             self._steps += 1
-        self._latest = Latest(step, state[followed[0] if followed else 0], error)
+        shown = state[followed[0] if followed else 0]
+        self.max_abs_shown = max(self.max_abs_shown or 0.0, abs(shown))
+        self._latest = Latest(step, shown, error)
         self.newest = max(self.newest, step)
 
     def figures(self) -> dict[str, float | int | None]:

@@ -9,6 +9,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.attached import scenario_of
+from swarmabs_bag.blocks import Block
 from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.figures import PLANE_TRACKING, RunFigures, Tracking
 from swarmabs_config import configure
@@ -120,6 +121,8 @@ class Simulation:
 def simulated_steps(scenario: AnyScenario) -> Iterator[Step]:
     """Simulate a scenario, on arrays if all robots always behave alike; the results are identical bit for bit.
 
+    Steps on arrays come in blocks.
+
     Raises `RunError` if the run fails, such as when the plane turns over.
     """
     done = 0
@@ -127,7 +130,7 @@ def simulated_steps(scenario: AnyScenario) -> Iterator[Step]:
         try:
             for step in VectorSimulation(scenario).steps():
                 yield step
-                done += 1
+                done = step.step + 1
         except NotVectorisableError:
             pass
         else:
@@ -175,6 +178,10 @@ def simulate(
     for step in simulated_steps(changed):
         figures.add(step)
         events.extend(run_event(event, event.step * period_ns / 1e9) for event in step.events)
+        if isinstance(step, Block):
+            for topic, messages in step.tables.items():
+                gathered[topic] += messages.tobytes()
+            continue
         for topic, _, payload in step.stored():
             if topic in gathered:
                 gathered[topic] += payload

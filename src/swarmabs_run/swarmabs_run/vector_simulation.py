@@ -8,25 +8,23 @@ of the plane are left to the state machines.
 
 from __future__ import annotations
 
+import time
 from math import inf
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from swarmabs_bag.recording import digest_head
+from swarmabs_bag.blocks import BLOCK_BYTES, BLOCK_SECONDS, Block
 from swarmabs_config import configure
 from swarmabs_core.abstraction import is_degenerate, summed
-from swarmabs_core.arrays import LAYOUT
+from swarmabs_core.arrays import LAYOUT, table
 from swarmabs_core.behaviours import Controller
-from swarmabs_core.cdr import ENCAPSULATION, FRAME, decode
+from swarmabs_core.cdr import ENCAPSULATION, FRAME, encode
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.messages import (
     AGENT_STATE,
-    EVENTS,
     MAIN_TOPICS,
-    NEVER,
     AbstractState,
-    AgentState,
     AuxiliaryState,
     DesiredAbstractState,
     EventKind,
@@ -47,12 +45,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from swarmabs_bag.recording import Step
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.messages import Message
 
-_PAYLOAD = LAYOUT[AGENT_STATE]
-_HEAD = digest_head(AGENT_STATE, _PAYLOAD.itemsize)
-_DIGESTED = np.dtype([("head", f"V{len(_HEAD)}"), ("payload", _PAYLOAD)])
+    Floats = NDArray[np.float64]
+
+_SECOND = 1_000_000_000
+
+Coordinated: TypeAlias = tuple[PlaneState, AbstractState, AuxiliaryState, DesiredAbstractState]
+"""The messages of the coordinators in a step, in the order of a bag."""
 
 
 class NotVectorisableError(Exception):
@@ -68,66 +70,12 @@ def vectorisable(scenario: Scenario) -> bool:
     return perfect and swarm.law.type == PAPER.name and not (individual or special)
 
 
-class ArrayStep(NamedTuple):
-    """A step whose robots are rows of an array; the other messages are records."""
+class Motion(NamedTuple):
+    """Positions (m), velocities (m/s) and commands of the robots, step by step: (K, N)."""
 
-    step: int
-    stamp: int
-    agents: NDArray[np.void]
-    others: tuple[Record, ...]
-
-    @property
-    def messages(self) -> int:
-        """Number of messages."""
-        return len(self.agents) + len(self.others)
-
-    @property
-    def parent(self) -> PlaneState:
-        """State of the plane."""
-        plane = self.others[0].message
-        assert isinstance(plane, PlaneState)  # noqa: S101 - the records are in the order of a bag
-        return plane
-
-    @property
-    def parents(self) -> tuple[PlaneState, ...]:
-        """State of the plane."""
-        return (self.parent,)
-
-    @property
-    def max_abs_positions(self) -> tuple[float, ...]:
-        """Largest distance of a robot from the axis, m."""
-        return (float(np.abs(self.agents["payload"]["position"]).max()),)
-
-    @property
-    def events(self) -> tuple[SwarmEvent, ...]:
-        """Events of the step."""
-        return tuple(r.message for r in self.others[len(MAIN_TOPICS) - 1 :] if isinstance(r.message, SwarmEvent))
-
-    def states(self) -> Iterator[AgentState]:
-        """Return the robots' states."""
-        size = _PAYLOAD.itemsize
-        data = self.agents["payload"].tobytes()
-        for start in range(0, len(data), size):
-            state = decode(AgentState, data[start : start + size])
-            assert isinstance(state, AgentState)  # noqa: S101 - `decode` returns this type
-            yield state
-
-    def digest_text(self) -> bytes:
-        """Return the contribution of the step to the digest of a run."""
-        parts = {AGENT_STATE.name: self.agents.tobytes()}
-        for record in self.others:
-            if record.topic is not EVENTS:
-                parts[record.topic.name] = digest_head(record.topic, len(record.payload)) + record.payload
-        return b"".join(parts[name] for name in sorted(parts))
-
-    def stored(self) -> Iterator[tuple[Topic, int, bytes]]:
-        """Return topic, time (ns) and bytes of every message, in the order of a bag."""
-        data = self.agents["payload"].tobytes()
-        size = _PAYLOAD.itemsize
-        for start in range(0, len(data), size):
-            yield AGENT_STATE, self.stamp, data[start : start + size]
-        for record in self.others:
-            yield record.topic, self.stamp, record.payload
+    position: Floats
+    velocity: Floats
+    command: Floats
 
 
 class _Swarm:
@@ -152,27 +100,25 @@ class _Swarm:
         self.si_drive: Any = SingleIntegratorDrive(scenario.period)
         self.di_drive: Any = DoubleIntegratorDrive(*np.array(drives).reshape(-1, 4).T.copy())
         self.by_id = np.argsort(self.ids)
-        self.rows = np.zeros(len(configs), dtype=_DIGESTED)
-        self.rows["head"] = np.void(_HEAD)
-        payload = self.rows["payload"]
-        payload["encapsulation"] = np.void(ENCAPSULATION)
-        payload["frame"] = np.void(FRAME)
-        payload["agent_id"] = self.ids
-        payload["kind"] = [config.kind for config in configs]
-        payload["status"] = Status.ACTIVE
-        payload["mass"] = self.mass
-        payload["damping"][self.di] = self.di_damping
+        rows = np.zeros(len(configs), dtype=LAYOUT[AGENT_STATE])
+        rows["encapsulation"] = np.void(ENCAPSULATION)
+        rows["frame"] = np.void(FRAME)
+        rows["agent_id"] = self.ids
+        rows["kind"] = [config.kind for config in configs]
+        rows["status"] = Status.ACTIVE
+        rows["mass"] = self.mass
+        rows["damping"][self.di] = self.di_damping
+        self.rows = rows[self.by_id]
 
-    def states(self, step: int, stamp: int) -> NDArray[np.void]:
-        """Return the robots' messages of a step, by ascending id."""
-        payload = self.rows["payload"]
-        payload["sec"], payload["nanosec"] = divmod(stamp, 1_000_000_000)
-        payload["step"] = step
-        payload["broadcast_step"] = step - 1 if step else NEVER
-        payload["position"] = self.position
-        payload["velocity"] = self.velocity
-        payload["command"] = self.command
-        return self.rows[self.by_id]
+    def states(self, steps: NDArray[np.uint64], stamps: NDArray[np.int64], motion: Motion) -> NDArray[np.void]:
+        """Return the robots' messages of K steps (K,) with their stamps (ns), by step and ascending id: (K, N)."""
+        rows = np.repeat(self.rows[np.newaxis], len(steps), axis=0)
+        rows["sec"], rows["nanosec"] = (part[:, np.newaxis] for part in np.divmod(stamps, _SECOND))
+        rows["step"] = steps[:, np.newaxis]
+        rows["broadcast_step"] = steps[:, np.newaxis] - np.uint64(1)  # `NEVER` in step 0
+        for name, values in motion._asdict().items():
+            rows[name] = values[: len(steps), self.by_id]
+        return rows
 
     def sums(self, step: int, stamp: int) -> tuple[AbstractState, AuxiliaryState]:
         """Return abstract and auxiliary state, as `swarmabs_core.abstraction` defines them."""
@@ -197,6 +143,51 @@ class _Swarm:
         return column_load(m, (p, v), (self.position, self.velocity), di, (self.period, self.gravity))
 
 
+class _Gathered:
+    """The steps since the last block."""
+
+    def __init__(self, swarm: _Swarm) -> None:
+        robots, layouts = len(swarm.ids), [LAYOUT[topic].itemsize for topic in MAIN_TOPICS]
+        most = max(1, BLOCK_BYTES // (layouts[0] * robots + sum(layouts[1:])))
+        self._swarm = swarm
+        self._motion = Motion(*(np.empty((most, robots)) for _ in Motion._fields))
+        self._messages: list[Coordinated] = []
+        self._begun = 0.0
+
+    @property
+    def full(self) -> bool:
+        """Whether the steps are as many, or as old, as a block may be."""
+        return len(self._messages) == len(self._motion.position) or time.monotonic() - self._begun >= BLOCK_SECONDS
+
+    def add(self, messages: Coordinated) -> None:
+        """Add the messages of a step and the state of the robots."""
+        swarm, place = self._swarm, len(self._messages)
+        if not place:
+            self._begun = time.monotonic()
+        for values, now in zip(self._motion, (swarm.position, swarm.velocity, swarm.command), strict=True):
+            values[place] = now
+        self._messages.append(messages)
+
+    def take(self, events: list[Message] | None = None) -> Iterator[Step]:
+        """Yield the steps as a block, the last one on its own if it has events, and begin the next block."""
+        if not self._messages:
+            return
+        columns = zip(MAIN_TOPICS[1:], zip(*self._messages, strict=True), strict=True)
+        tables = {topic: table(topic, b"".join(map(encode, messages))) for topic, messages in columns}
+        steps = np.array([plane.step for plane, *_ in self._messages], dtype=np.uint64)
+        stamps = np.array([plane.stamp for plane, *_ in self._messages])
+        self._messages.clear()
+        block = Block({AGENT_STATE: self._swarm.states(steps, stamps, self._motion), **tables})
+        if not events:
+            yield block
+            return
+        if len(block) > 1:
+            yield block[:-1]
+        (last,) = block[-1:].recorded()
+        added = sorted(map(Record.of, events), key=lambda record: record.payload)
+        yield last._replace(records=(*last.records, *added))
+
+
 class VectorSimulation:
     """Simulates a scenario whose robots all behave alike: one for which `vectorisable` holds."""
 
@@ -209,32 +200,42 @@ class VectorSimulation:
         self._swarm = _Swarm(scenario)
         self._outside: set[int] = set()
 
-    def steps(self) -> Iterator[ArrayStep]:
-        """Run, and yield every step.
+    def steps(self) -> Iterator[Step]:
+        """Run, and yield the steps in blocks, a step with events on its own.
 
         Raises `NotVectorisableError` if a robot has to behave individually; the steps before it are valid. Raises
         `RunError` if the run fails, such as when the plane turns over.
         """
+        gathered = _Gathered(self._swarm)
+        try:
+            for messages, events in self._messages():
+                gathered.add(messages)
+                if events or gathered.full:
+                    yield from gathered.take(events)
+        except Exception:
+            yield from gathered.take()
+            raise
+        yield from gathered.take()
+
+    def _messages(self) -> Iterator[tuple[Coordinated, list[Message]]]:
+        """Yield the messages of the coordinators and the events of every step, while the robots are at that step."""
         scenario, swarm = self._scenario, self._swarm
         angle, angular_velocity = scenario.plane.angle, scenario.plane.angular_velocity
         length = scenario.plane.length
         for step in range(scenario.steps + 1):
             stamp = step * scenario.step_ns
-            rows = swarm.states(step, stamp)
             abstract, sums = swarm.sums(step, stamp)
             plane = PlaneState(stamp, step, angle, angular_velocity)
             answers = self._controller.handle(plane)
             desired = answers[-1]
             assert isinstance(desired, DesiredAbstractState)  # noqa: S101 - the last message of the controller
-            events: list[Message] = [*self._limits(step, stamp), *answers[:-1]]
-            yield ArrayStep(step, stamp, rows, _records(plane, abstract, sums, desired, events))
+            yield (plane, abstract, sums, desired), [*self._limits(step, stamp), *answers[:-1]]
             if step == scenario.steps:
                 return
             if is_degenerate(sums.s0, sums.s3, length):
                 raise NotVectorisableError
             load = swarm.move(abstract, sums, desired)
-            time = step * scenario.step_ns / 1e9
-            angle, angular_velocity = self._dynamics.advance(angle, angular_velocity, time, load)
+            angle, angular_velocity = self._dynamics.advance(angle, angular_velocity, stamp / 1e9, load)
 
     def _limits(self, step: int, stamp: int) -> list[SwarmEvent]:
         """Return an event for each robot that has just crossed the end of the plane."""
@@ -248,15 +249,3 @@ class VectorSimulation:
             SwarmEvent(stamp, step, agent_id, EventKind.LIMIT_HIT, outside[agent_id], "off the plane's end")
             for agent_id in new
         ]
-
-
-def _records(
-    plane: PlaneState,
-    abstract: AbstractState,
-    sums: AuxiliaryState,
-    desired: DesiredAbstractState,
-    events: list[Message],
-) -> tuple[Record, ...]:
-    """Return the records of the coordinators in the order of a bag."""
-    main = [Record.of(message) for message in (plane, abstract, sums, desired)]
-    return (*main, *sorted(map(Record.of, events), key=lambda record: record.payload))

@@ -60,12 +60,9 @@ def _run(scenario: AnyScenario) -> dict[str, Any]:
     """Simulate a scenario, and return figures, status and outcome."""
     reason = None
     run = RunFigures(configure.reference(scenario), tracking_of(scenario))
-    max_abs_angle: float | None = None
     try:
         for step in simulated_steps(scenario):
             run.add(step)
-            if run.latest is not None:
-                max_abs_angle = max(max_abs_angle or 0.0, abs(run.latest.angle))
     except RunError as error:
         reason = str(error)
     except Exception as error:  # noqa: BLE001 - a bug in one case must not end the sweep
@@ -80,7 +77,7 @@ def _run(scenario: AnyScenario) -> dict[str, Any]:
         outcome = "unsettled" if figures["settled_at"] is None else "settled"
     return {
         **figures,
-        "max_abs_angle": max_abs_angle,
+        "max_abs_angle": run.max_abs_shown,
         "digest": run.summary()["digest"],
         "status": "ok" if reason is None else "failed",
         "reason": reason,
