@@ -24,7 +24,7 @@ _NAMES = {
     "rclpy_reliable": "bare rclpy, reliable",
     "zeromq": "ZeroMQ",
     "datagrams": "Unix datagrams",
-    PRODUCT: "swarm run",
+    PRODUCT: "swarm run --no-packed",
     PACKED: "swarm run --packed",
 }
 # The Okabe-Ito palette, which is safe for colour-blind readers; markers and line styles differ, too.
@@ -85,7 +85,7 @@ def _speed(rows: list[dict[str, Any]]) -> Table:
     ratios = ("ratio_to_floor", "packed_ratio_to_floor", "ratio_to_zeromq", "packed_ratio_to_zeromq")
     return Table(
         "speed",
-        "steps per second, and the speed of swarm run, without and with packed broadcasts, relative to the faster bare"
+        "steps per second, and the speed of swarm run, without and with packed messages, relative to the faster bare"
         " rclpy and to ZeroMQ",
         ("robots", *(_NAMES[key] for key in order), "of rclpy", "packed of rclpy", "of ZeroMQ", "packed of ZeroMQ"),
         tuple(

@@ -20,6 +20,7 @@ from swarmabs_run.orchestration.launcher_client import LauncherClient
 from swarmabs_run.orchestration.network import claimed_domain, dds_environment, profile_xml
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 from swarmabs_run.orchestration.supervision import how_it_ended
+from swarmabs_run.run import RunOptions
 from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def processes(cascade: CascadeScenario, folders: Mapping[str, RunFolder]) -> lis
     found: list[LayerProcess] = []
     for namespace, scenario in cascade.layers.items():
         folder = folders[namespace]
-        for process in plan(scenario, folder):
+        for process in plan(scenario, folder, RunOptions(packed=False)):  # the coupling nodes read single messages
             coupled = _coupled(cascade, folders, namespace, process)
             unique = replace(coupled, name=f"{namespace.strip('/')}.{process.name}", participant=len(found))
             found.append(LayerProcess(namespace, unique, coupled.arguments(namespace), process.name))

@@ -107,8 +107,8 @@ def test_tables_show_the_suites_that_were_measured() -> None:
     assert [table.name for table in tables(found)] == ["speed", "cost"]
     assert speed.rows[0][:2] == ("4", "80 (30-90)")
     assert speed.rows[0][-4::2] == ("0.75 (0.75-0.8)", "0.5 (0.3-0.5)")
-    assert [row[1] for row in cost.rows] == ["swarm run", "swarm run --packed", "bare rclpy", "ZeroMQ"]
-    assert markdown(speed).splitlines()[0].startswith("| robots | swarm run | ")
+    assert [row[1] for row in cost.rows] == ["swarm run --no-packed", "swarm run --packed", "bare rclpy", "ZeroMQ"]
+    assert markdown(speed).splitlines()[0].startswith("| robots | swarm run --no-packed | ")
 
 
 def test_a_result_without_packed_broadcasts_is_written_and_read_and_what_is_none_refused(tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_a_result_without_packed_broadcasts_is_written_and_read_and_what_is_none
     for one in (result["summary"]["steps_per_second"], *result["repeats"]):
         del one["packed"]
     assert table_of(old, "speed").rows[0][-3] == "-"
-    assert [row[1] for row in table_of(old, "cost").rows] == ["swarm run", "bare rclpy", "ZeroMQ"]
+    assert [row[1] for row in table_of(old, "cost").rows] == ["swarm run --no-packed", "bare rclpy", "ZeroMQ"]
     write_result(old, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {DOCUMENT, TABLES, CHART}
     assert "| 4 | 80 (30-90) |" in (tmp_path / TABLES).read_text(encoding="utf-8")

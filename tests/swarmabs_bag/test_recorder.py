@@ -150,6 +150,7 @@ def test_a_lockstep_run_is_recorded_and_reported(told: Told, tmp_path: Path, mon
     assert len(list((tmp_path / "bag").glob("*.mcap"))) == 4
     made = attached_provenance(bag)
     assert (made["driver"], made["replay"], made.get("steered")) == ("lockstep", {"bag": "b"}, None)
+    assert "packed" not in made
 
 
 def test_it_says_that_it_is_still_there_while_the_run_goes_on_without_it(told: Told, tmp_path: Path) -> None:
@@ -197,6 +198,22 @@ def test_ends_that_were_not_planned_and_orders_are_known(told: Told, tmp_path: P
     assert set(steered.recorder.awaits()) == {msg.STEERING, msg.EVENTS, *msg.MAIN_TOPICS}
     steered.spec.on_exit(None)
     assert attached_provenance(open_bag(tmp_path / "steered"))["steered"] is True
+
+
+def test_packed_states_are_recorded_one_by_one(told: Told, tmp_path: Path) -> None:
+    run = Lockstep(tmp_path, logs="", packed=True)
+    assert run.spec.hear_all is not None
+    assert set(run.recorder.awaits()) == {msg.SWARM_STATES, msg.EVENTS, *msg.MAIN_TOPICS} - {msg.AGENT_STATE}
+    for step in run.steps:
+        single = [record for record in step.records if record.topic is not msg.AGENT_STATE]
+        states = b"".join(record.payload for record in step.records if record.topic is msg.AGENT_STATE)
+        run.spec.hear_all(msg.SWARM_STATES, [encode(msg.SwarmStates(0, step.step, states))])
+        for record in sorted(single, key=lambda record: record.topic is not msg.EVENTS):
+            run.spec.hear_all(record.topic, [record.payload])
+    run.spec.on_exit(None)
+    bag = open_bag(tmp_path / "bag")
+    assert [payload for _, _, payload in bag.messages()] == [r.payload for s in run.steps for r in s.records]
+    assert attached_provenance(bag)["packed"] is True
 
 
 class Heard:

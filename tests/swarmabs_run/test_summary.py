@@ -50,6 +50,12 @@ def test_what_is_not_known_is_null(changes: dict[str, Any], unknown: set[str]) -
     assert {name for name in found if found[name] is None} - {"startup_time", "reason", "rerun_of"} == set(unknown)
 
 
+def test_packed_messages_are_told_and_single_ones_taken_for_granted(tmp_path: Path) -> None:
+    assert summary(packed=True) == summary() | {"packed": True}
+    assert "--no-packed" in shown(summary(packed=True), tmp_path)
+    assert "--no-packed" not in shown(summary(), tmp_path)
+
+
 def shown(found: dict[str, Any], folder: Path) -> str:
     told = io.StringIO()
     Console(width=300, file=told).print(summary_table(found, RunFolder(folder)))

@@ -154,7 +154,7 @@ def test_packed_grouped_and_late_robots_change_no_bit(folder: Path, monkeypatch:
     monkeypatch.setattr("swarmabs_run.orchestration.process_run.multicast_works", lambda: False)
     options = {"packed": True, "agents_per_process": 3, "namespace": "/somewhere"}
     outcome = runs.lockstep(folder, "pd_het_4", runs.seconds(1.0), arrange=late, **options)
-    assert outcome.status == "ok", outcome.reason
+    assert (outcome.status, outcome.packed) == ("ok", True), outcome.reason
     assert outcome.figures["digest"] == runs.simulated_digest("pd_het_4", runs.seconds(1.0))
     log = runs.run_log(folder)
     assert re.search(r"agents_004\w* \(process \d+\) did not come up: again", log), log

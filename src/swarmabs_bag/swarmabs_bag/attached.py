@@ -65,6 +65,7 @@ def provenance(
     driver: str,
     replay: Mapping[str, object] | None = None,
     realtime: Mapping[str, object] | None = None,
+    packed: bool = False,
     steered: bool = False,
 ) -> dict[str, object]:
     """Return the provenance of a run.
@@ -77,6 +78,8 @@ def provenance(
         Nodes and source bag of a replay.
     realtime : mapping, optional
         Mapping from time to steps, and the simulated parts, of a run in real time.
+    packed : bool
+        Whether the nodes sent packed messages.
     steered : bool
         Whether the run was steerable: then requests are in its events, and not in its scenario.
     """
@@ -92,8 +95,7 @@ def provenance(
     }
     if realtime is not None:
         own["realtime"] = dict(realtime)
-    if steered:
-        own["steered"] = True
+    own |= {name: True for name, holds in (("packed", packed), ("steered", steered)) if holds}
     return own if replay is None else own | {"replay": dict(replay)}
 
 

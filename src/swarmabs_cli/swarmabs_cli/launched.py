@@ -34,7 +34,7 @@ def run_scenario(
     launcher: LauncherProcess,
     *,
     agents_per_process: int,
-    packed: bool,
+    packed: bool | None,
     realtime: bool,
     steer: bool,
     rate: float | None,

@@ -63,8 +63,9 @@ class RunOptions:
         ROS namespace of the swarm.
     agents_per_process : int
         Number of robots per process.
-    packed : bool
-        Whether the robots receive the three broadcasts as one message, which is cheaper in large swarms.
+    packed : bool, optional
+        Whether the robots receive the three broadcasts as one message, and plane and recorder the robots' states. None:
+        if there are at least `PACKED_FROM` robots.
     steered : bool
         Whether the run can be steered through a socket in its folder.
     step_seconds : float
@@ -76,11 +77,17 @@ class RunOptions:
     on_progress: Callable[[Progress], None] | None = None
     namespace: str = "/"
     agents_per_process: int = 1
-    packed: bool = False
+    packed: bool | None = None
     steered: bool = False
     step_seconds: float = 0.0
 
+    def packs(self, robots: int) -> bool:
+        """Return whether messages are packed in a swarm of this size."""
+        return robots >= PACKED_FROM if self.packed is None else self.packed
 
+
+PACKED_FROM = 8
+"""Number of robots from which a run with packed messages is faster."""
 DEFAULTS = RunOptions()
 SLOWEST_STEP = 1.0
 """Largest `RunOptions.step_seconds`, s: shorter than any stall timeout."""
@@ -100,6 +107,8 @@ class Outcome:
         Wall time to the first step, and from the first to the last step, s.
     warnings : tuple of str
         Warnings about a run that did not fail.
+    packed : bool
+        Whether messages were packed.
     """
 
     status: Literal["ok", "failed", "interrupted"]
@@ -108,3 +117,4 @@ class Outcome:
     start_seconds: float | None = None
     stepping_seconds: float | None = None
     warnings: tuple[str, ...] = ()
+    packed: bool = False

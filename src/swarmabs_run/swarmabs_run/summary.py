@@ -52,6 +52,7 @@ def summarise(scenario: AnyScenario, outcome: Outcome, times: Times) -> dict[str
         "reason": outcome.reason,
         "rerun_of": None,
         **({"realtime": figures["realtime"]} if "realtime" in figures else {}),
+        **({"packed": True} if outcome.packed else {}),
     }
 
 
@@ -85,6 +86,8 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Track
     if "realtime" in summary:
         del rows["digest"]  # it depends on timing
         rows |= _realtime_rows(summary["realtime"])
+    if summary.get("packed"):
+        rows["packed"] = "broadcasts, and states for plane and recorder (--no-packed: one message each)"
     if summary["events"]:
         rows["events"] = "\n".join(summary["events"])
     if summary["rerun_of"] is not None:

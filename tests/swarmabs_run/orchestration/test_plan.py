@@ -274,6 +274,19 @@ def test_packed_messages_take_the_place_of_single_ones(agents_per_process: int) 
     assert told == [PLANE, OBSERVER, CONTROLLER, RECORDER, *(process.name for process in robots)]
 
 
+@pytest.mark.parametrize(
+    ("asked", "robots", "packed"), [(None, 7, False), (None, 8, True), (True, 2, True), (False, 9, False)]
+)
+def test_messages_are_packed_where_that_is_faster_or_as_asked(*, asked: bool | None, robots: int, packed: bool) -> None:
+    agents = ", ".join(
+        f"{{id: {i}, kind: single_integrator, mass: 0.5, position: {0.01 * i}}}" for i in range(1, robots + 1)
+    )
+    scenario = builtin("pd_het_4", f"swarm.agents=[{agents}]").resolved()
+    processes = planned(scenario, options=RunOptions(packed=asked)).values()
+    assert {process.parameters["packed"] for process in processes} == {packed}
+    assert any(SWARM_STATES in process.publications for process in processes) == packed
+
+
 @pytest.mark.parametrize(("per_process", "groups"), [(3, [(1, 2, 3), (4,)]), (4, [(1, 2, 3, 4)]), (9, [(1, 2, 3, 4)])])
 def test_robots_may_share_processes(per_process: int, groups: list[tuple[int, ...]]) -> None:
     options = RunOptions(record=False, agents_per_process=per_process)

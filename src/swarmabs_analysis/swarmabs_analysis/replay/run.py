@@ -77,7 +77,7 @@ class ReplayRun:
 
     def live(self, folder: RunFolder, on_progress: Callable[[Progress], None] | None = None) -> Outcome:
         """Replay over DDS with the nodes under test as processes; parameters as for `in_process`."""
-        options = RunOptions(on_progress=on_progress, namespace=self.source.namespace)
+        options = RunOptions(on_progress=on_progress, namespace=self.source.namespace, packed=False)
         return LockstepRun(self.scenario, folder, options, self.plan).run()
 
     def plan(self, processes: Sequence[ProcessPlan]) -> tuple[ProcessPlan, ...]:

@@ -240,7 +240,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     """Return the behaviour, the endpoints, and the functions called on idle and on exit."""
     scenario = scenario_of(settings)
     bag, replay = settings.text("bag"), settings.text("replay")
-    steered = settings.flag(STEERED.name)
+    packed, steered = settings.flag(PACKED.name), settings.flag(STEERED.name)
     recording = Recording(
         scenario,
         Path(bag) if bag else None,
@@ -248,6 +248,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         namespace=settings.namespace,
         split=split_of(settings),
         replay=json.loads(replay) if replay else None,
+        packed=packed,
         steered=steered,
     )
     reporter = Reporter(recording, status, settings.text("logs"))
@@ -257,7 +258,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         reporter.progress(at_once=not planned.isdisjoint(steps) or steps.stop > scenario.steps)
 
     ends = [Change.parse(text) for text in settings.texts("ends")]
-    recorder = Recorder(scenario, recording, report, ends, packed=settings.flag(PACKED.name), steered=steered)
+    recorder = Recorder(scenario, recording, report, ends, packed=packed, steered=steered)
     return NodeSpec(
         recorder,
         settings.endpoints(RECORDER, LOCKSTEP, *configure.options_for(scenario), robots=len(scenario.agents)),

@@ -72,7 +72,7 @@ class Recording(_Recording[RunFigures]):
     ----------
     folder : Path, optional
         Folder of the bag; None if only figures are needed.
-    driver, replay, steered
+    driver, replay, packed, steered
         As for `swarmabs_bag.attached.provenance`.
     namespace, split
         As for `BagWriter`.
@@ -92,10 +92,11 @@ class Recording(_Recording[RunFigures]):
         namespace: str = "/",
         split: Split = ONE_FILE,
         replay: Mapping[str, object] | None = None,
+        packed: bool = False,
         steered: bool = False,
     ) -> None:
         self._reference = configure.reference(scenario)
-        made = provenance(scenario, driver=driver, replay=replay, steered=steered)
+        made = provenance(scenario, driver=driver, replay=replay, packed=packed, steered=steered)
         figures, family = RunFigures(self._reference, tracking_of(scenario)), scenario.family
         topics = (*family.once, *family.main, EVENTS)
         super().__init__(

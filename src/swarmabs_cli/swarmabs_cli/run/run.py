@@ -26,7 +26,12 @@ FOXGLOVE_PORT = 8765
     show_default=True,
     help="Robots per process, for large simulations.",
 )
-@click.option("--packed", is_flag=True, help="Broadcast one message instead of three: faster with many robots.")
+@click.option(
+    "--packed/--no-packed",
+    default=None,
+    help="Send broadcasts, and the robots' states for plane and recorder, as one message each.  "
+    "[default: by the number of robots, as is faster]",
+)
 @click.option("--realtime", is_flag=True, help="Run in real time, as on robots, with simulated bodies.")
 @click.option("--steer", is_flag=True, help="Accept changes from the command `steer` during the run.")
 @click.option(

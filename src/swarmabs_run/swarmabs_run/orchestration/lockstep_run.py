@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
@@ -45,7 +46,8 @@ class LockstepRun(ProcessRun):
     def drive(self, machine: Machine, domain: int, begun: float) -> Outcome:
         """Drive the processes to their end; afterwards the run can no longer be steered."""
         try:
-            return super().drive(machine, domain, begun)
+            outcome = super().drive(machine, domain, begun)
+            return replace(outcome, packed=self._options.packs(len(self._scenario.agents)))
         finally:
             (self._folder.path / SOCKET).unlink(missing_ok=True)
 

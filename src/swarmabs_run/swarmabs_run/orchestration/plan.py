@@ -138,6 +138,7 @@ def _lockstep_plan(
     scenario: AnyScenario, folder: RunFolder, recorder: Parameters, options: RunOptions
 ) -> tuple[ProcessPlan, ...]:
     window = configure.recording_window(scenario)
+    packed: Parameters = {"packed": options.packs(len(scenario.agents))}
     common: Parameters = {
         "period_ns": scenario.step_ns,
         "last_step": scenario.steps,
@@ -146,7 +147,7 @@ def _lockstep_plan(
         "repeat_steps": min(WINDOW, 2 * window),
     }
     # These nodes begin each step by applying the steering requests for it.
-    obeying = common | {"packed": options.packed} | ({"steered": True} if options.steered else {})
+    obeying = common | packed | ({"steered": True} if options.steered else {})
     coordinators = {
         PLANE: obeying | values_of(configure.parent_config(scenario)),
         OBSERVER: obeying | values_of(configure.observer_config(scenario)) | {"on_stall": scenario.lockstep.on_stall},
@@ -159,7 +160,7 @@ def _lockstep_plan(
         coordinators[STEERER] = common | place | {"step_seconds": options.step_seconds}
     return (
         *(_coordinator(node, LOCKSTEP, parameters, scenario, also) for node, parameters in coordinators.items()),
-        *_agent_processes(scenario, common | {"packed": options.packed}, folder, options),
+        *_agent_processes(scenario, common | packed, folder, options),
     )
 
 
