@@ -41,6 +41,7 @@ PROGRAMS = {
     "memory": "start",
     "large": "large",
     "simulate": "simulate",
+    "sweep": "sweep",
     "recorder": "recorder",
     "reading": "reading",
 }

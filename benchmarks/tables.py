@@ -74,6 +74,7 @@ def tables(document: Document) -> tuple[Table, ...]:
         ("memory", _memory),
         ("large", _large),
         ("simulate", _simulate),
+        ("sweep", _sweep),
         ("recorder", _recorder),
         ("reading", _reading),
     )
@@ -233,6 +234,26 @@ def _simulate(rows: list[dict[str, Any]]) -> Table:
     )
 
 
+def _sweep(rows: list[dict[str, Any]]) -> Table:
+    speeds = ("start_seconds", "cases_per_second", "cpu_ratio")
+    return Table(
+        "sweep",
+        "a sweep of pd_het_4 (30 s) on all cores: the time (s) until its workers have computed their first cases, cases"
+        " per second, processor time per case relative to the simulation alone, memory of the largest worker (MiB), and"
+        " that relative to its start",
+        ("robots", "start", "cases/s", "relative to simulate", "memory", "growth"),
+        tuple(
+            (
+                str(row["robots"]),
+                *(shown(row["summary"][key]) for key in speeds),
+                shown(row["summary"]["worker_bytes"], _MIB),
+                shown(row["summary"]["growth"]),
+            )
+            for row in rows
+        ),
+    )
+
+
 def _recorder(rows: list[dict[str, Any]]) -> Table:
     return Table(
         "recorder",
@@ -352,7 +373,7 @@ def _finish(axes: Axes, numbers: list[int]) -> None:
 
 def _measures(document: Document) -> Iterator[tuple[str, int, str, Mapping[str, float]]]:
     """Yield suite, robots, name and spread of every measurement."""
-    for suite in ("product", "start", "memory", "large", "simulate", "recorder", "reading"):
+    for suite in ("product", "start", "memory", "large", "simulate", "sweep", "recorder", "reading"):
         for row in document.get(suite, ()):
             summary = dict(row["summary"])
             if suite == PRODUCT:

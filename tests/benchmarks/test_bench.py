@@ -46,6 +46,7 @@ MEASURES = {
     "recorder": {"messages_per_second", "core_share", "messages_per_core_second"},
     "reading": {"bag_bytes", "arrays_bytes_per_second", "ratio_to_iteration", *READERS},
     "simulate": {"real_time_factor", "real_time_factor_without_bag"},
+    "sweep": {"start_seconds", "cases_per_second", "cpu_ratio", "worker_bytes", "growth"},
 }
 
 

@@ -598,6 +598,10 @@ class TestScript:
             ("run x.yaml --markers --foxglove", "run", ["foxglove"]),
             ("run --foxglove --foxglove-port 9000", "run", ["foxglove"]),
             ("simulate --foxglove", "simulate", []),
+            ("bench", "bench", ["sweep"]),
+            ("bench --suite sweep --robots 4", "bench", ["sweep"]),
+            ("bench --suite start", "bench", []),
+            ("bench --compare a b", "bench", []),
         ],
     )
     def test_packages_only_where_needed(self, swarm: ModuleType, words: str, command: str, options: list[str]) -> None:

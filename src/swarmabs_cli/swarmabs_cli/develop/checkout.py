@@ -17,7 +17,7 @@ from swarmabs_cli.options import examples, json_option, output_option
 from swarmabs_core.errors import InputError
 from swarmabs_run.ending import GRACE
 
-SUITES = ("product", "start", "memory", "large", "simulate", "recorder", "reading")
+SUITES = ("product", "start", "memory", "large", "simulate", "sweep", "recorder", "reading")
 _LONGEST_WARM_UP = 2.0
 """Longest warm-up before a measurement, s; at most a third of its length."""
 
