@@ -28,7 +28,7 @@ PARAMETERS = (CONFIG, ON_STALL, PACKED, STEERED)
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour and its reaction to a stall."""
-    observer, hear = _observer(settings)
+    observer, hear_all = _observer(settings)
     gate = Steered(observer) if settings.flag(STEERED.name) else None
 
     def drop() -> Messages:
@@ -38,10 +38,10 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
         return observer.drop(silent, SILENT) if silent else ()
 
     on_stall = drop if settings.text(ON_STALL.name) == "drop" else None
-    return NodeSpec(gate or observer, on_stall=on_stall, hear=None if gate else hear)
+    return NodeSpec(gate or observer, on_stall=on_stall, hear_all=None if gate else hear_all)
 
 
-def _observer(settings: Settings) -> tuple[Observer, Callable[[Topic, bytes], Messages] | None]:
+def _observer(settings: Settings) -> tuple[Observer, Callable[[Topic, list[bytes]], Messages] | None]:
     """Return the behaviour, and what takes its serialized messages, if it does so itself."""
     config = settings.chosen(CONFIG)
     if not settings.flag(PACKED.name):
@@ -49,7 +49,7 @@ def _observer(settings: Settings) -> tuple[Observer, Callable[[Topic, bytes], Me
     from swarmabs_core.behaviours.packed import PackedObserver  # noqa: PLC0415 - only packed runs need numpy
 
     packed = PackedObserver(config)
-    return packed, packed.hear
+    return packed, packed.hear_all
 
 
 def main(args: list[str] | None = None) -> int:

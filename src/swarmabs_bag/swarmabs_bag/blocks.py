@@ -82,7 +82,8 @@ class Block:
             return None
         tables[family.robot] = tables[family.robot].reshape(steps, robots)
         block = cls(tables)
-        return block if all(map(is_canonical, tables.values())) and block._is_consecutive() else None
+        canonical = all(is_canonical(topic, table) for topic, table in tables.items())
+        return block if canonical and block._is_consecutive() else None
 
     @classmethod
     def gathered(cls, steps: Sequence[RecordedStep]) -> Block | None:

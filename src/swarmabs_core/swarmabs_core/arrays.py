@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmabs_core.cdr import ENCAPSULATION, FRAME, lengths_of, places
+from swarmabs_core.cdr import canonical, decode, lengths_of, places
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
     FAMILIES,
@@ -66,17 +66,16 @@ def raw(table: NDArray[np.void]) -> NDArray[np.uint8]:
     return table.view(np.uint8).reshape(*table.shape, table.itemsize)
 
 
-def is_canonical(table: NDArray[np.void]) -> bool:
+def is_canonical(topic: Topic, table: NDArray[np.void]) -> bool:
     """Return whether every message of a contiguous table has the head, padding and list lengths of its layout."""
     rows = raw(table).reshape(-1, table.itemsize)
-    expected = rows[0].copy()
-    head = expected.view(table.dtype)
-    head["encapsulation"], head["frame"] = np.void(ENCAPSULATION), np.void(FRAME)
-    for name in table.dtype.names or ():
-        if name.startswith(PADDING):
-            head[name] = np.void(table.dtype[name].itemsize)
-    differs = ((rows ^ expected) & constant(table.dtype)).any()
-    return not (differs or (table["nanosec"] >= _SECOND).any())
+    first = rows[0].tobytes()
+    try:
+        decode(topic.message, first)
+    except MalformedMessageError:
+        return False
+    same = canonical(topic.message, first) == first and not ((rows ^ rows[0]) & constant(table.dtype)).any()
+    return same and bool((table["nanosec"] < _SECOND).all())
 
 
 @lru_cache(maxsize=64)
@@ -95,7 +94,7 @@ def canonical_table(topic: Topic, payloads: bytes) -> NDArray[np.void] | None:
         table = np.frombuffer(payloads, layout_of(topic, payloads[:_LONGEST]))
     except (MalformedMessageError, ValueError):
         return None
-    return table if len(table) and is_canonical(table) else None
+    return table if len(table) and is_canonical(topic, table) else None
 
 
 class MessageArrays:

@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Message, Messages, SwarmEvent, Topic
 
 
+FEW = 24
+"""Number of robots below which single messages are faster than a table."""
+
+
 class TableStates(Sequence[AnyRobotState]):
     """States of robots as rows of a table, decoded only where single ones are needed.
 
@@ -75,17 +79,23 @@ class TableGathering(Gathering):
 
     _all: TableStates | None = None
 
-    def add_all(self, states: TableStates) -> bool:
-        """Take the states of all members; return False, and take nothing, unless that is all that happens.
+    def add_all(self, robot: Topic, data: bytes, system: int | None) -> bool:
+        """Take joined payloads of the states of all members; return False, and take nothing, in any other case.
 
-        They must be those of the step, of every member once, of robots that do not leave, and the first ones.
+        They must be the first ones of the step, canonical, one of every member, none of a robot that leaves, and those
+        of this parent system. States of few robots are not taken either.
         """
-        table = states.table
-        first = self._all is None and not self._states
-        members = table["agent_id"].tolist() == [*self._membership.publishing(self._step)]
-        if not (first and members and (table["step"] == self._step).all() and (table["status"] != Status.LEFT).all()):
+        members = self._membership.publishing(self._step)
+        if len(members) < FEW or self._states or self._all is not None:
             return False
-        self._all = states
+        table = canonical_table(robot, data)
+        if table is None or (system is not None and (table["system"] != system).any()):
+            return False
+        table = table[np.argsort(table["agent_id"])]
+        ordinary = (table["step"] == self._step).all() and (table["status"] != Status.LEFT).all()
+        if not ordinary or table["agent_id"].tolist() != [*members]:
+            return False
+        self._all = TableStates(robot, table)
         return True
 
     def outstanding(self) -> int:
@@ -117,14 +127,6 @@ class TableGathering(Gathering):
         return states
 
 
-def table_of(robot: Topic, data: bytes, system: int | None) -> TableStates | None:
-    """Return joined payloads of robots' states, None if they are not canonical or not of this parent system."""
-    table = canonical_table(robot, data)
-    if table is None or (system is not None and (table["system"] != system).any()):
-        return None
-    return TableStates(robot, table[np.argsort(table["agent_id"])])
-
-
 class PackedObserver(Observer):
     """An observer that also publishes the states of a step as one message.
 
@@ -139,19 +141,18 @@ class PackedObserver(Observer):
         self._robot: Topic = config.family.robot
         self._unread: list[bytes] = []
 
-    def hear(self, topic: Topic, data: bytes) -> Messages:
-        """Take a serialized message; return what `handle` does."""
+    def hear_all(self, topic: Topic, payloads: Sequence[bytes]) -> Messages:
+        """Take serialized messages; return what `handle` does."""
         if topic is not self._robot:
-            return self.handle(decode(topic.message, data))
-        self._unread.append(data)
+            return tuple(answer for data in payloads for answer in self.handle(decode(topic.message, data)))
+        self._unread += payloads
         return () if len(self._unread) < self._gathering.outstanding() else self._read()
 
     def _read(self) -> Messages:
         """Take what is unread; what it does not complete returns nothing."""
         unread, self._unread = self._unread, []
         alike = len(set(map(len, unread))) == 1
-        states = table_of(self._robot, b"".join(unread), self._system) if alike else None
-        if states is not None and self._gathering.add_all(states):
+        if alike and self._gathering.add_all(self._robot, b"".join(unread), self._system):
             return self._proceed()
         return tuple(answer for data in unread for answer in self.handle(decode(self._robot.message, data)))
 
@@ -191,7 +192,10 @@ class PackedObserver(Observer):
 
 def _columns(table: NDArray[np.void], names: Iterable[str], also: Iterable[Any] = ()) -> tuple[Any, ...]:
     """Return fields of robots in a table, and of others, as columns."""
-    return tuple(np.append(table[name], [getattr(state, name) for state in also]) for name in names)
+    others = [*also]
+    if not others:
+        return tuple(table[name] for name in names)
+    return tuple(np.append(table[name], [getattr(state, name) for state in others]) for name in names)
 
 
 class PackedParent(Parent):
@@ -209,8 +213,7 @@ class PackedParent(Parent):
         """Take the states of robots or an event; return the parent's state when a step is complete."""
         if not isinstance(message, SwarmStates):
             return super().handle(message)
-        states = table_of(self._robot, message.states, self._system)
-        if states is None or not self._gathering.add_all(states):
+        if not self._gathering.add_all(self._robot, message.states, self._system):
             for payload in split(self._robot.message, message.states):
                 self._take(decode(self._robot.message, payload))
         return self._proceed()
