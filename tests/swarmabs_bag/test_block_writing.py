@@ -10,9 +10,11 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from tests.swarmabs_bag.sample_run import PERIOD
 from tests.swarmabs_bag.test_blocks import in_blocks, run
-from tests.swarmabs_bag.test_writer import Clock, on_disk
+from tests.swarmabs_bag.test_writer import Clock, Disk, on_disk
 
 from swarmabs_bag.blocks import Block
+from swarmabs_bag.errors import BagWriteError
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_bag.writer import CHUNK_BYTES, BagWriter
 from swarmabs_core.messages import EVENTS
@@ -111,3 +113,23 @@ def test_a_block_reaches_the_disk_when_its_chunk_is_full_or_old(tmp_path: Path) 
         clock.now += 0.5
         writer.poll()
         assert len(on_disk(writer.path)) == 21 * 8, "the rest was as old"
+
+
+@pytest.mark.parametrize("free", [0, 2000, 5000, 9000])
+def test_full_disk_keeps_the_chunks_before_that_of_the_block(
+    free: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk, steps = Disk(monkeypatch), run("pd_het_4")[1]
+    block = Block.gathered(steps)
+    assert block is not None
+    writer = bag_writer("pd_het_4", tmp_path / "bag", chunk_bytes=3000)
+    disk.free = free
+    with pytest.raises(BagWriteError, match="No space left") as first:
+        writer.write_block(block)
+    with pytest.raises(BagWriteError) as later:
+        writer.write_block(block)
+    assert later.value is first.value
+    writer.abort("full")
+    found = list(open_bag(tmp_path / "bag").messages())
+    assert found == list(block.stored())[: len(found)]
+    assert (len(found) > 0) == (free > 2000)

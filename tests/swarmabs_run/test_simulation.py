@@ -164,6 +164,7 @@ def strained() -> Scenario:
         (of_one_kind("single_integrator"), False),
         (of_one_kind("double_integrator"), False),
         (strained(), True),
+        (builtin("pd_si_4", "plane.disturbance={amplitude: 500, angular_frequency: 1}"), False),  # turns over
     ],
 )
 def test_arrays_give_the_bits_and_the_order_of_the_state_machines(scenario: Scenario, events: bool) -> None:  # noqa: FBT001
