@@ -1,5 +1,6 @@
 """Steps in blocks against the same steps message by message, bit for bit."""
 
+from collections.abc import Iterator
 from functools import cache
 from math import inf, nan
 from random import Random
@@ -9,13 +10,15 @@ import pytest
 from tests.swarmabs_bag.test_systems import BEAM, LIFT, SHEET
 from tests.swarmabs_core.helpers import agent_state, builtin
 
-from swarmabs_bag.blocks import Block
+from swarmabs_bag import blocks
+from swarmabs_bag.blocks import Block, gathered_steps
 from swarmabs_bag.figures import RunFigures, tracking_of
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
 from swarmabs_bag.recording import Digest, RecordedStep, Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core import messages as msg
+from swarmabs_core.errors import RunError
 from swarmabs_core.record import Record
 from swarmabs_run.simulation import Simulation
 
@@ -72,6 +75,36 @@ def test_blocks_give_what_their_steps_give(name: str) -> None:
         results.append((figures.summary(), digest.hexdigest(), told))
     assert results[0][:2] == results[1][:2]
     assert results[1][2].items() <= results[0][2].items(), "what is told after a step"
+
+
+@pytest.mark.parametrize("name", ["pd_di_4", "arise_het_20", "sheet"])
+def test_steps_are_gathered_as_far_as_they_fit_and_those_before_an_error_come(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, steps = run(name)
+    monkeypatch.setattr(blocks, "BLOCK_SECONDS", 60.0)
+    found = list(gathered_steps(steps))
+    assert [step for part in found for step in (part.recorded() if isinstance(part, Block) else [part])] == steps
+    assert len(found) < len(steps) - 5
+    most = 4 * sum(len(record.payload) for record in steps[1].records)
+    with monkeypatch.context() as small:
+        small.setattr(blocks, "BLOCK_BYTES", most)
+        for part in gathered_steps(steps):
+            earlier = part[:-1] if isinstance(part, Block) and len(part) > 1 else None
+            assert earlier is None or sum(len(payload) for *_, payload in earlier.stored()) < most
+    monkeypatch.setattr(blocks, "BLOCK_SECONDS", 0.0)
+    assert [part.step for part in gathered_steps(steps)] == [step.step for step in steps], "none is held back"
+
+    def failing() -> Iterator[RecordedStep]:
+        yield from steps[:10]
+        raise RunError("over")
+
+    monkeypatch.setattr(blocks, "BLOCK_SECONDS", 60.0)
+    parts = gathered_steps(failing())
+    while next(parts).step < 9:
+        pass
+    with pytest.raises(RunError, match="over"):
+        next(parts)
 
 
 def test_a_block_is_its_last_step_and_can_be_cut() -> None:

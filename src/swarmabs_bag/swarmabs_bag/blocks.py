@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -15,11 +16,12 @@ from swarmabs_core.messages import FAMILIES, PLANE_FAMILY, Topic
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from typing import Any
 
     from numpy.typing import NDArray
 
+    from swarmabs_bag.recording import Step
     from swarmabs_core.messages import AnyParentState, AnyRobotState, SwarmEvent
 
 BLOCK_BYTES = 2**18
@@ -188,10 +190,10 @@ class Block:
 
     def stored(self) -> Iterator[tuple[Topic, int, bytes]]:
         """Return topic, time (ns) and bytes of every message, in the order of a bag."""
-        for place, time in enumerate(self.times.tolist()):
+        for place, stamp in enumerate(self.times.tolist()):
             for topic in self.tables:
                 for payload in self._payloads(topic, place):
-                    yield topic, time, payload
+                    yield topic, stamp, payload
 
     def recorded(self) -> Iterator[RecordedStep]:
         """Return the steps one after the other, with their messages."""
@@ -207,6 +209,33 @@ class Block:
 
     def _read(self, topic: Topic, place: int | slice) -> list[Any]:
         return [decode(topic.message, data) for data in self._payloads(topic, place)]
+
+
+def gathered_steps(steps: Iterable[RecordedStep]) -> Iterator[Step]:
+    """Yield steps in blocks, those that do not fit on their own; after an error, those before it have been yielded."""
+    waiting: list[RecordedStep] = []
+    size, begun = 0, 0.0
+    try:
+        for step in steps:
+            if waiting and (step.events or len(step.records) != len(waiting[0].records)):
+                yield from _taken(waiting)
+            if not waiting:
+                size, begun = 0, time.monotonic()
+            waiting.append(step)
+            size += sum(len(record.payload) for record in step.records)
+            if step.events or size >= BLOCK_BYTES or time.monotonic() - begun >= BLOCK_SECONDS:
+                yield from _taken(waiting)
+    except Exception:
+        yield from _taken(waiting)
+        raise
+    yield from _taken(waiting)
+
+
+def _taken(steps: list[RecordedStep]) -> Iterator[Step]:
+    """Yield the steps, as a block if they form one, and clear the list."""
+    block = Block.gathered(steps)
+    yield from [block] if block is not None else steps
+    steps.clear()
 
 
 @lru_cache(maxsize=16)

@@ -9,7 +9,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.attached import scenario_of
-from swarmabs_bag.blocks import Block
+from swarmabs_bag.blocks import Block, gathered_steps
 from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.figures import PLANE_TRACKING, RunFigures, Tracking
 from swarmabs_config import configure
@@ -121,7 +121,7 @@ class Simulation:
 def simulated_steps(scenario: AnyScenario) -> Iterator[Step]:
     """Simulate a scenario, on arrays if all robots always behave alike; the results are identical bit for bit.
 
-    Steps on arrays come in blocks.
+    They come in blocks as far as they fit.
 
     Raises `RunError` if the run fails, such as when the plane turns over.
     """
@@ -135,7 +135,7 @@ def simulated_steps(scenario: AnyScenario) -> Iterator[Step]:
             pass
         else:
             return
-    yield from islice(Simulation(scenario).steps(), done, None)
+    yield from gathered_steps(islice(Simulation(scenario).steps(), done, None))
 
 
 def simulate(
