@@ -140,21 +140,29 @@ class Arrivals:
 
         Returns False if one of them differs from another in its place; then nothing is added.
         """
+        if not len(messages):
+            return True
         table, steps = self._tables[topic], messages["step"].astype(np.int64)
         places = steps % self._capacity
         if topic is self._family.robot:
             columns = self._columns(messages)
             places = places * len(self._members) + columns
-            taken = table.known[places] | self._take_part(columns, steps)
-            if not taken.all():
-                return self.add(topic, messages[taken])
+            if not self._all_take_part(int(np.min(steps)), int(np.max(steps))):
+                taken = table.known[places] | self._take_part(columns, steps)
+                if not taken.all():
+                    return self.add(topic, messages[taken])
         rows, new = messages.view(table.rows.dtype), ~table.known[places]
         table.rows[places[new]] = rows[new]
         if (raw(table.rows[places]) != raw(rows)).any():
             return False
         table.known[places] = True
-        self.newest = max([self.newest, *steps.tolist()])
+        self.newest = max(self.newest, int(np.max(steps)))
         return True
+
+    def _all_take_part(self, first: int, last: int) -> bool:
+        """Return whether all robots publish their states in these steps."""
+        membership = self._membership
+        return len(membership.publishing(first)) == len(self._members) and last < membership.constant_until(first)
 
     def _take_part(self, columns: Integers, steps: Integers) -> NDArray[np.bool_]:
         """Return whether robots publish their states of steps."""

@@ -54,8 +54,8 @@ COMMON = (
 
 REPORT_SECONDS = 0.1
 """Time between two reports to the orchestrator, s."""
-GATHER_SECONDS = 0.005
-"""Time for which messages accumulate, s: waking up for each one costs more than recording it, and the run does not wait
+GATHER_SECONDS = 0.02
+"""Time for which messages accumulate, s: a batch costs nearly the same whatever its size, and the run does not wait
 while its credit of 100 steps lasts."""
 
 PARAMETERS = (

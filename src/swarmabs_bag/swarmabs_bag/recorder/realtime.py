@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from diagnostic_msgs.msg import DiagnosticArray
 
 from swarmabs_bag.realtime import RealtimeWorld
-from swarmabs_bag.recorder.node import COMMON as OF_RECORDERS, GATHER_SECONDS, Reporter, scenario_of, split_of
+from swarmabs_bag.recorder.node import COMMON as OF_RECORDERS, Reporter, scenario_of, split_of
 from swarmabs_bag.recorder.recording import RealtimeRecording
 from swarmabs_config import configure
 from swarmabs_config.graph import DIAGNOSTICS, REALTIME, RECORDER, endpoints
@@ -51,6 +51,9 @@ PARAMETERS = (
 
 SLICE = 0.1
 """Longest time between two checks whether the node must stop, s."""
+GATHER_SECONDS = 0.005
+"""Time for which messages accumulate, s: waking up for each one costs more than recording it, but the times of receipt
+are later by as much."""
 LINGER = 0.5
 """Time after the last step in which its messages may still arrive, s."""
 
@@ -84,7 +87,7 @@ class RealtimeRecorder:
                 self._drain(recording)
                 return False
             if self._receiver.wait(tuple(self._depths), SLICE):
-                time.sleep(GATHER_SECONDS)  # waking up for each message costs more than recording it
+                time.sleep(GATHER_SECONDS)
                 self._drain(recording)
             recording.poll()
             if reporter.progress() and recording.run.fallen and not self._told_fallen:
