@@ -76,8 +76,8 @@ def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
 
 def column_load(
     mass: Any,
-    start: tuple[Any, Any],
-    end: tuple[Any, Any],
+    start: Sequence[Any],
+    end: Sequence[Any],
     curved: Any,
     constants: tuple[float, float],
     total: Callable[..., Any] = column_total,

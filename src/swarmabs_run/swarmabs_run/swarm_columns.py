@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_core.abstraction import summed
+from swarmabs_core.abstraction import quotient, summed
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.cdr import ENCAPSULATION, FRAME
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
@@ -21,16 +21,17 @@ from swarmabs_core.messages import AGENT_STATE, Kind, Status
 from swarmabs_core.parent_response import SumObserver
 from swarmabs_core.plant import column_load
 from swarmabs_core.robot_controller import Limits
-from swarmabs_core.summation import exact_sum
+from swarmabs_core.summation import column_sums, column_total, exact_sum
 from swarmabs_core.swarm_law import PAPER, double_integrator_command, single_integrator_command
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.behaviours import AgentConfig
+    from swarmabs_core.messages import AbstractState, AuxiliaryState
     from swarmabs_core.plant import SwarmLoad
     from swarmabs_core.summation import Terms
 
@@ -62,7 +63,8 @@ def step_sums(robots: Iterable[Any], terms: Terms) -> list[Any]:
 class SwarmColumns:
     """The constants of N robots: single integrators first, then double integrators, so that each kind is a slice.
 
-    Positions, velocities and commands in K steps are columns (N, K) in this order, numbers in the broadcasts (K,).
+    Positions, velocities and commands are columns (N,) in this order; with `steps` those of K steps, (N, K), and what
+    is one number for all robots is (K,).
 
     Attributes
     ----------
@@ -74,24 +76,27 @@ class SwarmColumns:
         Masses, kg.
     """
 
-    def __init__(self, scenario: Scenario, configs: Iterable[AgentConfig]) -> None:
+    def __init__(self, scenario: Scenario, configs: Iterable[AgentConfig], *, steps: bool = False) -> None:
         ordered = sorted(configs, key=lambda config: (config.kind, config.agent_id))
         damped = [config for config in ordered if config.kind is Kind.DOUBLE_INTEGRATOR]
         single = len(ordered) - len(damped)
+        shape = (-1, 1) if steps else (-1,)
+        self._sums: Any = (step_sums, np.divide) if steps else (column_sums, quotient)
+        self._total = step_total if steps else column_total
         self.ids = [config.agent_id for config in ordered]
         self.by_id = np.argsort(self.ids)
         self.places = np.argsort(self.by_id)
-        self.mass = np.array([config.mass for config in ordered]).reshape(-1, 1)
-        self._si, self._di = slice(single), slice(single, None)
-        self._damping = np.array([config.damping for config in damped]).reshape(-1, 1)
-        self._period = scenario.period
+        self.mass = np.array([config.mass for config in ordered]).reshape(shape)
+        self._si, self._di = slice(single), slice(single, len(ordered))
+        self._damping = np.array([config.damping for config in damped]).reshape(shape)
+        self._constants = scenario.period, scenario.plane.gravity
         self._gravity = scenario.plane.gravity
         self._gains = ordered[0].gains
         drives = [DoubleIntegratorDrive.of(scenario.period, config.mass, config.damping) for config in damped]
         factors = np.array(drives).reshape(-1, 4).T.copy()
         # Drives, laws and paths use arithmetic only, so they accept arrays in place of numbers.
         self._si_drive: Any = SingleIntegratorDrive(scenario.period)
-        self._di_drive: Any = DoubleIntegratorDrive(*(factor.reshape(-1, 1) for factor in factors))
+        self._di_drive: Any = DoubleIntegratorDrive(*(factor.reshape(shape) for factor in factors))
         rows = np.zeros(len(ordered), dtype=LAYOUT[AGENT_STATE])
         rows["encapsulation"], rows["frame"] = np.void(ENCAPSULATION), np.void(FRAME)
         rows["agent_id"] = self.ids
@@ -111,18 +116,20 @@ class SwarmColumns:
         rows["step"] = steps[:, np.newaxis]
         rows["broadcast_step"] = steps[:, np.newaxis] - np.uint64(1)  # `NEVER` in step 0
         for name, values in zip(("position", "velocity", "command"), motion, strict=True):
-            rows[name] = values[:, self.by_id]
+            rows[name] = values[: len(steps), self.by_id]
         return rows
 
-    def observed(self, p: Floats, v: Floats, standing: tuple[Floats, Floats] | None = None) -> tuple[Any, Any]:
-        """Return abstract and auxiliary state of each step, without stamps and steps.
+    def observed(
+        self, step: Any, stamp: Any, p: Floats, v: Floats, standing: tuple[Floats, Floats] | None = None
+    ) -> tuple[AbstractState, AuxiliaryState]:
+        """Return abstract and auxiliary state, as `swarmabs_core.abstraction` defines them.
 
         Masses (kg) and positions (m) of robots that stand add to those of the others.
         """
         m, di = self.mass, self._di
-        weights = _with((m, p, v), standing)
+        weights = (m, p, v) if standing is None else _with((m, p, v), standing)
         robots = weights, (m, p), (m[di], p[di], self._damping)
-        return summed(0, 0, len(weights[0]), robots, (self._gravity, self._gains.ksd), step_sums, np.divide)
+        return summed(stamp, step, len(weights[0]), robots, (self._gravity, self._gains.ksd), *self._sums)
 
     def commands(self, p: Floats, v: Floats, abstract: Any, auxiliary: Any, desired: Any) -> Floats:
         """Return the commands of the robots' laws."""
@@ -137,25 +144,23 @@ class SwarmColumns:
 
     def moved(self, p: Floats, v: Floats, command: Floats) -> tuple[Floats, Floats]:
         """Return positions and velocities one period later."""
-        p1, v1 = np.empty_like(p), np.empty_like(v)
-        for part, drive in ((self._si, self._si_drive), (self._di, self._di_drive)):
-            p1[part], v1[part] = drive.advance(p[part], v[part], command[part])
+        si, di, p1, v1 = self._si, self._di, p.copy(), v.copy()
+        p1[si], v1[si] = self._si_drive.advance(p[si], v[si], command[si])
+        p1[di], v1[di] = self._di_drive.advance(p[di], v[di], command[di])
         return p1, v1
 
     def load(
-        self, before: tuple[Floats, Floats], after: tuple[Floats, Floats], standing: tuple[Floats, Floats] | None = None
+        self, before: Sequence[Floats], after: Sequence[Floats], standing: tuple[Floats, Floats] | None = None
     ) -> SwarmLoad:
         """Return torque and inertia over a period from positions and velocities at both ends; `standing` as above."""
-        mass, *start = _with((self.mass, *before), standing)
-        _, *end = _with((self.mass, *after), standing)
-        curved = slice(self._di.start, len(self.ids))
-        constants = self._period, self._gravity
-        return column_load(mass, (start[0], start[1]), (end[0], end[1]), curved, constants, step_total)
+        mass = self.mass
+        if standing is not None:
+            mass, *before = _with((mass, *before), standing)
+            _, *after = _with((self.mass, *after), standing)
+        return column_load(mass, before, after, self._di, self._constants, self._total)
 
 
-def _with(robots: tuple[Floats, Floats, Floats], standing: tuple[Floats, Floats] | None) -> tuple[Floats, ...]:
+def _with(robots: tuple[Any, ...], standing: tuple[Floats, Floats]) -> tuple[Any, ...]:
     """Return masses, positions and velocities of robots, followed by those of others that stand."""
-    if standing is None:
-        return robots
     also = (*standing, np.zeros_like(standing[1]))
     return tuple(np.concatenate(pair) for pair in zip(robots, also, strict=True))

@@ -1,26 +1,18 @@
-"""Simulation of large swarms with all robots on arrays, bit for bit identical to the state machines.
-
-Addition, multiplication and division round each array element exactly as they round scalars, and every sum over the
-robots is correctly rounded; no other function is applied to arrays. So the same formulas give the same bits, and tests
-check this. Events of single robots (faults, limits, safe stops), imperfect sensors and drives, end stops and observers
-of the plane are left to the state machines.
-"""
+"""Simulation of large swarms with all robots on arrays, bit for bit identical to the state machines."""
 
 from __future__ import annotations
 
 import time
-from math import inf
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
 from swarmabs_bag.blocks import BLOCK_BYTES, BLOCK_SECONDS, Block
 from swarmabs_config import configure
-from swarmabs_core.abstraction import is_degenerate, summed
+from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.arrays import LAYOUT, table
 from swarmabs_core.behaviours import Controller
-from swarmabs_core.cdr import ENCAPSULATION, FRAME, encode
-from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
+from swarmabs_core.cdr import encode
 from swarmabs_core.messages import (
     AGENT_STATE,
     MAIN_TOPICS,
@@ -28,17 +20,12 @@ from swarmabs_core.messages import (
     AuxiliaryState,
     DesiredAbstractState,
     EventKind,
-    Kind,
     PlaneState,
-    Status,
     SwarmEvent,
 )
-from swarmabs_core.parent_response import SumObserver
-from swarmabs_core.plant import PlaneDynamics, SwarmLoad, column_load
+from swarmabs_core.plant import PlaneDynamics, SwarmLoad
 from swarmabs_core.record import Record
-from swarmabs_core.robot_controller import Limits
-from swarmabs_core.summation import column_sums
-from swarmabs_core.swarm_law import PAPER, double_integrator_command, single_integrator_command
+from swarmabs_run.swarm_columns import SwarmColumns, on_columns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -63,11 +50,7 @@ class NotVectorisableError(Exception):
 
 def vectorisable(scenario: Scenario) -> bool:
     """Return whether all robots of a scenario always behave alike and use laws that support arrays."""
-    limits, plane, swarm = scenario.limits, scenario.plane, scenario.swarm
-    individual = scenario.faults or limits != Limits() or plane.robot_gravity
-    perfect = plane.sensor.perfect and swarm.sensor.perfect
-    special = plane.end_stop < inf or swarm.actuator_lag or scenario.observer.type != SumObserver.type
-    return perfect and swarm.law.type == PAPER.name and not (individual or special)
+    return not scenario.faults and on_columns(scenario)
 
 
 class Motion(NamedTuple):
@@ -79,75 +62,34 @@ class Motion(NamedTuple):
 
 
 class _Swarm:
-    """The robots: single integrators first, then double integrators, so that each kind is a slice of every array."""
+    """The robots: their constants, and positions, velocities and commands in the same order."""
 
     def __init__(self, scenario: Scenario) -> None:
-        configs = sorted(configure.agent_configs(scenario), key=lambda config: (config.kind, config.agent_id))
-        self.period = scenario.period
-        self.gravity = scenario.plane.gravity
-        self.gains = configs[0].gains
-        self.ids = [config.agent_id for config in configs]
-        self.mass = np.array([config.mass for config in configs])
-        self.position = np.array([config.position for config in configs])
-        self.velocity = np.array([config.velocity for config in configs])
+        configs = {config.agent_id: config for config in configure.agent_configs(scenario)}
+        self.columns = SwarmColumns(scenario, configs.values())
+        self.position = np.array([configs[agent_id].position for agent_id in self.columns.ids])
+        self.velocity = np.array([configs[agent_id].velocity for agent_id in self.columns.ids])
         self.command = np.zeros(len(configs))
-        damped = [config for config in configs if config.kind is Kind.DOUBLE_INTEGRATOR]
-        single = len(configs) - len(damped)
-        self.si, self.di = slice(single), slice(single, None)
-        self.di_damping = np.array([config.damping for config in damped])
-        drives = [DoubleIntegratorDrive.of(scenario.period, config.mass, config.damping) for config in damped]
-        # Drives, laws and paths use arithmetic only, so they accept arrays in place of numbers.
-        self.si_drive: Any = SingleIntegratorDrive(scenario.period)
-        self.di_drive: Any = DoubleIntegratorDrive(*np.array(drives).reshape(-1, 4).T.copy())
-        self.by_id = np.argsort(self.ids)
-        rows = np.zeros(len(configs), dtype=LAYOUT[AGENT_STATE])
-        rows["encapsulation"] = np.void(ENCAPSULATION)
-        rows["frame"] = np.void(FRAME)
-        rows["agent_id"] = self.ids
-        rows["kind"] = [config.kind for config in configs]
-        rows["status"] = Status.ACTIVE
-        rows["mass"] = self.mass
-        rows["damping"][self.di] = self.di_damping
-        self.rows = rows[self.by_id]
-
-    def states(self, steps: NDArray[np.uint64], stamps: NDArray[np.int64], motion: Motion) -> NDArray[np.void]:
-        """Return the robots' messages of K steps (K,) with their stamps (ns), by step and ascending id: (K, N)."""
-        rows = np.repeat(self.rows[np.newaxis], len(steps), axis=0)
-        rows["sec"], rows["nanosec"] = (part[:, np.newaxis] for part in np.divmod(stamps, _SECOND))
-        rows["step"] = steps[:, np.newaxis]
-        rows["broadcast_step"] = steps[:, np.newaxis] - np.uint64(1)  # `NEVER` in step 0
-        for name, values in motion._asdict().items():
-            rows[name] = values[: len(steps), self.by_id]
-        return rows
 
     def sums(self, step: int, stamp: int) -> tuple[AbstractState, AuxiliaryState]:
         """Return abstract and auxiliary state, as `swarmabs_core.abstraction` defines them."""
-        m, p, di = self.mass, self.position, self.di
-        robots = (m, p, self.velocity), (m, p), (m[di], p[di], self.di_damping)
-        return summed(stamp, step, len(m), robots, (self.gravity, self.gains.ksd), column_sums)
+        return self.columns.observed(step, stamp, self.position, self.velocity)
 
     def move(self, abstract: AbstractState, sums: AuxiliaryState, desired: DesiredAbstractState) -> SwarmLoad:
         """Command all robots, move them for one period, and return their load on the plane over it."""
-        si, di = self.si, self.di
-        m, p, v = self.mass, self.position.copy(), self.velocity.copy()
-        law_si: Any = single_integrator_command
-        law_di: Any = double_integrator_command
-        common = (self.gains, self.gravity, abstract, sums, desired)
-        self.command[si] = law_si(m[si], p[si], *common)
-        self.command[di] = law_di(m[di], self.di_damping, p[di], v[di], *common)
-        u = self.command
-        if not bool(np.isfinite(u).all()):
+        columns, before = self.columns, (self.position, self.velocity)
+        self.command = columns.commands(*before, abstract, sums, desired)
+        if not bool(np.isfinite(self.command).all()):
             raise NotVectorisableError
-        self.position[si], self.velocity[si] = self.si_drive.advance(p[si], v[si], u[si])
-        self.position[di], self.velocity[di] = self.di_drive.advance(p[di], v[di], u[di])
-        return column_load(m, (p, v), (self.position, self.velocity), di, (self.period, self.gravity))
+        self.position, self.velocity = columns.moved(*before, self.command)
+        return columns.load(before, (self.position, self.velocity))
 
 
 class _Gathered:
     """The steps since the last block."""
 
     def __init__(self, swarm: _Swarm) -> None:
-        robots, layouts = len(swarm.ids), [LAYOUT[topic].itemsize for topic in MAIN_TOPICS]
+        robots, layouts = len(swarm.columns.ids), [LAYOUT[topic].itemsize for topic in MAIN_TOPICS]
         most = max(1, BLOCK_BYTES // (layouts[0] * robots + sum(layouts[1:])))
         self._swarm = swarm
         self._motion = Motion(*(np.empty((most, robots)) for _ in Motion._fields))
@@ -177,7 +119,7 @@ class _Gathered:
         steps = np.array([plane.step for plane, *_ in self._messages], dtype=np.uint64)
         stamps = np.array([plane.stamp for plane, *_ in self._messages])
         self._messages.clear()
-        block = Block({AGENT_STATE: self._swarm.states(steps, stamps, self._motion), **tables})
+        block = Block({AGENT_STATE: self._swarm.columns.states(steps, stamps, *self._motion), **tables})
         if not events:
             yield block
             return
@@ -242,7 +184,7 @@ class VectorSimulation:
         position, half = self._swarm.position, 0.5 * self._scenario.plane.length
         if not self._outside and np.abs(position).max() <= half:
             return []
-        outside = {self._swarm.ids[i]: float(position[i]) for i in np.flatnonzero(np.abs(position) > half)}
+        outside = {self._swarm.columns.ids[i]: float(position[i]) for i in np.flatnonzero(np.abs(position) > half)}
         new = sorted(outside.keys() - self._outside)
         self._outside = set(outside)
         return [

@@ -193,7 +193,7 @@ def changed_fields(original: Stored, found: Stored) -> set[str]:
     return differ or {"padding"}
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(st.data())
 def test_a_changed_bit_is_found_and_named(data: st.DataObject) -> None:
     scenario, bag = whole(*WORLDS[data.draw(st.sampled_from(("faults", "membership")))])

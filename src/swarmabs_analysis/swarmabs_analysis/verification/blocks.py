@@ -133,7 +133,7 @@ class BlockRecomputation:
         moved = self._dynamics.advance_each(
             earlier.angle, earlier.angular_velocity, times, load, self._disturbances.at(int(steps[0]) - 1), _EACH
         )
-        abstract, auxiliary = columns.observed(*end, _standing(observer.standing, len(steps)))
+        abstract, auxiliary = columns.observed(steps, stamps, *end, _standing(observer.standing, len(steps)))
         length = self._scenario.plane.length
         outside = np.abs(p) > 0.5 * length
         spreads = zip(heard[1].s0.tolist(), heard[1].s3.tolist(), strict=True)
@@ -150,7 +150,7 @@ class BlockRecomputation:
         ids = block.tables[AGENT_STATE]["agent_id"][0].tolist()
         if self._columns is None or sorted(self._columns.ids) != ids:
             configs = [self._configs[agent_id] for agent_id in ids]
-            self._columns = SwarmColumns(self._scenario, configs)
+            self._columns = SwarmColumns(self._scenario, configs, steps=True)
         return self._columns
 
     def _controlled(self, block: Block) -> int:
