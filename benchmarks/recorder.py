@@ -63,7 +63,9 @@ def measure_recorder(robots: int, settings: Settings) -> RecorderResult:
     per_step = robots + COORDINATED
     warm_up = min(_LONGEST_WARM_UP, settings.warm_up)
     messages = min(MOST, (warm_up + settings.window) * MESSAGES_PER_SECOND)
-    result = measure_run(robots, max(20, round(messages / per_step)), warm_up, arrange=_recorder_and_feeder)
+    result = measure_run(
+        robots, max(20, round(messages / per_step)), warm_up, packed=False, arrange=_recorder_and_feeder
+    )
     load = result.load
     share = None if load is None else load.cpu_share.get("recorder")
     used = None if load is None or not share else per_step * load.steps / (share * load.seconds)
