@@ -13,7 +13,7 @@ from tests.swarmabs_ros.nodes import settings_from
 from tests.transport.network import Act, Inbox, Outbox, Reports, Script, turns
 
 from swarmabs_bag.blocks import Block
-from swarmabs_bag.recorder.node import GATHER_SECONDS, Recorder
+from swarmabs_bag.recorder.node import Recorder
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.graph import LOCKSTEP, OFFERED, RECORDER, ROBOT, Endpoints
@@ -127,7 +127,7 @@ class Swarm:
         if role.name == RECORDER:
             recording = cast("Any", SimpleNamespace(add=self._record, offset=lambda *_: None))
             behaviour = Recorder(cast_.scenario, recording, lambda _: None, packed=cast_.packed, steered=cast_.steered)
-            spec = NodeSpec(behaviour, lingers=False, gather=GATHER_SECONDS, hear_all=behaviour.hear_all)
+            spec = NodeSpec(behaviour, lingers=False, gather=behaviour.gathering, hear_all=behaviour.hear_all)
         elif role.name == STEERER:
             spec = NodeSpec(self.steerer)
         else:

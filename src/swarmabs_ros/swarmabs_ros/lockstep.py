@@ -61,8 +61,9 @@ class NodeSpec:
         Called at the end in any case, with the problem, if there is one, or `INTERRUPTED`.
     lingers : bool
         Whether the node, after its behaviour has finished, repeats its last messages until it is told to stop.
-    gather : float
-        Time, s, for which messages are collected before they are handled, for a node that no other node waits for.
+    gather : callable, optional
+        Returns the time, s, for which messages are collected before they are handled, for a node that no other node
+        waits for.
     on_idle : callable, optional
         Called when no more messages have arrived, at least every `SLICE` s.
     hear : callable, optional
@@ -76,7 +77,7 @@ class NodeSpec:
     on_stall: Callable[[], Messages] | None = None
     on_exit: Callable[[str | None], None] = field(default=lambda _: None)
     lingers: bool = True
-    gather: float = 0.0
+    gather: Callable[[], float] | None = None
     on_idle: Callable[[], None] | None = None
     hear: Callable[[Topic, bytes], Messages] | None = None
     hear_all: Callable[[Topic, list[bytes]], Messages] | None = None
@@ -224,8 +225,8 @@ class Lockstep:
                 spec.on_idle()
             heard = yield topics, min(SLICE, repeater.wait(clock()))
             if heard:
-                if spec.gather:
-                    yield (), spec.gather
+                if spec.gather is not None:
+                    yield (), spec.gather()
                 continue
             now = clock()
             if topics:
@@ -233,12 +234,15 @@ class Lockstep:
             self._repeat(repeater.due(now))
 
     def _drain(self, topics: tuple[Topic, ...]) -> bool:
-        """Handle messages of these topics while they are the awaited ones; return whether there were any."""
-        behaviour = self._behaviour
+        """Handle messages of these topics while they are the awaited ones; return whether to look again at once.
+
+        A node that handles messages in batches gathers the next one first.
+        """
+        behaviour, single = self._behaviour, self._spec.hear_all is None
         found = False
         for topic in topics:
             for answer in self._answers(topic):
-                found = True
+                found = single
                 if answer:
                     self._progress(answer, self._clock())
                 if behaviour.awaits() != topics:

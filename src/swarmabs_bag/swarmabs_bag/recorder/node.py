@@ -54,9 +54,10 @@ COMMON = (
 
 REPORT_SECONDS = 0.1
 """Time between two reports to the orchestrator, s."""
-GATHER_SECONDS = 0.02
-"""Time for which messages accumulate, s: a batch costs nearly the same whatever its size, and the run does not wait
-while its credit of 100 steps lasts."""
+GATHER_SECONDS = 0.005, 0.05
+"""Shortest and longest time for which messages accumulate, s: a batch costs nearly the same whatever its size."""
+BATCH = 0.25, 0.5
+"""Steps of a batch, as parts of the window by which the run may be ahead of the recorder: it must not have to wait."""
 
 PARAMETERS = (
     *COMMON,
@@ -165,7 +166,10 @@ class Recorder:
         )
         states = SWARM_STATES if packed else family.robot
         self._topics = (*((STEERING,) if steered else ()), EVENTS, states, *family.main[1:], *family.once)
-        self._credit_every = max(1, configure.recording_window(scenario) // CREDITS)
+        window = configure.recording_window(scenario)
+        self._credit_every = max(1, window // CREDITS)
+        self._batch = BATCH[0] * window, BATCH[1] * window
+        self._gathering = GATHER_SECONDS[0]
         self._credited = -1
         self._newest = -1
 
@@ -194,11 +198,24 @@ class Recorder:
         if not recorded:
             return self._still_here()
         self._on_step(range(first, collector.step))
+        self._adapt(collector.step - first)
         written = collector.step - 1
         if written - self._credited < self._credit_every and not collector.finished:
             return ()
         self._credited = written
         return (self._credit(),)
+
+    def gathering(self) -> float:
+        """Return the time for which messages accumulate now, s."""
+        return self._gathering
+
+    def _adapt(self, steps: int) -> None:
+        """Gather for a longer or a shorter time, according to the number of steps in a batch."""
+        shortest, longest = GATHER_SECONDS
+        if steps < self._batch[0]:
+            self._gathering = min(longest, 1.5 * self._gathering)
+        elif steps > self._batch[1]:
+            self._gathering = max(shortest, 0.5 * self._gathering)
 
     def _steer(self, payloads: Sequence[bytes]) -> Iterator[RecordedStep | Block]:
         for payload in payloads:
@@ -264,7 +281,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         settings.endpoints(RECORDER, LOCKSTEP, *configure.options_for(scenario), robots=len(scenario.agents)),
         on_exit=lambda problem: reporter.done(problem, complete=recorder.finished),
         lingers=False,
-        gather=GATHER_SECONDS,
+        gather=recorder.gathering,
         hear_all=recorder.hear_all,
         on_idle=recording.poll,  # otherwise the last messages of a stalled run would not reach the disk
     )
