@@ -143,6 +143,10 @@ class LoopGroup(CallbackGroup):
         """Do nothing, because no execution starts."""
 
 
+_IDLE_SPINS = 2
+"""Spins without a message after which none is left: one ends a round in which each subscription had its turn."""
+
+
 class ExecutorReceiver:
     """A receiver that uses rclpy's public executor; several times slower."""
 
@@ -172,11 +176,12 @@ class ExecutorReceiver:
     def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
         """Wait until a message arrives, and store all that have arrived; return False after `timeout` (s)."""
         try:
-            before = -1
-            while (kept := sum(map(len, self._arrived.values()))) > before:
-                before = kept
+            before, idle = sum(map(len, self._arrived.values())), 0
+            while idle < _IDLE_SPINS:
                 self._executor.spin_once(timeout_sec=timeout)
-                timeout = 0.0
+                kept = sum(map(len, self._arrived.values()))
+                idle = idle + 1 if kept == before else 0
+                before, timeout = kept, 0.0
         except ExternalShutdownException:
             return False
         return any(self._arrived[topic] for topic in topics)
