@@ -76,6 +76,7 @@ PUBLIC = (
     "swarmabs_bag.reader",
     "swarmabs_bag.info",
     "swarmabs_bag.repair",
+    "swarmabs_bag.merge",
     "swarmabs_analysis.verification",
     "swarmabs_analysis.comparison.bags",
     "swarmabs_analysis.export",
@@ -159,7 +160,7 @@ def topics() -> str:
         (
             (
                 ", ".join(code(topic.name) for topic in link.topics),
-                ", ".join(topic.message.__name__ for topic in link.topics),
+                ", ".join(topic.type_name for topic in link.topics),
                 quality(link),
                 nodes(link.writers),
                 nodes(link.readers),
@@ -196,8 +197,8 @@ def realtime_qos() -> str:
 def message_fields() -> str:
     """Return the table of the fields of all messages, from the comments of their definitions."""
     rows = []
-    for topic in TOPICS:
-        name = topic.message.__name__
+    for type_name in dict.fromkeys(topic.type_name for topic in TOPICS):
+        name = type_name
         text = (MESSAGES / f"{name}.msg").read_text(encoding="utf-8")
         for kind, field, comment in re.findall(r"^(\w+(?:\[.*?\])?) ([a-z]\w*) +# (.*)$", text, re.MULTILINE):
             if field not in {"step", "system"}:

@@ -41,7 +41,7 @@ def test_topics_scenarios_and_changes_of_membership_are_those_of_the_code() -> N
         for row in table
         for name, kind in zip(*(cell.split(", ") for cell in row[:2]), strict=True)
     ]
-    assert sorted(named) == sorted((topic.name, topic.message.__name__) for topic in TOPICS)
+    assert sorted(named) == sorted((topic.name, topic.type_name) for topic in TOPICS)
     assert set(re.findall(r"`((?:pd|arise)_\w+)`", read("docs/reference/scenario.md"))) == set(builtin_scenarios())
     changes = {
         name

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tests.hosts.cluster import Host, hosts
 from tests.hosts.stations import ACCOUNT, Checkout, Station
-from tests.swarmabs_fleet.fleets import EXAMPLES, contents, edited
+from tests.swarmabs_fleet.fleets import EXAMPLES, contents, edited, uses_keys
 
 from swarmabs_config.fleet.loader import load_fleet
 from swarmabs_fleet.bundle import deploy
@@ -45,7 +45,7 @@ class Installation:
         self.station = Station(host, "base", folder / "disks", checkout)
         text = EXAMPLES[example].read_text(encoding="utf-8")
         self._text = f"{text}installation: {{checkout: {checkout.folder}{settings}}}\n"
-        self.keys = None if example == "lan" else folder / "keys"
+        self.keys = folder / "keys" if uses_keys(example) else None
         self._folder, self._count = folder, 0
         self._before = contents(self.station.etc), host.ip("rule")
 

@@ -67,6 +67,11 @@ def test_in_real_time_it_answers_the_plane_unless_it_is_too_old_and_takes_an_ope
     assert (spec.wakes, spec.phase) == ((PLANE_STATE,), CONTROLLER_PHASE)
     assert modes(spec, "swarm/stop", "swarm/reset") == [Mode.RUN, Mode.STOP, Mode.RESET]
     assert modes(in_real_time(start_mode="stop")) == [Mode.STOP]
+    assert [[*in_real_time(pair=rank).services] for rank in ("single", "primary", "standby")] == [
+        ["swarm/stop", "swarm/reset"],
+        ["swarm/stop", "swarm/reset", "~/release"],
+        ["standby/swarm/stop", "standby/swarm/reset", "~/release"],
+    ]
     behaviour = in_real_time(plane_age_limit=0.05, clock_tolerance=0.02).behaviour
     for step, refused in ((95, False), (94, True), (102, False), (103, True)):
         events = behaviour.hear(PlaneState(0, step, 0.1, 0.0), 100 * PERIOD)

@@ -18,7 +18,7 @@ STEPS = 40
 STEPS_PER_FILE = 10
 
 SCENARIO = sample_run.SCENARIO.encode()
-PROVENANCE = b'{"versions": {"swarmabs": "1.2.3"}, "libm_fingerprint": "abc123"}'
+PROVENANCE = b'{"driver": "lockstep", "versions": {"swarmabs": "1.2.3"}, "libm_fingerprint": "abc123"}'
 
 
 @pytest.fixture(scope="session")

@@ -233,6 +233,28 @@ class Repairing(Trial):
         return found.total()
 
 
+class Merging(Trial):
+    """A merge with the whole bag of another recorder: all of the run and nothing else, or nothing."""
+
+    memory = 2**29
+
+    def attempt(self) -> None:
+        """Merge both into a new folder."""
+        before = self.left()
+        code, _ = command("repair", "--merge", *self.draw.sample([self.bag, self.whole], 2), "-o", self.output)
+        made = self.output.exists()
+        if (made and code == 2) or (code == 0 and not made):
+            raise WrongAnswerError(f"swarm repair --merge exits {code}, and the output exists: {made}")
+        if made:
+            bag = open_bag(self.output)
+            bag.check()
+            if self.damage.noticeable and (kept(bag) != self.kept or code):
+                raise WrongAnswerError(f"swarm repair --merge exits {code}, and the merged bag has other messages")
+            shutil.rmtree(self.output)
+        if self.left() != before:
+            raise WrongAnswerError(f"a merge leaves {sorted(self.left())}, or changes a file")
+
+
 def _values(bag: Path) -> Counter[bytes]:
     """Return the messages of a bag without what has no meaning, such as padding."""
     return Counter(encode(message) for _, _, message in open_bag(bag).decoded())
@@ -256,7 +278,7 @@ def _state(path: Path) -> object:
     return path.read_bytes()
 
 
-KINDS: dict[str, type[Trial]] = {"reading": Reading, "commands": Commands, "repair": Repairing}
+KINDS: dict[str, type[Trial]] = {"reading": Reading, "commands": Commands, "repair": Repairing, "merge": Merging}
 
 
 def give_up(*_: object) -> NoReturn:

@@ -57,7 +57,7 @@ def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.timeout(120)
-@pytest.mark.parametrize("what", ["reading", "repair"])
+@pytest.mark.parametrize("what", ["reading", "repair", "merge"])
 def test_a_few_damages_have_no_wrong_answer(what: str, tmp_path: Path) -> None:
     trial = KINDS[what](tmp_path)
     for seed in range(8):
@@ -67,7 +67,7 @@ def test_a_few_damages_have_no_wrong_answer(what: str, tmp_path: Path) -> None:
 
 @pytest.mark.full
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize(("what", "number"), [("reading", 4000), ("commands", 800), ("repair", 2400)])
+@pytest.mark.parametrize(("what", "number"), [("reading", 4000), ("commands", 800), ("repair", 2400), ("merge", 1200)])
 def test_no_damage_of_many_has_a_wrong_answer(what: str, number: int, tmp_path: Path) -> None:
     found = run(sys.executable, "-m", "tests.swarmabs_bag.fuzz", what, tmp_path, "100000", str(number))
     assert found.returncode == 0, found.stdout + found.stderr

@@ -241,6 +241,9 @@ class Heard:
     def take(self, topic: msg.Topic) -> bytes | None:
         return self._waiting[topic].popleft() if self._waiting.get(topic) else None
 
+    def writer(self, topic: msg.Topic) -> bytes:
+        return b""
+
 
 @pytest.fixture
 def recorded(told: Told, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ros: None) -> Iterator[Callable[..., int]]:
@@ -254,7 +257,7 @@ def recorded(told: Told, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ros: N
         **values: str,
     ) -> int:
         heard = Heard(told, arriving, at)
-        monkeypatch.setattr(realtime, "WaitSetReceiver", lambda *_: heard)
+        monkeypatch.setattr(realtime, "WaitSetReceiver", lambda *_, **__: heard)
         usual = {**parameters(fleet.scenario, tmp_path), "period_ns": str(fleet.scenario.step_ns)}
         words = given(**{**usual, "epoch_ns": str(EPOCH), **values})
         return realtime.main(["--ros-args", "--disable-external-lib-logs", *words])

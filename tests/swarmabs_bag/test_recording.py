@@ -13,8 +13,10 @@ from swarmabs_bag.figures import RealtimeFigures, RunFigures
 from swarmabs_bag.realtime import MEMORY, RealtimeCollector, conflict
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_config import configure
+from swarmabs_config.graph import own_topic
 from swarmabs_core import messages as msg
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
+from swarmabs_core.cdr import encode
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.record import Record
@@ -202,8 +204,8 @@ class Kept(RealtimeCollector):
     def __init__(self) -> None:
         super().__init__((1, 2), CLOCK)
 
-    def take(self, message: msg.Message, now: int) -> tuple[msg.Message, ...]:
-        return tuple(record.message for record in self.add(Record.of(message), now))
+    def take(self, message: msg.Message, now: int, writer: bytes = b"") -> tuple[msg.Message, ...]:
+        return tuple(record.message for record in self.add(Record.of(message), now, writer))
 
 
 @pytest.mark.parametrize(
@@ -224,6 +226,21 @@ def test_the_first_copy_and_other_messages_are_recorded(message: msg.Message, an
     assert (kept.repeated, kept.different, kept.refused) == (2, 0, 0)
 
 
+def test_what_robots_publish_on_topics_of_their_own_is_recorded_on_the_usual_ones() -> None:
+    kept, now = Kept(), CLOCK.begin(6)
+    own, of_another = ({topic: own_topic(topic, i) for topic in (msg.AGENT_STATE, msg.EVENTS)} for i in (2, 1))
+    for message in (ROBOT, EVENT):
+        record = Record.heard(own[msg.TOPIC_OF[type(message)]], encode(message))
+        assert kept.add(record, now) == (Record.of(message),)
+    assert kept.take(ROBOT, now) == (), "it is the same message"
+    for number, message in enumerate((ROBOT._replace(command=1.0), EVENT._replace(detail="else"))):
+        topic = of_another[msg.TOPIC_OF[type(message)]]
+        (told,) = kept.add(Record.heard(topic, encode(message)), now)
+        assert told.topic is msg.EVENTS
+        assert told.message.detail == f"robot 1: messages with the id of another robot on {topic.name}"
+        assert (kept.repeated, kept.different, kept.refused) == (1, 0, number + 1)
+
+
 @pytest.mark.parametrize(
     ("message", "other"),
     [
@@ -242,6 +259,25 @@ def test_another_message_in_its_place_is_counted_and_told_once(message: msg.Mess
     assert event[:4] == (now, 5, getattr(message, "agent_id", 0), msg.EventKind.REFUSED)
     assert kept.take(other, now) == ()
     assert (kept.repeated, kept.different) == (0, 2)
+
+
+def test_of_two_senders_of_a_robot_the_first_is_recorded_and_each_step_is_marked() -> None:
+    kept, first, second = Kept(), b"1" * 16, b"2" * 16
+    found: dict[int, list[msg.Message]] = {}
+    for step in range(5, 60):
+        state = ROBOT._replace(step=step)
+        other = state._replace(position=-0.3)
+        arriving = [(other, second)] if step > 5 else []
+        arriving.insert(step % 2 if step > 5 else 0, (state, first))
+        # The second one's state of a step is lost: who follows it may still use it.
+        for message, writer in arriving[: 1 if step == 30 else 2] if step < 40 else [(other, second)]:
+            found.setdefault(step, []).extend(kept.take(message, CLOCK.begin(step), writer))
+    for step, messages in found.items():
+        states = [m.position for m in messages if isinstance(m, msg.AgentState)]
+        marks = [conflict(m) for m in messages if isinstance(m, msg.SwarmEvent)]
+        silent = step > 39 + 10
+        assert states == ([0.1] if step < 40 else [-0.3] if silent else [])
+        assert marks == ([] if step == 5 or step > 59 else [msg.AGENT_STATE.name])
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,7 @@ def test_env_of_a_run_leaves_a_sourced_ros_usable(here: Path, run: Path, monkeyp
 
 
 def test_each_command_has_a_summary_of_one_line_and_examples_that_parse(here: Path) -> None:
-    for path in ("runs/pd_het_4-001", "examples/fleet/lan.yaml"):
+    for path in ("runs/pd_het_4-001", "examples/fleet/lan.yaml", "examples/fleet/standby.yaml"):
         (here / path).mkdir(parents=True)
     root = click.Context(cli)
     assert "..." not in ran("--help").out.partition("\nRun swarms")[2]

@@ -1,11 +1,14 @@
 """What commands and processes load: a start is quick if nothing is loaded before it is needed."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from swarmabs_ros.status import REPORT_FD
 
 NUMERICAL = {"numpy", "scipy"}
 MODELS = {"pydantic", "yaml", "swarmabs_config.scenario"}
@@ -74,3 +77,25 @@ def test_processes_load_only_what_they_need(modules: str, heavy: set[str]) -> No
     found = set(json.loads(done.stdout))
     assert modules.partition(",")[0] in found
     assert not heavy & found
+
+
+LOG_IN_A_NODE = """
+import os, sys
+from rclpy.logging import get_logger
+from swarmabs_run.orchestration import launcher
+def spawned(self):
+    realpath, resolved = os.path.realpath, []
+    os.path.realpath = lambda *given, **options: resolved.append(given) or realpath(*given, **options)
+    get_logger("node").info("ready")
+    print(len(resolved))
+launcher.Launcher.run = spawned
+sys.argv[1:] = ["lockstep"]
+launcher.main()
+"""
+
+
+def test_nodes_inherit_the_paths_that_their_first_log_message_needs() -> None:
+    environment = {**os.environ, REPORT_FD: "2"}
+    program = [sys.executable, "-c", LOG_IN_A_NODE]
+    done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 20  # otherwise one for each loaded module, several hundred

@@ -18,11 +18,13 @@ from swarmabs_config.graph import (
     RECORDER,
     ROBOT,
     SERVICES,
+    STANDBY_SUFFIX,
     Driver,
     Option,
     endpoints,
     options_of,
     requested,
+    standby_name,
     writers,
 )
 from swarmabs_core.behaviours import LifeSpan, Limits
@@ -172,10 +174,21 @@ def test_nodes_in_real_time() -> None:
     assert [ports.domains_spanned(participants) for participants in (0, 203, 244, 245)] == [5, 5, 5, 10]
 
 
-PACKED, STEERED, CREDITED, WATCHING, FEELING, SYSTEM = Option
+PACKED, STEERED, CREDITED, WATCHING, FEELING, SYSTEM, PAIRED, STANDBY, OWN_TOPICS = Option
 STATE, ABSTRACT, AUXILIARY, DESIRED = (topic.name for topic in (AGENT_STATE, *BROADCASTS))
 STATES = "swarm/states"
+MEMBERS = (7, 1234)
 MAIN = {"plane/state", STATE, ABSTRACT, AUXILIARY, DESIRED}
+BY_PAIRS = (ABSTRACT, AUXILIARY, DESIRED, "recording/basis")
+SUMS = {ABSTRACT, AUXILIARY, "swarm/events", "recording/basis", "swarm/removals"}
+OWN_STATES, OWN_EVENTS = ({f"agent_{i:03d}/{name}" for i in MEMBERS} for name in ("state", "events"))
+
+
+def both(*names: str) -> set[str]:
+    """Return topics of coordinators together with those of their standbys."""
+    return {*names, *(f"standby/{name}" for name in names)}
+
+
 CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
     (PLANE, LOCKSTEP, set(), {"plane/state", "swarm/events"}, {STATE, "swarm/events"}),
     (PLANE, LOCKSTEP, {STEERED}, {"plane/state", "swarm/events"}, {STATE, "swarm/events", "swarm/steering"}),
@@ -201,18 +214,58 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
     (ROBOT, LOCKSTEP, {PACKED, STEERED}, {STATE, "swarm/events"}, {"swarm/broadcast", "swarm/steering"}),
     (PLANE, REALTIME, set(), {"plane/state", "swarm/events", "recording/basis"}, {STATE}),
     (PLANE_DRIVER, REALTIME, set(), {"plane/state", "swarm/events"}, set()),
-    (OBSERVER, REALTIME, set(), {ABSTRACT, AUXILIARY, "swarm/events", "recording/basis"}, {STATE, "swarm/events"}),
+    (OBSERVER, REALTIME, set(), SUMS, {STATE, "swarm/events", "swarm/removals"}),
     (CONTROLLER, REALTIME, set(), {DESIRED, "swarm/events", "recording/basis"}, {"plane/state", ABSTRACT}),
-    (RECORDER, REALTIME, set(), set(), {*MAIN, "swarm/events", "recording/basis"}),
+    (RECORDER, REALTIME, set(), set(), {*MAIN, "swarm/events", "recording/basis", "swarm/removals"}),
     (ROBOT, REALTIME, set(), {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED}),
+    (ROBOT, REALTIME, {PAIRED}, {STATE, "swarm/events"}, both(ABSTRACT, AUXILIARY, DESIRED)),
+    (RECORDER, REALTIME, {PAIRED}, set(), {STATE, "plane/state", "swarm/events", "swarm/removals", *both(*BY_PAIRS)}),
+    (PLANE, REALTIME, {PAIRED}, {"plane/state", "swarm/events", "recording/basis"}, {STATE}),
+    (
+        *(OBSERVER, REALTIME, {PAIRED}, SUMS),
+        {STATE, "swarm/events", "swarm/removals", "standby/swarm/abstract_state"},
+    ),
+    (
+        *(OBSERVER, REALTIME, {PAIRED, STANDBY}),
+        {f"standby/{name}" for name in (ABSTRACT, AUXILIARY, "recording/basis")} | {"swarm/events", "swarm/removals"},
+        {STATE, "swarm/events", "swarm/removals", ABSTRACT},
+    ),
+    (
+        *(CONTROLLER, REALTIME, {PAIRED}, {DESIRED, "swarm/events", "recording/basis"}),
+        {"plane/state", *both(ABSTRACT), f"standby/{DESIRED}", "standby/recording/basis"},
+    ),
+    (
+        *(CONTROLLER, REALTIME, {PAIRED, STANDBY}),
+        {f"standby/{DESIRED}", "swarm/events", "standby/recording/basis"},
+        {"plane/state", *both(ABSTRACT), DESIRED, "recording/basis"},
+    ),
+    (CONTROLLER, LOCKSTEP, {PAIRED, STANDBY}, {DESIRED, "swarm/events"}, {"plane/state", DESIRED}),
+    (ROBOT, REALTIME, {OWN_TOPICS}, OWN_STATES | OWN_EVENTS, {ABSTRACT, AUXILIARY, DESIRED}),
+    (ROBOT, REALTIME, {OWN_TOPICS, PAIRED}, OWN_STATES | OWN_EVENTS, both(ABSTRACT, AUXILIARY, DESIRED)),
+    (ROBOT, LOCKSTEP, {OWN_TOPICS}, {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED}),
+    (PLANE, REALTIME, {OWN_TOPICS}, {"plane/state", "swarm/events", "recording/basis"}, OWN_STATES),
+    (OBSERVER, REALTIME, {OWN_TOPICS}, SUMS, {"swarm/removals", *OWN_STATES, *OWN_EVENTS}),
+    (CONTROLLER, REALTIME, {OWN_TOPICS}, {DESIRED, "swarm/events", "recording/basis"}, {"plane/state", ABSTRACT}),
+    (
+        *(RECORDER, REALTIME, {OWN_TOPICS}, set()),
+        ({*MAIN, "swarm/events", "recording/basis", "swarm/removals"} | OWN_STATES | OWN_EVENTS) - {STATE},
+    ),
 ]
 
 
 def test_endpoints_are_those_of_the_contract() -> None:
     for node, driver, options, *expected in CASES:
-        ends = endpoints(node, driver, frozenset(options))
+        ends = endpoints(node, driver, frozenset(options), robots=len(MEMBERS), members=MEMBERS)
         found = [{topic.name for topic in topics} for topics in (ends.publications, ends.subscriptions)]
         assert found == expected, (node, driver, options)
+
+
+def test_a_standby_must_take_over_before_robots_stop() -> None:
+    assert standby_name(OBSERVER) == f"{OBSERVER}{STANDBY_SUFFIX}"
+    realtime.check_pairs(builtin("pd_het_4"))
+    realtime.check_pairs(builtin("pd_het_4", "realtime.takeover_after=0.079"))
+    with pytest.raises(InputError, match=r"realtime\.takeover_after: 0\.08 s .* set it below 0\.08 s, or raise"):
+        realtime.check_pairs(builtin("pd_het_4", "realtime.takeover_after=0.08"))
 
 
 def test_every_topic_is_there_once_in_the_order_of_the_messages_and_every_node_that_it_names_can_be_started() -> None:
@@ -227,13 +280,15 @@ def test_every_topic_is_there_once_in_the_order_of_the_messages_and_every_node_t
 def test_all_options_can_be_asked_for_by_parameters() -> None:
     given = {"packed": True, "steered": True, "recording_window": 100}
     given |= {"type": "parent_response", "feels_gravity": True, "kind": "double_integrator"}
+    given |= {"paired": True, "pair": "standby", "own_topics": True}
     assert options_of({**given, "system.type": "ship"}) == {*Option}
     assert options_of({**given, "kind": "single_integrator"}) == {*Option} - {FEELING, SYSTEM}
     assert options_of({"packed": False, "recording_window": 0, "type": "sum"}) == frozenset()
     # Robots never hear each other, whatever is asked for.
     for driver in Driver:
         for options in (frozenset(Option), frozenset(Option) - {SYSTEM}):
-            assert not {AGENT_STATE, ROBOT_STATE} & {*endpoints(ROBOT, driver, options).subscriptions}
+            heard = endpoints(ROBOT, driver, options, members=MEMBERS).subscriptions
+            assert not [topic for topic in heard if topic.message in (AGENT_STATE.message, ROBOT_STATE.message)]
 
 
 @pytest.mark.parametrize(("robots", "recorded"), [(4, 1000), (100, 10_100), (200, 20_200), (2000, 22_000)])

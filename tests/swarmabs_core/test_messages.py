@@ -44,6 +44,7 @@ CASES: dict[msg.Message, tuple[int, int]] = {
     PARTS[1]: (0, 0),
     PARTS[2]: (1, 7),
     msg.SwarmEvent(STAMP, STEP, 7, 3, 0.5, "bé"): (3, 5),
+    msg.Removal(STAMP, STEP, 8, 2, 0.5, "bé"): (3, 5),
     msg.RecordingProgress(STAMP, STEP, 1230): (0, 0),
     msg.Basis(STAMP, STEP, 1, msg.NEVER, 2, (4, 5, 2**32), (1, 258, 65535), (0, 1, 0)): (17, 3),
     msg.Basis(STAMP, STEP, 1, 2, 3, (), (), ()): (17, 3),
@@ -96,7 +97,10 @@ def test_padding_is_ignored_and_records_hold_topic_robot_message_and_bytes(messa
     assert decode(type(message), padded) == message
     assert canonical(type(message), padded) == canon
     made = Record(
-        topic, {msg.AgentState: 258, msg.RobotState: 258, msg.SwarmEvent: 7}.get(type(message), 0), message, canon
+        topic,
+        {msg.AgentState: 258, msg.RobotState: 258, msg.SwarmEvent: 7, msg.Removal: 8}.get(type(message), 0),
+        message,
+        canon,
     )
     assert Record.of(message) == Record.heard(topic, padded) == made
     assert Record.read(topic, 5, padded, 7) == made._replace(payload=padded, time=5, published=7)
@@ -218,6 +222,8 @@ def event(kind: msg.EventKind, detail: str = "") -> msg.SwarmEvent:
         (event(msg.EventKind.STEERING, "disturbance"), "plane"),
         (event(msg.EventKind.STEERING, "reference"), "controller"),
         (event(msg.EventKind.MODE_CHANGED), "controller"),
+        (event(msg.EventKind.LEADING, "parent_controller_standby: peer silent"), "controller"),
+        (event(msg.EventKind.LEADING, "abstraction_observer: peer silent"), "observer"),
     ],
 )
 def test_each_message_has_one_publisher(message: msg.Message, publisher: str) -> None:

@@ -23,9 +23,15 @@ def variables(file: Path) -> dict[str, str]:
 
 
 def installed(loaded: LoadedFleet, folder: Path) -> Path:
-    """Deploy a fleet of one host whose prefix is `etc` in a folder, below which its nodes write, not below /var/lib."""
+    """Deploy a fleet of one host whose prefix is `etc` in a folder, below which its nodes write, not below /var/lib.
+
+    Its nodes start without DDS Security, for which the Fast DDS of the tests is not built.
+    """
     (folder / "etc").mkdir()
-    bundle = (deployed(loaded, folder / "out") / "base").rename(folder / "etc" / "one")
+    keys = folder / "keys" if loaded.fleet.security.level == "sros2" else None
+    bundle = (deployed(loaded, folder / "out", keys) / "base").rename(folder / "etc" / "one")
+    for file in (bundle / "nodes").glob("*.env"):
+        file.write_text(re.sub(r"ROS_SECURITY_.*\n", "", file.read_text()))
     for file in (bundle / "nodes").glob("*.yaml"):
         file.write_text(re.sub(r"/var/lib/swarmabs-[a-z0-9_-]+", str(folder), file.read_text()))
     return bundle
@@ -66,7 +72,7 @@ def running(bundle: Path, folder: Path) -> Iterator[dict[str, Unit]]:
                 # The tests run in the environment of the workspace.
                 environment |= {} if file.endswith("workspace.env") else variables(Path(file))
             ((python, words),) = re.findall(r"^ExecStart=(\S+) (.*)$", unit, re.MULTILINE)
-            assert python == "/nowhere/swarmabs/.venv/bin/python"
+            assert python in {"/nowhere/swarmabs/.venv/bin/python", "/usr/bin/python3"}
             command = [sys.executable, *shlex.split(words)]
             process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
             stack.callback(process.communicate)

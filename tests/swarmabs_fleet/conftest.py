@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tests.swarmabs_fleet.fleets import EXAMPLES, deployed, example
+from tests.swarmabs_fleet.fleets import EXAMPLES, deployed, example, uses_keys
 
 
 @pytest.fixture(scope="session")
@@ -19,7 +19,7 @@ def examples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     mask = os.umask(0o002)
     try:
         return {
-            name: deployed(example(name), folder / name / "out", None if name == "lan" else folder / name / "keys")
+            name: deployed(example(name), folder / name / "out", folder / name / "keys" if uses_keys(name) else None)
             for name in EXAMPLES
         }
     finally:

@@ -37,6 +37,10 @@ def example(name: str) -> LoadedFleet:
     return load_fleet(EXAMPLES[name])
 
 
+def uses_keys(name: str) -> bool:
+    return example(name).fleet.security.level != "none"
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import rclpy
 from tests.privileges import respecting_permissions
-from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, contents, deployed, edited, example
+from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, contents, deployed, edited, example, uses_keys
 
 from swarmabs_bag.recorder import realtime as recorder
 from swarmabs_config.fleet.loader import load_fleet
@@ -18,14 +18,15 @@ from swarmabs_config.fleet.participants import node_plans
 from swarmabs_config.graph import OBSERVER, RECORDER
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.parameters import resolve
-from swarmabs_fleet.bundle import deploy
+from swarmabs_fleet.bundle import deploy, host_bundle
+from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.parameters import parameters
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_the_same_fleet_gives_the_same_bytes(name: str, examples: dict[str, Path], tmp_path: Path) -> None:
     first, keys = contents(examples[name]), examples[name].parent / "keys"
-    if name == "lan":
+    if not uses_keys(name):
         assert contents(deployed(example(name), tmp_path / "second")) == first
         return
     assert contents(deployed(example(name), tmp_path / "second", keys)) == first
@@ -44,6 +45,31 @@ def test_the_recorder_takes_what_it_is_told(name: str, own: tuple[tuple[int, ...
     taken = resolve(recorder.PARAMETERS, parameters(loaded, plans[RECORDER]), owner="recorder")
     assert [name for name, node in plans.items() if "memory" in parameters(loaded, node)] == [OBSERVER]
     assert (taken["driven"], taken["own_limits"]) == own
+
+
+def test_each_node_is_told_of_its_pair() -> None:
+    """Of a pair of recorders each has the folder of its host; a fleet without standbys knows of none."""
+
+    def told(name: str) -> dict[str, tuple[object, ...]]:
+        loaded = example(name)
+        found = {node.name: parameters(loaded, node) for node in node_plans(loaded.fleet)}
+        return {node: tuple(values.get(key) for key in ("pair", "paired")) for node, values in found.items()}
+
+    assert {node: values for node, values in told("standby").items() if not node.startswith("agent_")} == {
+        "plane_driver": (None, None),
+        "abstraction_observer": ("primary", True),
+        "abstraction_observer_standby": ("standby", True),
+        "parent_controller": ("primary", True),
+        "parent_controller_standby": ("standby", True),
+        "recorder": (None, True),
+        "recorder_standby": (None, True),
+    }
+    assert told("standby")["agent_004"] == (None, True)
+    assert {values[1] for values in told("lan").values()} == {None, False}
+    loaded = example("standby")
+    bags = [parameters(loaded, node)["bags"] for node in node_plans(loaded.fleet) if node.kind == RECORDER]
+    assert bags == ["/var/lib/swarmabs-pair"] * 2
+    assert "scenario.yaml" in host_bundle(loaded, HostPlan(loaded.fleet, "spare"), None)
 
 
 def test_a_robot_more_changes_no_other_robot(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, deployed, edited
 from swarmabs_cli import main
 from swarmabs_config.fleet.loader import load_fleet
 from swarmabs_core.errors import InputError
-from swarmabs_fleet.check import check
+from swarmabs_fleet.check import check, expiring
 from swarmabs_fleet.host_check import Reader, read_chrony, read_pmc, read_timedatectl
 from swarmabs_run.doctor import Finding
 from swarmabs_run.orchestration.network import claimed_domain
@@ -47,8 +47,8 @@ def test_a_bundle_is_as_it_was_made_or_what_is_wrong_is_named(
 ) -> None:
     findings = check([*examples.values(), *EXAMPLES.values()], None)
     assert bad(findings) == []
-    assert sum(finding.text.startswith("no conflicts") for finding in findings) == 3
-    assert [finding.verdict for finding in findings if finding.text.startswith("security is none")] == ["note"]
+    assert sum(finding.text.startswith("no conflicts") for finding in findings) == 6
+    assert [finding.verdict for finding in findings if finding.text.startswith("security is none")] == ["note"] * 2
     for words, act in DAMAGES.items():
         bundle = own("tunnel") / "cart-1"
         act(bundle)
@@ -276,3 +276,10 @@ def test_permissions_that_end_are_named(tmp_path: Path) -> None:
     notes = [finding for finding in check([output / "arm-1"], None) if "valid until" in finding.text]
     assert {finding.verdict for finding in notes} == {"note"}
     assert len(notes) == 2
+    # `status` says so of all hosts whose bundles are beside the file, and nothing once they are replaced.
+    enclaves = [path.parent.name for path in output.glob("*/keystore/enclaves/hall/*/permissions.xml")]
+    found = expiring(load_fleet(output / "fleet.yaml").fleet, output / "fleet.yaml")
+    assert len(enclaves) == len(found) == 8
+    assert all(sum(f"/{name}/permissions.xml: valid until " in line for line in found) == 1 for name in enclaves)
+    renewed = deployed(load_fleet(EXAMPLES["sros2"]), tmp_path / "new", tmp_path / "others")
+    assert expiring(load_fleet(renewed / "fleet.yaml").fleet, renewed / "fleet.yaml") == []

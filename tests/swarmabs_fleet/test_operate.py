@@ -23,15 +23,18 @@ from tests.processes import ROOT, until
 from tests.swarmabs_fleet.bundle_processes import ended, installed, running
 from tests.swarmabs_fleet.fleets import ONE_HOST, edited
 
+from swarmabs_bag.reader import open_bag
+from swarmabs_bag.realtime import recorded as recorded_topics
 from swarmabs_cli import main
 from swarmabs_config.fleet.loader import load_fleet
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
+from swarmabs_core.messages import AGENT_STATE, REMOVALS, EventKind, Removal
+from swarmabs_core.realtime.base import Schedule
 from swarmabs_fleet.operate import SILENT, SILENT_AFTER, HealthMonitor, Row, Target, in_order, joined, target
 from swarmabs_ros.endpoints import ros_type
 from swarmabs_run.orchestration.network import claimed_domain
-from swarmabs_run.orchestration.run_files import write_network
+from swarmabs_run.orchestration.run_files import write_epoch, write_network
 
 PATIENCE = 60.0
 THIRD = "  - {id: 3, host: base, kind: single_integrator, mass: 0.3, drive: {type: simulated, position: -0.2}}\n"
@@ -79,6 +82,7 @@ def test_a_fleet_is_spoken_to_as_its_installed_bundle_says(tmp_path: Path) -> No
         assert (found.name, found.namespace, found.robots, found.run) == ("one", "/hall", (1, 2), None)
         assert dict(found.hosts) == dict.fromkeys((*COORDINATORS, "agent_001", "agent_002"), "base")
         assert found.environment["ROS_DOMAIN_ID"] == "7"
+        assert found.schedule == Schedule(10_000_000, 1_767_225_600 * 10**9)
         profile = Path(found.environment["FASTRTPS_DEFAULT_PROFILES_FILE"])
         assert "127.0.0.1" in profile.read_text(encoding="utf-8")
         assert found.robot(2) == "agent_002"
@@ -96,7 +100,11 @@ def test_a_run_is_spoken_to_by_its_folder_if_it_is_in_real_time(tmp_path: Path) 
         assert (found.name, found.namespace, found.robots, found.run) == ("pd_het_4", "/", (1, 2, 3, 4), tmp_path)
         robots = [f"agent_00{number}" for number in range(1, 5)]
         assert dict(found.hosts) == dict.fromkeys((*COORDINATORS, *robots), "this one")
+        assert found.schedule is None
         found.check()
+    write_epoch(logs, 5)
+    with target(tmp_path) as found:
+        assert found.schedule == Schedule(10_000_000, 5)
     write_network(logs, 7, 5, realtime=False)
     with pytest.raises(InputError, match="operator commands need a realtime run"), target(tmp_path):
         pass
@@ -115,7 +123,7 @@ class Peer:
         self._node = rclpy.create_node("agent_001", namespace="/hall", context=self.context)
         for name in ("leave", "join"):
             self._node.create_service(Trigger, f"agent_001/{name}", partial(self._answer, name))
-        self._node.create_subscription(ros_type(EVENTS), EVENTS.name, self.heard.append, 10, raw=True)
+        self._node.create_subscription(ros_type(REMOVALS), REMOVALS.name, self.heard.append, 10, raw=True)
         self._diagnostics = self._node.create_publisher(DiagnosticArray, "diagnostics", 10)
         self._node.create_timer(0.05, self._say)
         executor = SingleThreadedExecutor(context=self.context)
@@ -136,10 +144,14 @@ class Peer:
         self._diagnostics.publish(DiagnosticArray(status=[status]))
 
 
+MIXED = {"agent_001/leave": "", "agent_009/leave": "was not found", "agent_001/join": "join is asked for"}
+
+
 @pytest.mark.usefixtures("ros")
 @pytest.mark.timeout(60)
 def test_an_operator_calls_announces_and_hears(tmp_path: Path) -> None:
-    swarm = Target("one", "/hall", {"agent_001": "cart-1"}, (1,), {})
+    before = time.time_ns()
+    swarm = Target("one", "/hall", {"agent_001": "cart-1"}, (1,), {}, schedule=Schedule(10_000_000, before))
     monitor = HealthMonitor(swarm.hosts)
     with ExitStack() as stack:
         peer = Peer(stack)
@@ -151,10 +163,13 @@ def test_an_operator_calls_announces_and_hears(tmp_path: Path) -> None:
             client.call("mute/leave", 0.5)
         with pytest.raises(RunError, match="one: agent_009/leave was not found; check that its node is running"):
             client.call("agent_009/leave", 0.1)
+        problems = client.call_each(("agent_001/leave", "agent_009/leave", "agent_001/join"), PATIENCE)
+        assert [words in problems.pop(name) for name, words in MIXED.items()] == [True] * 3 and not problems
         with client.announced(7, "taken away", PATIENCE):
             until(lambda: peer.heard, "the event is heard", PATIENCE)
-        event = decode(SwarmEvent, peer.heard[0])
-        assert (event.agent_id, event.kind, event.detail) == (7, EventKind.LEFT, "taken away")
+        removal = decode(Removal, peer.heard[0])
+        assert (removal.agent_id, removal.kind, removal.detail) == (7, EventKind.LEFT, "taken away")
+        assert removal.step == (removal.stamp - before) // 10_000_000
         client.listen(monitor, PATIENCE, monitor.complete)
         assert monitor.rows(time.monotonic()) == [Row("agent_001", "cart-1", "WARN", "stands", {"left": "3 4"})]
         client.listen(HealthMonitor({}), 0.0, lambda: False)
@@ -164,7 +179,10 @@ def test_an_operator_calls_announces_and_hears(tmp_path: Path) -> None:
     over = replace(swarm, run=tmp_path)
     with joined(over) as client, pytest.raises(RunError, match="the run has ended; start it again"):
         client.listen(monitor, PATIENCE, lambda: False)
-    unheard = pytest.raises(RunError, match="one: no node receives /elsewhere/swarm/events")
+    starting = pytest.raises(RunError, match="one: the run is still starting; try again in a moment")
+    with joined(replace(swarm, schedule=None)) as client, starting, client.announced(7, "", 0.0):
+        pass
+    unheard = pytest.raises(RunError, match="one: no node receives /elsewhere/swarm/removals")
     with joined(replace(swarm, namespace="/elsewhere")) as client, unheard, client.announced(7, "", 0.0):
         pass
 
@@ -193,13 +211,20 @@ def until_all_say(fleet: Path, words: str, *nodes: str) -> None:
     until(said, f"{', '.join(nodes)} say {words!r}", PATIENCE)
 
 
+OWN_TOPICS = (("level: none", "level: sros2"), ("installation: {", "installation: {ros: sourced, "))
+
+
 @pytest.mark.system
 @pytest.mark.timeout(300)
-def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_survives: str) -> None:
+@pytest.mark.parametrize("level", [OWN_TOPICS, pytest.param((), marks=pytest.mark.full)], ids=["own topics", "shared"])
+def test_an_operator_starts_stops_and_thins_out_a_fleet(
+    level: tuple[tuple[str, str], ...], tmp_path: Path, nothing_survives: str
+) -> None:
+    """With own topics the fleet is that of sros2; nodes and operator do without the security itself."""
     with claimed_domain() as domain:
         changes = (("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", f"{tmp_path}/etc"))
         file = edited(tmp_path / "one.yaml", ONE_HOST, *changes, ("coordinators:", f"{THIRD}coordinators:"))
-        bundle = installed(load_fleet(file), tmp_path)
+        bundle = installed(load_fleet(edited(tmp_path / "nodes.yaml", file.read_text(), *level)), tmp_path)
         robots = ("agent_001", "agent_002", "agent_003")
         with running(bundle, tmp_path) as units:
             for unit in units.values():
@@ -235,3 +260,8 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(tmp_path: Path, nothing_
         assert gone.returncode == 1
         assert "swarm/stop was not found" in gone.stderr
         assert "Traceback" not in gone.stderr
+    (bag,) = (path.parent for path in tmp_path.glob("one-*/*.mcap"))
+    recorded = list(open_bag(bag).decoded())
+    assert {topic for topic, _, _ in recorded} == {*recorded_topics(paired=False)}
+    heard = {message.agent_id for topic, _, message in recorded if topic is AGENT_STATE}
+    assert (heard, [message.agent_id for topic, _, message in recorded if topic is REMOVALS]) == ({1, 2, 3}, [3, 3])

@@ -42,6 +42,20 @@ def test_a_robot_knows_the_coordinators_and_they_know_all() -> None:
     assert peers(xml(lan, "base", "coordinator")) == coordinators | robots
 
 
+def test_standbys_and_operators_beside_them_are_peers_as_their_primaries_are() -> None:
+    pair = example("standby")
+    plane = ("192.168.50.3", 7000 + 100 * 43 + 10)
+    coordinators = {
+        (f"192.168.50.{host}", plane[1] + 2 * participant) for host in (1, 2) for participant in range(1, 5)
+    }
+    robots = {(f"192.168.50.1{number}", plane[1] + 2 * 8) for number in range(1, 5)}
+    assert peers(xml(pair, "robot-2", "robot")) >= coordinators | {plane}
+    assert not peers(xml(pair, "robot-2", "robot")) & robots
+    for host in ("base", "spare"):
+        for role in ("coordinator", "operator"):
+            assert peers(xml(pair, host, role)) == coordinators | robots | {plane}
+
+
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_every_profile_is_bound_to_the_one_address_of_its_host(name: str) -> None:
     loaded = example(name)

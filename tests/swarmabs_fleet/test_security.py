@@ -14,12 +14,13 @@ from xml.etree import ElementTree as ET
 import pytest
 from tests.processes import until
 from tests.swarmabs_fleet.bundle_processes import ended, installed, running, variables
-from tests.swarmabs_fleet.fleets import ONE_HOST, contents, deployed, edited, example
+from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, contents, deployed, edited, example
 from tests.system.realtime import Client, started_client
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
 from swarmabs_config.fleet.participants import DISCOVERY, DISCOVERY_SERVER, NodePlan, node_plans
 from swarmabs_core.errors import InputError
+from swarmabs_core.realtime.base import Schedule
 from swarmabs_fleet.bundle import deploy
 from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.operate import HealthMonitor, OperatorClient, Target
@@ -176,9 +177,13 @@ def test_who_may_publish_what(hall: Path) -> None:
         "rt/hall/swarm/abstract_state": {"abstraction_observer"},
         "rt/hall/swarm/auxiliary_state": {"abstraction_observer"},
         "rt/hall/plane/state": {"plane_driver"},
-        "rt/hall/swarm/agent_state": {"agent_001", "agent_002"},
-        "rt/hall/agent_001/transition_event": {"agent_001"},
-        "rt/hall/agent_002/transition_event": {"agent_002"},
+        "rt/hall/swarm/agent_state": set(),
+        "rt/hall/swarm/removals": {"abstraction_observer", "operator_base"},
+        **{
+            f"rt/hall/{robot}/{name}": {robot}
+            for robot in ("agent_001", "agent_002")
+            for name in ("state", "events", "transition_event")
+        },
         "rt/swarm/desired_abstract_state": set(),
         "rq/hall/swarm/stopRequest": {"operator_base"},
         "rq/hall/agent_001/leaveRequest": {"operator_base"},
@@ -186,7 +191,7 @@ def test_who_may_publish_what(hall: Path) -> None:
         "rt/cmd_vel": {"agent_001"},
         "rt/odom": {"driver_arm_1"},
         "rt/plane/encoder": {"driver_base"},
-        "rt/hall/swarm/events": {*SPEAKERS, "operator_base"},
+        "rt/hall/swarm/events": {*SPEAKERS} - {"agent_001", "agent_002"},
         "rt/hall/diagnostics": {*SPEAKERS},
     }
     for topic, expected in publishers.items():
@@ -194,11 +199,111 @@ def test_who_may_publish_what(hall: Path) -> None:
     robot = found["agent_001"]
     for state in ("abstract_state", "auxiliary_state", "desired_abstract_state"):
         assert may(robot, "subscribe", f"rt/hall/swarm/{state}")
-    assert not may(robot, "subscribe", "rt/hall/swarm/agent_state"), "robots do not see each other"
     assert set(rights(robot, "publish")) == {
-        *("ros_discovery_info", "rt/rosout", "rt/parameter_events", "rt/hall/diagnostics", "rt/hall/swarm/agent_state"),
-        *("rt/hall/swarm/events", "rt/hall/agent_001/*", "rr/hall/agent_001/*Reply", "rt/cmd_vel"),
+        *("ros_discovery_info", "rt/rosout", "rt/parameter_events", "rt/hall/diagnostics"),
+        *("rt/hall/agent_001/*", "rr/hall/agent_001/*Reply", "rt/cmd_vel"),
     }
+
+
+ROBOTS = (1, 10, 100, 1000, 65535)
+BY_COORDINATORS = (
+    *("plane/state", "swarm/abstract_state", "swarm/auxiliary_state", "swarm/desired_abstract_state", "swarm/events"),
+    *("recording/basis", "swarm/removals", "swarm/agent_state"),
+    *("standby/swarm/abstract_state", "standby/swarm/auxiliary_state", "standby/swarm/desired_abstract_state"),
+    "standby/recording/basis",
+)
+
+
+def signed_rights(folder: Path) -> dict[str, list[str]]:
+    """Return what an enclave may publish and subscribe to, by what its authority has signed."""
+    ca = folder / "permissions_ca.cert.pem"
+    done = openssl("smime", "-verify", "-text", "-in", folder / "permissions.p7s", "-CAfile", ca)
+    assert done.returncode == 0, done.stderr
+    root = ET.fromstring(done.stdout.replace(b"\r\n", b"\n"))
+    assert (root.findtext(".//default"), root.findall(".//deny_rule")) == ("DENY", [])
+    return {
+        what: [element.text or "" for element in root.findall(f".//allow_rule/{what}//topic")]
+        for what in ("publish", "subscribe")
+    }
+
+
+@pytest.mark.parametrize("namespace", ["/", "/hall"])
+def test_no_robots_key_speaks_for_another_node(namespace: str, tmp_path: Path) -> None:
+    """The topics are written out here, so that a mistake in the graph of the swarm is no excuse."""
+    kinds = ("{type: topic}", "{type: simulated, position: 0.1}")
+    robots = "".join(
+        f"  - {{id: {i}, host: {host}, kind: single_integrator, mass: 0.4, drive: {kinds[n % 2]}}}\n"
+        for n, (i, host) in enumerate(zip(ROBOTS, ("base", "cart", "cart", "cart", "base"), strict=True))
+    )
+    listed = ONE_HOST[ONE_HOST.index("  - {id: 1") : ONE_HOST.index("coordinators:")]
+    changes = [(listed, robots), ("level: none", "level: sros2"), ("installation: {", "installation: {ros: sourced, ")]
+    changes.append(("hosts: [", "hosts: [{name: cart, address: 10.0.0.2, interface: eth0}, "))
+    changes.append(("address: 127.0.0.1, interface: lo", "address: 10.0.0.1, interface: eth0"))
+    changes.append(("scenario:", f"namespace: {namespace}\nscenario:"))
+    doubled = ("observer", "controller", "recorder")
+    changes += [(f"{name}: {{host: base}}", f"{name}: {{host: base, standby: cart}}") for name in doubled]
+    out = deployed(load_fleet(edited(tmp_path / "one.yaml", ONE_HOST, *changes)), tmp_path / "out", tmp_path / "keys")
+    found = {
+        path.parent.name: signed_rights(path.parent) for path in out.glob("*/keystore/enclaves/**/permissions.p7s")
+    }
+    names = [f"agent_{i:03d}" for i in ROBOTS]
+    operators = {"operator_base", "operator_cart"}
+    observers, recorders = ({name, f"{name}_standby"} for name in ("abstraction_observer", "recorder"))
+    controllers = {"parent_controller", "parent_controller_standby"}
+    coordinators = {"plane_sim", *observers, *controllers, *recorders}
+    assert found.keys() == {*names, *coordinators, *operators, "driver_base", "driver_cart"}
+    inside = namespace.rstrip("/")
+
+    def may(what: str, topic: str) -> set[str]:
+        return {name for name, has in found.items() if any(fnmatch.fnmatchcase(topic, right) for right in has[what])}
+
+    for name in names:
+        for topic in ("state", "events"):
+            assert may("publish", f"rt{inside}/{name}/{topic}") == {name}
+        assert may("subscribe", f"rt{inside}/{name}/state") == coordinators - controllers | operators
+        readers = observers | recorders | operators
+        assert may("subscribe", f"rt{inside}/{name}/events") == readers
+        assert may("publish", f"rr{inside}/{name}/leaveReply") == {name}
+        assert may("publish", f"rq{inside}/{name}/leaveRequest") == operators
+    for topic in BY_COORDINATORS:
+        assert may("publish", f"rt{inside}/{topic}") <= coordinators | operators
+    for topic, publisher in (
+        ("swarm/abstract_state", "abstraction_observer"),
+        ("swarm/auxiliary_state", "abstraction_observer"),
+        ("swarm/desired_abstract_state", "parent_controller"),
+    ):
+        assert may("publish", f"rt{inside}/{topic}") == {publisher}
+        assert may("publish", f"rt{inside}/standby/{topic}") == {f"{publisher}_standby"}
+    assert may("publish", f"rt{inside}/swarm/removals") == observers | operators
+    assert may("subscribe", f"rt{inside}/swarm/removals") == observers | recorders | operators
+    for service in ("swarm/stop", "standby/swarm/stop", "swarm/reset", "abstraction_observer/change_state"):
+        assert may("publish", f"rq{inside}/{service}Request") == operators
+
+
+def test_a_standby_speaks_on_topics_of_standbys_only(tmp_path: Path) -> None:
+    pair = [
+        (f"  {name}: {{host: base}}", f"  {name}: {{host: base, standby: arm-1}}")
+        for name in ("observer", "controller")
+    ]
+    fleet = load_fleet(edited(tmp_path / "hall.yaml", EXAMPLES["sros2"].read_text(encoding="utf-8"), *pair)).fleet
+    found = {name: rights for host in fleet.hosts for name, rights in host_rights(HostPlan(fleet, host.name)).items()}
+    assert {name for name in found if name.startswith("operator")} == {"operator_base", "operator_arm_1"}
+    assert found["operator_base"] == found["operator_arm_1"]
+    shared = {"ros_discovery_info", "rt/parameter_events", "rt/rosout", "rt/hall/diagnostics", "rt/hall/swarm/events"}
+    shared.add("rt/hall/swarm/removals")
+    for name, topics in (
+        ("abstraction_observer", {"swarm/abstract_state", "swarm/auxiliary_state", "recording/basis"}),
+        ("parent_controller", {"swarm/desired_abstract_state", "recording/basis"}),
+    ):
+        standby = {topic for topic in found[f"{name}_standby"].publish if topic.startswith("rt/")} - shared
+        assert standby == {*(f"rt/hall/standby/{topic}" for topic in topics), f"rt/hall/{name}_standby/*"}
+        assert not {topic for topic in found[name].publish if "standby" in topic}, "the primary has its usual rights"
+        for topic in topics - {"recording/basis"}:
+            assert {f"rt/hall/{topic}", f"rt/hall/standby/{topic}"} <= {*found["agent_002"].subscribe}
+    assert {f"rq/hall/standby/swarm/{name}Request" for name in ("stop", "reset")} <= {
+        *found["parent_controller_standby"].subscribe
+    }
+    assert not {topic for topic in found["parent_controller_standby"].subscribe if topic.startswith("rq/hall/swarm")}
 
 
 def test_keys_of_another_authority_are_not_used(own: Callable[[str], Path], tmp_path: Path) -> None:
@@ -228,8 +333,9 @@ Endpoints = dict[str, list[str]]
 
 
 def fleet_of(plane: str, domain: int, folder: Path) -> LoadedFleet:
-    """Return a fleet in a namespace with all kinds of nodes, but for a discovery server."""
-    changes = [("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", f"{folder}/etc")]
+    """Return a fleet in a namespace with all kinds of nodes, but for a discovery server, and rights for each."""
+    changes = [("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", f"{folder}/etc"), ("level: none", "level: sros2")]
+    changes.append(("installation: {", "installation: {ros: sourced, "))
     changes.append(("scenario:", "namespace: /hall\nscenario:"))
     if plane != "simulated":
         changes.append((", recorder: {host: base}", ""))
@@ -328,7 +434,8 @@ class Recording:
 
 def test_the_operator_may_do_what_the_commands_do(tmp_path: Path) -> None:
     rights = host_rights(HostPlan(fleet_of("topic: /encoder", 7, tmp_path).fleet, "base"))["operator_base"]
-    client = OperatorClient(Recording(), Target("one", "/hall", {}, (2,), {}))  # type: ignore[arg-type]
+    swarm = Target("one", "/hall", {}, (2,), {}, schedule=Schedule(10_000_000, 0))
+    client = OperatorClient(Recording(), swarm)  # type: ignore[arg-type]
     actions: list[Callable[[], object]] = [
         lambda: client.announced(2, "gone", 1.0).__enter__(),
         lambda: client.listen(HealthMonitor({}), 1.0, lambda: False),

@@ -9,10 +9,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tests.swarmabs_fleet.fleets import EXAMPLES, contents, deployed, edited
+from tests.swarmabs_fleet.fleets import EXAMPLES, contents, deployed, edited, uses_keys
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
 from swarmabs_fleet import own_address
+from swarmabs_fleet.host_plan import HostPlan
+from swarmabs_fleet.node_files import node_files
 
 SWARM = """\
 #!/bin/sh
@@ -48,7 +50,7 @@ def made(checkout: Path) -> dict[str, Path]:
     """Bundles of the examples for that checkout by name, to be read only; the keys are in `keys` beside it."""
     place = checkout.parent
     return {
-        name: deployed(here(name, checkout, place), place / name, None if name == "lan" else place / "keys")
+        name: deployed(here(name, checkout, place), place / name, place / "keys" if uses_keys(name) else None)
         for name in EXAMPLES
     }
 
@@ -118,6 +120,14 @@ def test_what_the_units_say(made: dict[str, Path], checkout: Path) -> None:
     assert order[-2:] == ["swarmabs-floor-parent_controller.service", "swarmabs-floor.target"]
     slow = [path.stem for path in (output / "base" / "systemd").iterdir() if "WatchdogSec=10" in path.read_text()]
     assert slow == ["swarmabs-floor-recorder"]
+
+
+def test_a_host_restarts_its_standbys_before_its_primaries(checkout: Path, tmp_path: Path) -> None:
+    crossed = ("observer: {host: base, standby: spare}", "observer: {host: spare, standby: base}")
+    loaded = here("standby", checkout, tmp_path, crossed)
+    order = node_files(HostPlan(loaded.fleet, "base"))["units.txt"].split()
+    names = ("abstraction_observer_standby", "recorder", "parent_controller")
+    assert order == [*(f"swarmabs-pair-{name}.service" for name in names), "swarmabs-pair.target"]
 
 
 def test_units_ask_whether_an_address_is_this_hosts(capsys: pytest.CaptureFixture[str]) -> None:

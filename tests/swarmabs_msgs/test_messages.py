@@ -11,13 +11,13 @@ from hypothesis import given, settings, strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
 from swarmabs_core.cdr import canonical, decode, encode
-from swarmabs_core.messages import FAMILIES, NEVER, SYSTEM_FAMILY, TOPICS, Field, Message, Topic, fields_of
+from swarmabs_core.messages import FAMILIES, NEVER, REMOVALS, SYSTEM_FAMILY, TOPICS, Field, Message, Topic, fields_of
 from swarmabs_ros.endpoints import ros_type
 
 FOLDER = Path(__file__).parents[2] / "src" / "swarmabs_msgs" / "msg"
 LINE = re.compile(r"(?P<type>\S+)\s+(?P<name>\w+)\s*(?:=\s*(?P<value>\S+))?\s*(?:#\s*(?P<comment>.*))?$")
 SIZES = {"byte": 1, "uint8": 1, "uint16": 2, "uint32": 4, "uint64": 8, "float64": 8}
-MESSAGES = {topic.message.__name__: topic.message for topic in TOPICS}
+MESSAGES = {topic.type_name: topic.message for topic in TOPICS if topic is not REMOVALS}
 PARTS = {topic.message.__name__: topic for family in FAMILIES for topic in family.broadcasts}
 PYTHON_TYPE = {"float64": float, "uint8": int, "uint16": int, "uint64": int, "string": str, "byte[]": bytes}
 PYTHON_TYPE |= MESSAGES
@@ -52,6 +52,7 @@ def read_definition(path: Path) -> list[Entry]:
 
 DEFINITIONS = {path.stem: read_definition(path) for path in sorted(FOLDER.glob("*.msg"))}
 FIELDS = {name: [entry for entry in entries if entry.value is None][1:] for name, entries in DEFINITIONS.items()}
+FIELDS["Removal"] = FIELDS["SwarmEvent"]
 """The fields of each message behind its header."""
 
 

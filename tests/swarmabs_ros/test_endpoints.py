@@ -10,10 +10,20 @@ from rclpy.qos import QoSCompatibility, QoSHistoryPolicy, QoSLivelinessPolicy, q
 from tests.processes import until
 from tests.swarmabs_ros.nodes import started_node
 
-from swarmabs_config.graph import LEASE, LOCKSTEP, OFFERED, REALTIME, Driver, Qos, requested
+from swarmabs_config.graph import LEASE, LOCKSTEP, OFFERED, REALTIME, STANDBY_TOPICS, Driver, Qos, requested
 from swarmabs_config.model.scenario import Realtime
-from swarmabs_core.cdr import encode
-from swarmabs_core.messages import EVENTS, FAMILIES, PLANE_STATE, EventKind, PlaneState, SwarmEvent, Topic
+from swarmabs_core.cdr import canonical, encode
+from swarmabs_core.messages import (
+    AGENT_STATE,
+    EVENTS,
+    FAMILIES,
+    PLANE_STATE,
+    AgentState,
+    EventKind,
+    PlaneState,
+    SwarmEvent,
+    Topic,
+)
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_ros.endpoints import ExecutorReceiver, LoopGroup, Receiver, WaitSetReceiver, advertise, profile, receiver
 from swarmabs_ros.start import SwarmNode
@@ -51,6 +61,29 @@ def receive(inbox: Receiver, topic: Topic, count: int) -> list[bytes]:
         until(lambda: inbox.wait((topic,), 0.1), f"{count} messages arrive")
         found.extend(iter(lambda: inbox.take(topic), None))
     return found
+
+
+def test_writers_of_messages_are_those_of_the_graph(node: SwarmNode, capfd: pytest.CaptureFixture[str]) -> None:
+    qos = {AGENT_STATE: Qos("best_effort", 100), PLANE_STATE: SUBSCRIPTIONS[PLANE_STATE]}
+    inbox = WaitSetReceiver(node, qos, identified=(AGENT_STATE,))
+    senders = [advertise(node, AGENT_STATE) for _ in range(2)]
+    until(lambda: all(s.get_subscription_count() for s in senders) and inbox.publisher_count(AGENT_STATE) == 2, "meet")
+    sent = [[encode(AgentState(k, k, 0, n + 1, 1, 1, 0.5, 0.0, 0.1, 0.0, 0.0)) for k in range(3)] for n in range(2)]
+    heard: dict[bytes, list[bytes]] = {}
+    for pair in zip(*sent, strict=True):
+        for sender, data in zip(senders, pair, strict=True):
+            sender.publish(data)
+            (arrived,) = receive(inbox, AGENT_STATE, 1)
+            heard.setdefault(inbox.writer(AGENT_STATE), []).append(canonical(AgentState, arrived))
+    assert {*heard} == {bytes(info.endpoint_gid) for info in node.get_publishers_info_by_topic(AGENT_STATE.name)}
+    assert [*heard.values()] == sent
+    assert (inbox.take(AGENT_STATE), inbox.writer(PLANE_STATE)) == (None, b"")
+    inbox._identifying[AGENT_STATE]._implementation += 1  # noqa: SLF001 - as with another layout
+    for data in sent[0][:2]:
+        senders[0].publish(data)
+        assert [canonical(AgentState, arrived) for arrived in receive(inbox, AGENT_STATE, 1)] == [data]
+        assert inbox.writer(AGENT_STATE) == b""
+    assert capfd.readouterr().err.count("a second sender cannot be told from the first") == 1
 
 
 def test_both_ways_deliver_the_same_bytes_in_order(node: SwarmNode) -> None:
@@ -114,7 +147,9 @@ def test_offers_suffice_each_reader_and_assert_life_in_real_time_where_every_per
     driver: Driver, topic: Topic
 ) -> None:
     offered = profile(OFFERED[driver][topic])
-    asserts = driver is REALTIME and any(topic in family.main for family in FAMILIES)
+    periodic = {topic for family in FAMILIES for topic in family.main}
+    periodic |= {STANDBY_TOPICS[topic] for topic in periodic & STANDBY_TOPICS.keys()}
+    asserts = driver is REALTIME and topic in periodic
     assert offered.history is QoSHistoryPolicy.KEEP_LAST
     assert offered.depth == OFFERED[driver][topic].depth > 0
     assert offered.deadline.nanoseconds == 0

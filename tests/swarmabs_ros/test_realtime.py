@@ -17,7 +17,7 @@ from swarmabs_config.graph import Qos
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, PLANE_STATE, Message, Messages, PlaneState, Topic
-from swarmabs_core.realtime.base import MOST_BACK, Health, Level, Schedule
+from swarmabs_core.realtime.base import MOST_BACK, UNKNOWN, Health, Level, Schedule, Sender
 from swarmabs_ros.realtime import Engine, RealtimeLoop
 from swarmabs_ros.timing import BINS, JUMP, Lateness, Reading, StepClock
 
@@ -178,7 +178,7 @@ class World(Clocks):
         self.plans: list[tuple[int, Callable[[], object]]] = []
         self.published: list[tuple[int, int]] = []
         self._inbox = Inbox({PLANE_STATE: Qos("best_effort", 1000)})
-        self.take = self._inbox.take
+        self.take, self.writer = self._inbox.take, self._inbox.writer
 
     def plan(self, periods: float, do: Callable[[], object]) -> None:
         self.plans.append((at(periods), do))
@@ -213,7 +213,7 @@ class Node:
         self.fail_at: int | None = None
         self.halt_fails = False
 
-    def hear(self, message: Message, now: int) -> Messages:
+    def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:
         self.heard.append((message.step, now - EPOCH))
         return (desired(1000 + message.step),)
 

@@ -28,7 +28,7 @@ from swarmabs_core.declaration import parameters_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS, Message, Messages, Topic
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.realtime.base import Health, Level, Schedule
+from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Schedule, Sender
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros import managed as managed_module, realtime_runner, status
 from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
@@ -102,7 +102,7 @@ class Ticking:
         self.ticks = self.halts = 0
         self.interval = 0.0
 
-    def hear(self, message: Message, now: int) -> Messages:
+    def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:
         return ()
 
     def tick(self, now: int) -> Messages:

@@ -15,13 +15,16 @@ import rclpy
 from tests.processes import until
 from tests.swarmabs_analysis.report.conftest import SCENARIO, write
 from tests.swarmabs_bag.sample_run import make_run
+from tests.swarmabs_core.helpers import agent_state
 from tests.swarmabs_view.speaking import SpeakingNode, eventually
 
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.swarm_state import SwarmState
+from swarmabs_config.graph import own_topic
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import PlaneState
+from swarmabs_core.messages import AGENT_STATE, PlaneState
+from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.start import initialise
 from swarmabs_run.orchestration.run_files import ProgressFile, write_network, write_processes
 from swarmabs_view import sources
@@ -39,17 +42,26 @@ def test_a_listener_hears_a_namespace_and_takes_nothing_for_a_message_that_is_no
         node = SpeakingNode("hearer")
         assert node.get_namespace() == "/some/swarm"
         listener = Listener(node, 3)
+        own = advertise(node, own_topic(AGENT_STATE, 700))
+        alone = agent_state(700, 5)
+        heard_alone: list[object] = []
 
         def complete() -> bool:
             last = node.step()
             node.say(PlaneState(0, last, 0.0, 0.0), bytes_lost=8)
+            for state_of in (700, 701):
+                own.publish(encode(alone._replace(agent_id=state_of)))
             for heard in listener.poll():
+                if heard.message.step == 5 and getattr(heard.message, "agent_id", 0) >= 700:
+                    heard_alone.append((heard.topic, heard.message))
                 assert heard.topic in listener.topics
                 assert heard.payload == encode(heard.message)
                 state.add(heard.message)
-            return state.instant() is not None and state.event_count == 1 and listener.malformed > 0
+            found = state.instant() is not None and state.event_count == 1 and listener.malformed > 0
+            return found and bool(heard_alone)
 
         until(complete, "all has been heard", 15.0)
+        assert {*heard_alone} == {(AGENT_STATE, alone)}, "on its own topic a robot speaks only for itself"
         node.destroy_node()  # type: ignore[no-untyped-call]
     finally:
         rclpy.try_shutdown()

@@ -122,7 +122,7 @@ def test_a_ros_node_sees_what_is_recorded_and_a_run_does_not_wait_for_markers(fo
             assert min(abs(along - before)) < 1e-9
 
 
-SLOWLY = ("--duration", 30, "--rate", 4)
+SLOWLY = ("--duration", 120, "--rate", 4)
 """So that all requests come before the end, also beside other load."""
 SEVEN = (
     *("--set", "swarm.agents=null", "--set", "swarm.generate={single_integrator: 3, double_integrator: 4}"),

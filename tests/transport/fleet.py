@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from random import Random
 from typing import Any, cast
@@ -16,14 +16,28 @@ from typing import Any, cast
 from tests.transport.network import Inbox, Outbox
 
 from swarmabs_config import configure as lockstep, realtime as configure
-from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, REALTIME, ROBOT, Endpoints, agent_name, endpoints
+from swarmabs_config.graph import (
+    CONTROLLER,
+    OBSERVER,
+    PLANE,
+    REALTIME,
+    ROBOT,
+    STANDBY_SUFFIX,
+    Endpoints,
+    Option,
+    agent_name,
+    endpoints,
+    standby_name,
+    usual_topic,
+)
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import decode, encode
-from swarmabs_core.messages import EVENTS, PLANE_STATE, TOPIC_OF, AgentState, Message, Mode, Topic
+from swarmabs_core.messages import PLANE_STATE, TOPIC_OF, AgentState, Message, Mode, SwarmEvent, Topic
 from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig
 from swarmabs_core.realtime.base import AGENT_PHASE, CONTROLLER_PHASE, OBSERVER_PHASE, PLANE_PHASE, RealtimeBehaviour
 from swarmabs_core.realtime.controller import RealtimeController
 from swarmabs_core.realtime.drives import Body, Measurement, SimulatedDrive
+from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY
 from swarmabs_core.realtime.observer import RealtimeObserver
 from swarmabs_core.realtime.plane import RealtimePlane
 from swarmabs_ros.realtime import Activity, Engine
@@ -40,7 +54,8 @@ class Network:
 
     It is under way for `delay` and up to `jitter` more, s, which changes the order where it is more than the time
     between two messages. `loss` and `duplication` are probabilities; `fading` that of a robot hearing nothing of all
-    that is sent in a period. Nodes that are `cut` neither send nor receive, but go on.
+    that is sent in a period. Nodes that are `cut` neither send nor receive, but go on. What those in `slow` send and
+    receive is under way for so much longer, s.
     """
 
     delay: float = 0.0005
@@ -49,13 +64,15 @@ class Network:
     duplication: float = 0.0
     fading: float = 0.0
     cut: set[str] = field(default_factory=set)
+    slow: dict[str, float] = field(default_factory=dict)
 
     def arrivals(self, sender: str, receiver: str, step: int, draw: Random) -> list[int]:
         """Return after which times (ns) a message of a step arrives; none if it is lost."""
         faded = receiver.startswith(_ROBOT) and Random(f"{receiver}:{step}").random() < self.fading
         lost = draw.random() < self.loss or faded
         copies = 2 if draw.random() < self.duplication else 1
-        times = [round((self.delay + self.jitter * draw.random()) * 1e9) for _ in range(copies)]
+        delay = self.delay + self.slow.get(sender, 0.0) + self.slow.get(receiver, 0.0)
+        times = [round((delay + self.jitter * draw.random()) * 1e9) for _ in range(copies)]
         return [] if lost or sender in self.cut or receiver in self.cut else times
 
 
@@ -70,7 +87,8 @@ class _Node:
     activity: Activity | None = None
     clock_offset: int = 0
     turn: int = 0
-    events: list[bytes] = field(default_factory=list)
+    paused: bool = False
+    events: list[tuple[Topic, bytes]] = field(default_factory=list)
 
 
 class _Body(SimulatedDrive):
@@ -91,7 +109,7 @@ class VirtualFleet:
     """All nodes of a scenario, each with a clock of its own, and the network between them.
 
     Nodes that are `absent` are not there at the beginning. Nodes that are `prompt` hear each message when it
-    arrives, and not only those that they answer at once.
+    arrives, and not only those that they answer at once. With `own_topics` robots publish on topics of their own.
     What was `published` is (time of the simulated clock in ns since its beginning, node, message). The bodies of the
     robots by id, `drives`, outlive their nodes.
     """
@@ -105,6 +123,8 @@ class VirtualFleet:
         absent: Iterable[str] = (),
         start_mode: Mode = Mode.RUN,
         prompt: bool = False,
+        own_topics: bool = False,
+        paired: bool = False,
     ) -> None:
         configure.check_realtime(scenario)
         self.network = network or Network()
@@ -116,17 +136,25 @@ class VirtualFleet:
         self._sequence = 0
         self._queue: list[tuple[int, int, Callable[[], None]]] = []
         self._nodes: dict[str, _Node] = {}
-        self._memory: dict[int, AgentState] = {}
         self.drives: dict[int, SimulatedDrive] = {}
-        self._robots = len(scenario.agents)
+        self._members = [agent.id for agent in scenario.agents]
+        chosen = {Option.OWN_TOPICS: own_topics, Option.PAIRED: paired}
+        self._options = frozenset(option for option, given in chosen.items() if given)
         clock = self._clock
         controller = configure.controller_config(scenario, clock, start_mode)
         law = partial(lockstep.parent_controller, scenario)
         observer = configure.observer_config(scenario, clock)
         self._add(PLANE, PLANE_PHASE, lambda: RealtimePlane(configure.plane_config(scenario, clock)))
-        self._add(OBSERVER, OBSERVER_PHASE, lambda: RealtimeObserver(observer, self._memory))
-        self._add(CONTROLLER, CONTROLLER_PHASE, lambda: RealtimeController(controller, law), PLANE_STATE)
-        for agent, config in zip(scenario.agents, configure.agent_configs(scenario, clock), strict=True):
+        for rank in (PRIMARY, STANDBY) if paired else (SINGLE,):
+            pair = replace(observer.pair, rank=rank, paired=paired)
+            observing, controlling = replace(observer, pair=pair), replace(controller, pair=pair)
+            # Each host has its own memory.
+            memory: dict[int, AgentState] = {}
+            names = [standby_name(name) if rank == STANDBY else name for name in (OBSERVER, CONTROLLER)]
+            self._add(names[0], OBSERVER_PHASE, partial(RealtimeObserver, observing, memory))
+            self._add(names[1], CONTROLLER_PHASE, partial(RealtimeController, controlling, law), PLANE_STATE)
+        for agent, made in zip(scenario.agents, configure.agent_configs(scenario, clock), strict=True):
+            config = replace(made, paired=paired)
             drive = _Body(self, agent_name(agent.id), config, (agent.position, agent.velocity))
             self.drives[agent.id] = drive
             self._add(agent_name(agent.id), AGENT_PHASE, partial(RealtimeAgent, config, drive))
@@ -136,7 +164,11 @@ class VirtualFleet:
                 self.revive(node.name)
 
     def _add(self, name: str, phase: float, make: Callable[[], RealtimeBehaviour], *wakes: Topic) -> None:
-        ends = endpoints(ROBOT if name.startswith(_ROBOT) else name, REALTIME, robots=self._robots)
+        is_robot, standby = name.startswith(_ROBOT), name.endswith(STANDBY_SUFFIX)
+        members = [int(name.removeprefix(_ROBOT))] if is_robot else self._members
+        role, robots = ROBOT if is_robot else name.removesuffix(STANDBY_SUFFIX), len(self._members)
+        options = self._options | ({Option.STANDBY} if standby else set())
+        ends = endpoints(role, REALTIME, options, robots=robots, members=members)
         self._nodes[name] = _Node(name, phase, ends, wakes, make, Inbox(ends.subscriptions))
 
     @property
@@ -166,15 +198,25 @@ class VirtualFleet:
         ends, clock = node.endpoints, StepClock(self._clock, node.phase)
         node.inbox = Inbox(ends.subscriptions)
         send = partial(self._publish, node)
-        publishers = cast("Any", {topic: Outbox(topic, send) for topic in ends.publications})
+        publishers = cast("Any", {usual_topic(topic): Outbox(topic, send) for topic in ends.publications})
         depths = {topic: qos.depth for topic, qos in ends.subscriptions.items()}
         engine = Engine(node.make(), clock, node.inbox, depths, publishers, node.wakes)
         node.activity = Activity(engine, lambda: Reading(self.now(name), self._now))
         node.activity.activate()
         self._pass(node)
-        if EVENTS in ends.subscriptions:  # these are kept for those who come late
-            for event in [event for other in self._nodes.values() for event in other.events]:
-                self._arrive(node, EVENTS, event)
+        for topic, event in [event for other in self._nodes.values() for event in other.events]:
+            if topic in ends.subscriptions:  # these are kept for those who come late
+                self._arrive(node, topic, event)
+
+    def pause(self, name: str) -> None:
+        """Stop a node's process; what arrives waits for it."""
+        self._nodes[name].paused = True
+
+    def resume(self, name: str) -> None:
+        """Let a node's process continue."""
+        node = self._nodes[name]
+        node.paused = False
+        self._pass(node)
 
     def set_clock(self, name: str, offset: float) -> None:
         self._nodes[name].clock_offset = round(offset * 1e9)
@@ -185,9 +227,9 @@ class VirtualFleet:
         if activity is not None:
             activity.command(getattr(activity.engine.behaviour, command))
 
-    def inject(self, message: Message, receivers: Iterable[str]) -> None:
+    def inject(self, message: Message, receivers: Iterable[str], topic: Topic | None = None) -> None:
         for name in receivers:
-            self._arrive(self._nodes[name], TOPIC_OF[type(message)], encode(message))
+            self._arrive(self._nodes[name], topic or TOPIC_OF[type(message)], encode(message))
 
     def later(self, seconds: float, do: Callable[[], None]) -> None:
         self._at(self._now + round(seconds * 1e9), do)
@@ -213,14 +255,14 @@ class VirtualFleet:
         self._at(self._now + round(seconds * 1e9), lambda: self._waited(node, activity, turn))
 
     def _waited(self, node: _Node, activity: Activity, turn: int) -> None:
-        if node.activity is activity and node.turn == turn:
+        if node.activity is activity and node.turn == turn and not node.paused:
             self._pass(node)
 
     def _publish(self, node: _Node, topic: Topic, data: bytes) -> None:
         message = decode(topic.message, data)
         self.published.append((self._now, node.name, message))
-        if topic is EVENTS:
-            node.events.append(data)
+        if isinstance(message, SwarmEvent):
+            node.events.append((topic, data))
         for other in self._nodes.values():
             if other is not node and topic in other.endpoints.subscriptions:
                 for after in self.network.arrivals(node.name, other.name, message.step, self._draw):
@@ -231,6 +273,8 @@ class VirtualFleet:
         if node.activity is None:
             return
         node.inbox.put(topic, data)
+        if node.paused:
+            return
         if self._prompt:
             node.activity.wake()
         elif topic in node.wakes:

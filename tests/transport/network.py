@@ -28,6 +28,9 @@ class Inbox:
         arrived = self._arrived[topic]
         return arrived.popleft() if arrived else None
 
+    def writer(self, topic: Topic) -> bytes:
+        return b""
+
     def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
         """Refuse: whoever drives the node waits."""
         raise AssertionError(f"a node waits by itself for {topics}, {timeout} s")

@@ -16,12 +16,13 @@ from swarmabs_bag.blocks import Block
 from swarmabs_bag.recorder.node import Recorder
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_config.graph import LOCKSTEP, OFFERED, RECORDER, ROBOT, Endpoints
+from swarmabs_config.graph import LOCKSTEP, OFFERED, RECORDER, ROBOT, STANDBY_SUFFIX, Endpoints, standby_name
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.behaviours import SteeringController
-from swarmabs_core.messages import Topic
+from swarmabs_core.messages import RECORDING_PROGRESS, Topic
 from swarmabs_core.steering import STEERER
 from swarmabs_ros.lockstep import Lockstep, NodeSpec, Wait
+from swarmabs_ros.pairs import BehindError
 from swarmabs_ros.runner import Settings
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 from swarmabs_run.run import DEFAULTS, RunOptions
@@ -36,6 +37,8 @@ FROZEN = 0.7
 """Time, s, for which a node stands still that is frozen, or begins later: others repeat themselves meanwhile."""
 SHORTEST = 1e-6
 """Time, s, that every wait takes at least: one of no length would never end."""
+BUFFERED = 60
+"""Messages that reach a node while it is frozen; the kernel has no room for more."""
 LONGEST_RUN = 120.0
 """Time, s, by the swarm's clock after which a run that has not ended hangs."""
 
@@ -67,7 +70,7 @@ class Cast:
         module = importlib.import_module(process.module)
         given = {name: value for name, value in (process.parameters | dict(changed)).items() if value != []}
         settings = settings_from(module.PARAMETERS, **cast("Any", given))
-        name = ROBOT if process.agents else process.name
+        name = ROBOT if process.agents else process.name.removesuffix(STANDBY_SUFFIX)
         ends = settings.endpoints(name, LOCKSTEP, robots=len(self.scenario.agents))
         return Role(process.name, partial(module.make, settings), ends, settings)
 
@@ -84,6 +87,8 @@ class Node:
     begun: bool = False
     alive: bool = True
     ended: bool = False
+    behind: bool = False
+    buffered: int = 0
     waits: Wait | None = None
     deadline: float = 0.0
     frozen_until: float = 0.0
@@ -113,7 +118,7 @@ class Swarm:
         self.turn = 0
         self.published: Counter[tuple[str, Topic, bytes]] = Counter()
         self.problems: dict[str, Exception] = {}
-        self.recorded: list[RecordedStep] = []
+        self.recorded_by: dict[str, list[RecordedStep]] = {}
         self.steerer = SteeringController(steering_config(cast_.scenario))
         self._under_way: list[Parcel] = []
         self._script = turns(script)
@@ -124,10 +129,27 @@ class Swarm:
 
     def _node(self, role: Role, cast_: Cast) -> Node:
         reports = Reports()
-        if role.name == RECORDER:
-            recording = cast("Any", SimpleNamespace(add=self._record, offset=lambda *_: None))
-            behaviour = Recorder(cast_.scenario, recording, lambda _: None, packed=cast_.packed, steered=cast_.steered)
-            spec = NodeSpec(behaviour, lingers=False, gather=behaviour.gathering, hear_all=behaviour.hear_all)
+        if role.name in {RECORDER, standby_name(RECORDER)}:
+            steps = self.recorded_by[role.name] = list[RecordedStep]()
+            recording = cast("Any", SimpleNamespace(add=partial(self._record, steps), offset=lambda *_: None))
+            paired, settings = role.settings.paired(), role.settings
+            behaviour = Recorder(
+                cast_.scenario,
+                recording,
+                lambda _: None,
+                packed=cast_.packed,
+                steered=cast_.steered,
+                patience=settings.patience() if paired else None,
+            )
+            spec = NodeSpec(
+                behaviour,
+                lingers=False,
+                gather=behaviour.gathering,
+                hear_all=behaviour.hear_all,
+                echoed=RECORDING_PROGRESS if paired else None,
+                on_silence=behaviour.wait if paired else None,
+                on_peer_end=behaviour.peer_ended if paired else None,
+            )
         elif role.name == STEERER:
             spec = NodeSpec(self.steerer)
         else:
@@ -152,12 +174,19 @@ class Swarm:
             self._readers.setdefault(topic, []).append((node, qos.reliability == "reliable"))
         return node
 
-    def _record(self, step: RecordedStep | Block) -> None:
-        self.recorded.extend(step.recorded() if isinstance(step, Block) else (step,))
+    @staticmethod
+    def _record(steps: list[RecordedStep], step: RecordedStep | Block) -> None:
+        steps.extend(step.recorded() if isinstance(step, Block) else (step,))
+
+    @property
+    def recorded(self) -> list[RecordedStep]:
+        """What a recorder has recorded that has ended, or else the primary one."""
+        ended = (steps for name, steps in self.recorded_by.items() if self.nodes[name].ended)
+        return next(ended, self.recorded_by[RECORDER])
 
     @property
     def finished(self) -> bool:
-        return self.nodes[RECORDER].ended
+        return any(self.nodes[name].ended for name in self.recorded_by)
 
     def run(self, until: float = LONGEST_RUN) -> bool:
         """Go on until the run is recorded, a node fails, or this time, s; tell whether it is recorded."""
@@ -191,6 +220,11 @@ class Swarm:
         node.alive = False
         self._look(node)
 
+    def freeze(self, name: str, seconds: float) -> None:
+        node = self.nodes[name]
+        node.frozen_until, node.buffered = self.now + seconds, 0
+        self._look(node)
+
     def _deviate(self, act: Act, which: int) -> bool:
         """Do something unusual; tell whether there was anybody to whom it can happen."""
         if act in {Act.OTHER, Act.LOSE, Act.TWICE}:
@@ -207,9 +241,7 @@ class Swarm:
             nodes = [n for n in self.nodes.values() if n.alive and not (act is Act.LATE and n.begun)]
             if not nodes:
                 return False
-            node = nodes[which % len(nodes)]
-            node.frozen_until = self.now + FROZEN
-            self._look(node)
+            self.freeze(nodes[which % len(nodes)].name, FROZEN)
         return True
 
     def _meet(self, act: Act, index: int) -> None:
@@ -249,6 +281,8 @@ class Swarm:
             node.deadline = self.now + max(SHORTEST, node.waits[1])
         except StopIteration:
             node.alive, node.ended = False, True
+        except BehindError:
+            node.alive, node.behind = False, True
         except Exception as error:  # noqa: BLE001 - whoever looks for what is wrong is told of bugs, too
             node.alive = False
             self.problems[node.name] = error
@@ -271,6 +305,12 @@ class Swarm:
             self._history.append((sender, topic, data))
 
     def _deliver(self, parcel: Parcel) -> None:
-        if parcel.receiver.alive:
-            parcel.receiver.inbox.put(parcel.topic, parcel.data)
-            self._look(parcel.receiver)
+        node = parcel.receiver
+        if not node.alive:
+            return
+        if node.frozen_until > self.now:
+            node.buffered += 1
+            if node.buffered > BUFFERED and not parcel.reliable:
+                return
+        node.inbox.put(parcel.topic, parcel.data)
+        self._look(node)

@@ -8,7 +8,7 @@ import pytest
 from tests.swarmabs_core.helpers import FOUR_ROBOT_SCENARIOS, builtin
 from tests.transport.fleet import Network, VirtualFleet
 
-from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, agent_name
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, agent_name, own_topic
 from swarmabs_core import messages as msg
 from swarmabs_core.realtime.observer import CARRIED_AWAY
 from swarmabs_run.simulation import Simulation
@@ -40,7 +40,8 @@ def angles(fleet: VirtualFleet) -> dict[int, float]:
 
 def those(fleet: VirtualFleet, kind: msg.EventKind, since: float = 0.0) -> list[int]:
     """Return the robots of which there is an event of a kind, each as often as there is one."""
-    return sorted(event.agent_id for event in said(fleet, msg.SwarmEvent, since) if event.kind == kind)
+    events = [event for event in said(fleet, msg.SwarmEvent, since) if not isinstance(event, msg.Removal)]
+    return sorted(event.agent_id for event in events if event.kind == kind)
 
 
 def newest(fleet: VirtualFleet) -> dict[int, msg.AgentState]:
@@ -190,16 +191,25 @@ def test_an_observer_that_begins_anew_knows_of_a_robot_that_died_before(outage: 
 
 def test_a_dead_robot_that_was_carried_away_counts_no_more_until_it_is_heard() -> None:
     fleet = fleet_of()
-    word = msg.SwarmEvent(0, 50, 4, msg.EventKind.LEFT, 0.0, CARRIED_AWAY)
-    fleet.inject(word, [OBSERVER])  # it lives, so this is not believed
+
+    def removal(later: float = 0.0) -> msg.Removal:
+        return msg.Removal(0, round((fleet.time + later) / PERIOD), 4, msg.EventKind.LEFT, 0.0, CARRIED_AWAY)
+
+    early = removal()
+    fleet.inject(early, [OBSERVER])  # it lives, so this is not believed
     fleet.run(0.3)
     fleet.kill(ROBOTS[3])
     fleet.run(0.3)
+    for word in (early, removal(later=1.0), msg.SwarmEvent(*removal())):
+        fleet.inject(word, [OBSERVER])  # it was heard since; from the future; anybody may say so
+    fleet.run(0.1)
     assert count(fleet) == 4
-    fleet.inject(word, [OBSERVER])
+    accepted = removal()
+    fleet.inject(accepted, [OBSERVER])
     fleet.run(0.1)
     assert count(fleet) == 3
     assert those(fleet, msg.EventKind.LEFT) == [4]
+    assert said(fleet, msg.Removal) == [accepted], "told to observers that start later"
     fleet.revive(ROBOTS[3])
     fleet.run(0.3)
     assert active(fleet) == {1, 2, 3, 4}
@@ -312,3 +322,33 @@ def test_a_stranger_and_a_liar_do_not_enter_the_sums() -> None:
             fleet.inject(state, [OBSERVER, PLANE])
         fleet.run(PERIOD)
     assert angles(fleet) == angles(fleet_of(begun=0.8))
+
+
+def test_with_own_topics_nothing_changes_and_no_robot_speaks_for_another() -> None:
+    shared, fleet = (VirtualFleet(builtin("arise_het_4"), own_topics=own) for own in (False, True))
+    for each in (shared, fleet):
+        each.run(0.5)
+        each.kill(OBSERVER)  # the next one must learn from events that the swarm is under way
+        each.kill(ROBOTS[3])
+        each.run(0.6)
+        each.revive(OBSERVER)
+        each.run(0.6)
+    assert active(fleet) == {1, 2, 3}
+    order = [(now, node, repr(message)) for now, node, message in fleet.published]
+    assert sorted(order) == sorted((now, node, repr(message)) for now, node, message in shared.published)
+    own = own_topic(msg.AGENT_STATE, 1), own_topic(msg.EVENTS, 1)
+    for each in (shared, fleet):
+        for _ in range(50):
+            forged = newest(each)[2]._replace(step=round(each.time / PERIOD) + 1, position=-0.45, velocity=0.0)
+            left = msg.SwarmEvent(0, forged.step, 2, msg.EventKind.RECOVERED, 0.0, "")
+            for message, topic in zip((forged, left), own, strict=True):
+                each.inject(message, [OBSERVER], topic if each is fleet else None)
+            if each is fleet:
+                each.inject(forged, [PLANE], own[0])
+            each.run(PERIOD)
+    assert active(fleet) == {1, 2, 3}
+    assert (those(shared, msg.EventKind.DEAD, 1.7), those(fleet, msg.EventKind.DEAD, 1.7)) == ([2], [])
+    refused = [e for e in said(fleet, msg.SwarmEvent, 1.7) if e.kind == msg.EventKind.REFUSED]
+    assert {e.detail for e in refused} == {
+        f"robot 1: messages with the id of another robot on agent_001/{name}" for name in ("state", "events")
+    }

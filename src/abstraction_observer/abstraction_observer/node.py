@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.behaviours import Observer, ObserverConfig, Steered
@@ -13,7 +13,7 @@ from swarmabs_core.messages import Messages
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
-from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, PAIR, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -23,12 +23,13 @@ if TYPE_CHECKING:
 
 ON_STALL = Parameter("on_stall", "fail", "reaction to a robot that does not answer", choices=("fail", "drop"))
 CONFIG = BySystem(ObserverConfig, SystemObserverConfig)
-PARAMETERS = (CONFIG, ON_STALL, PACKED, STEERED)
+PARAMETERS = (CONFIG, ON_STALL, PACKED, STEERED, *PAIR)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour and its reaction to a stall."""
-    observer, hear_all = _observer(settings)
+    config = settings.chosen(CONFIG)
+    observer, hear_all = _observer(settings, config)
     gate = Steered(observer) if settings.flag(STEERED.name) else None
 
     def drop() -> Messages:
@@ -38,12 +39,12 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
         return observer.drop(silent, SILENT) if silent else ()
 
     on_stall = drop if settings.text(ON_STALL.name) == "drop" else None
-    return NodeSpec(gate or observer, on_stall=on_stall, hear_all=None if gate else hear_all)
+    pair = settings.pair(config.family.auxiliary, lambda: observer.step)
+    return NodeSpec(gate or observer, on_stall=on_stall, hear_all=None if gate else hear_all, pair=pair)
 
 
-def _observer(settings: Settings) -> tuple[Observer, Callable[[Topic, list[bytes]], Messages] | None]:
+def _observer(settings: Settings, config: Any) -> tuple[Observer, Callable[[Topic, list[bytes]], Messages] | None]:
     """Return the behaviour, and what takes its serialized messages, if it does so itself."""
-    config = settings.chosen(CONFIG)
     if not settings.flag(PACKED.name):
         return Observer(config), None
     from swarmabs_core.behaviours.packed import PackedObserver  # noqa: PLC0415 - only packed runs need numpy

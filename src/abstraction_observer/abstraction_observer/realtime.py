@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from abstraction_observer.memory import MemoryFile
-from swarmabs_config.graph import OBSERVER
+from swarmabs_config.graph import OBSERVER, RELEASE
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import OBSERVER_PHASE
 from swarmabs_core.realtime.observer import RealtimeObserver, RealtimeObserverConfig
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.realtime_runner import run_realtime
+from swarmabs_ros.realtime_runner import OWN_TOPICS, run_realtime
 
 if TYPE_CHECKING:
     from swarmabs_ros.runner import Settings
 
 MEMORY = Parameter("memory", "", "file that stores the positions of silent robots across restarts; empty: none")
-PARAMETERS = (RealtimeObserverConfig, MEMORY)
+PARAMETERS = (RealtimeObserverConfig, MEMORY, OWN_TOPICS)
 GAINS = ("ksd",)
 
 
@@ -26,9 +26,13 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     """Return the behaviour."""
     path = settings.text(MEMORY.name)
     memory = MemoryFile(Path(path), node.notes.warning) if path else None
-    observer = RealtimeObserver(settings.made(RealtimeObserverConfig), memory)
+    config = settings.made(RealtimeObserverConfig)
+    observer = RealtimeObserver(config, memory)
     return RealtimeSpec(
-        observer, OBSERVER_PHASE, tune=lambda changed: observer.tuned(changed.made(RealtimeObserverConfig))
+        observer,
+        OBSERVER_PHASE,
+        services={} if config.pair.single else {RELEASE: observer.release},
+        tune=lambda changed: observer.tuned(changed.made(RealtimeObserverConfig)),
     )
 
 

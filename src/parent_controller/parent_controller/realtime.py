@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from swarmabs_config.graph import CONTROLLER, SERVICES
+from swarmabs_config.graph import CONTROLLER, RELEASE, options_of, services
 from swarmabs_core.messages import PLANE_STATE
 from swarmabs_core.realtime.base import CONTROLLER_PHASE
 from swarmabs_core.realtime.controller import RealtimeController, RealtimeControllerConfig
@@ -31,11 +31,15 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG00
     """Return the behaviour."""
     config = settings.made(RealtimeControllerConfig)
     controller = RealtimeController(config, law_of(config))
+    commands = (controller.stop, controller.reset, controller.release)
+    offered = dict(zip(services(CONTROLLER, options_of({"pair": config.pair.rank})), commands, strict=True))
+    if config.pair.single:
+        del offered[RELEASE]
     return RealtimeSpec(
         controller,
         CONTROLLER_PHASE,
         wakes=(PLANE_STATE,),
-        services=dict(zip(SERVICES[CONTROLLER], (controller.stop, controller.reset), strict=True)),
+        services=offered,
         tune=lambda changed: controller.tuned(law_of(changed.made(RealtimeControllerConfig))),
     )
 

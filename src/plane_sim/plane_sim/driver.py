@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from swarmabs_config.graph import PLANE_DRIVER
 from swarmabs_core.declaration import part, same
 from swarmabs_core.messages import EventKind, Message, Messages, PlaneState, SwarmEvent
-from swarmabs_core.realtime.base import PLANE_PHASE, Health, Level, Realtime, Schedule, StepCounter
+from swarmabs_core.realtime.base import PLANE_PHASE, UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
 from swarmabs_core.realtime.instruments import PlaneInstrument
 from swarmabs_core.realtime.validation import Refusals
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
@@ -79,7 +79,7 @@ class PlaneDriver:
                 told += self._refusals.add(reason, self._config.schedule.step(now), now)
         return told
 
-    def hear(self, message: Message, now: int) -> Messages:  # noqa: ARG002 - the interface of behaviours
+    def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:  # noqa: ARG002 - the interface of behaviours
         """Ignore all messages: the plane needs none of the swarm."""
         return ()
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from swarmabs_bag.blocks import Block
 from swarmabs_core.arrays import PADDING, constant, layout_of, raw
-from swarmabs_core.cdr import ENCAPSULATION, FRAME
+from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import Status
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 AHEAD = 128
 """Steps from the current one on whose messages are held: more than a run may be ahead of its recorder."""
-_SECOND = 1_000_000_000
 
 
 class _Table:
@@ -60,7 +59,7 @@ class _Table:
         """Return joined messages in canonical form; None if a head, the length of a list or a time is malformed."""
         found = np.frombuffer(payloads, np.uint8).reshape(-1, self.layout.itemsize) & self._content
         messages: Rows = found.view(self.layout)[:, 0]
-        malformed = ((found ^ self._expected) & self._fixed).any() or (messages["nanosec"] >= _SECOND).any()
+        malformed = ((found ^ self._expected) & self._fixed).any() or (messages["nanosec"] >= SECOND).any()
         return None if malformed else messages
 
 

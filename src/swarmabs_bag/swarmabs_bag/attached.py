@@ -36,6 +36,9 @@ PROVENANCE_FILE = "provenance.json"
 SCHEMA_VERSION = 1
 """Version of the provenance's fields; bags without it have version 1 (docs/reference/compatibility.md)."""
 
+MERGED = "merged"
+"""Key in the provenance of a merged bag, with an entry for each of the bags that it is made of."""
+
 UNDECIDED = "it contains several scenarios and does not state which one was run"
 """The `contradiction` of a bag that no repair can decide."""
 
@@ -67,6 +70,7 @@ def provenance(
     realtime: Mapping[str, object] | None = None,
     packed: bool = False,
     steered: bool = False,
+    standby: str | None = None,
 ) -> dict[str, object]:
     """Return the provenance of a run.
 
@@ -82,6 +86,8 @@ def provenance(
         Whether the nodes sent packed messages.
     steered : bool
         Whether the run was steerable: then requests are in its events, and not in its scenario.
+    standby : str, optional
+        In a run with standby coordinators, whether the ``primary`` or the ``standby`` recorder wrote the bag.
     """
     own: dict[str, object] = {
         "schema": SCHEMA_VERSION,
@@ -95,6 +101,7 @@ def provenance(
     }
     if realtime is not None:
         own["realtime"] = dict(realtime)
+    own |= {} if standby is None else {"standby": standby}
     own |= {name: True for name, holds in (("packed", packed), ("steered", steered)) if holds}
     return own if replay is None else own | {"replay": dict(replay)}
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmabs_bag.recording import RecordedStep, digest_head
-from swarmabs_core.arrays import Tables, is_canonical, layout_of, raw
-from swarmabs_core.cdr import decode
-from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.arrays import Tables, canonical_table, raw
+from swarmabs_core.cdr import SECOND, decode
 from swarmabs_core.messages import FAMILIES, PLANE_FAMILY, Topic
 from swarmabs_core.record import Record
 
@@ -28,10 +27,6 @@ BLOCK_BYTES = 2**18
 """Size of the messages of a block above which a longer one would gain nothing."""
 BLOCK_SECONDS = 0.05
 """Time for which a producer may hold back steps for a block, s: with the age of a chunk, it stays below 1 s."""
-
-_SECOND = 1_000_000_000
-_LONGEST = 4096
-"""More bytes than a message of a main topic has."""
 
 
 class Block:
@@ -62,7 +57,7 @@ class Block:
         self.family = next(family for family in FAMILIES if family.robot in tables)
         self.tables = {topic: tables[topic] for topic in self.family.main}
         parents = self.tables[self.family.parent]
-        self.times = parents["sec"].astype(np.int64) * _SECOND + parents["nanosec"]
+        self.times = parents["sec"].astype(np.int64) * SECOND + parents["nanosec"]
 
     @classmethod
     def of(cls, payloads: Mapping[Topic, bytes | bytearray | memoryview]) -> Block | None:
@@ -71,21 +66,20 @@ class Block:
         Returns None if they do not form a block: if a payload is not canonical, lists change their lengths, robots
         join or leave, a step is missing, or a time of the parent is negative.
         """
-        try:
-            tables: dict[Topic, NDArray[np.void]] = {
-                topic: np.frombuffer(data, layout_of(topic, bytes(data[:_LONGEST]))) for topic, data in payloads.items()
-            }
-        except (MalformedMessageError, ValueError):
-            return None
+        tables: dict[Topic, NDArray[np.void]] = {}
+        for topic, data in payloads.items():
+            table = canonical_table(topic, data)
+            if table is None:
+                return None
+            tables[topic] = table
         family = next(family for family in FAMILIES if family.robot in tables)
         steps = len(tables[family.parent])
-        robots, rest = divmod(len(tables[family.robot]), max(steps, 1))
-        if not steps or not robots or rest or any(len(tables[topic]) != steps for topic in family.main[1:]):
+        robots, rest = divmod(len(tables[family.robot]), steps)
+        if rest or any(len(tables[topic]) != steps for topic in family.main[1:]):
             return None
         tables[family.robot] = tables[family.robot].reshape(steps, robots)
         block = cls(tables)
-        canonical = all(is_canonical(topic, table) for topic, table in tables.items())
-        return block if canonical and block._is_consecutive() else None
+        return block if block._is_consecutive() else None
 
     @classmethod
     def gathered(cls, steps: Sequence[RecordedStep]) -> Block | None:

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import NotABagError, UnknownTypeError
 from swarmabs_bag.metadata import BagChannel
+from swarmabs_config.graph import STANDBY_TOPICS, USUAL_TOPICS
 from swarmabs_config.model.errors import printable, shorten
 from swarmabs_core.messages import TOPICS, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
     from pathlib import Path
 
     from mcap.records import Channel
@@ -67,7 +68,8 @@ def bag_topics(indexes: Iterable[FileIndex]) -> list[BagChannel]:
 
 def swarm_topics(index: FileIndex) -> dict[int, tuple[str, Topic]]:
     """Return the channels of swarms: namespace, with trailing slash, and topic by channel number."""
-    found = ((number, _swarm_topic(channel, index)) for number, channel in index.channels.items())
+    names = {channel.topic for channel in index.channels.values()}
+    found = ((number, _swarm_topic(channel, index, names)) for number, channel in index.channels.items())
     return {number: topic for number, topic in found if topic is not None}
 
 
@@ -98,8 +100,10 @@ def _ros_type(channel: Channel, index: FileIndex) -> str:
     return schema.name if schema is not None else ""
 
 
-def _swarm_topic(channel: Channel, index: FileIndex) -> tuple[str, Topic] | None:
-    for topic in TOPICS:
+def _swarm_topic(channel: Channel, index: FileIndex, names: Collection[str]) -> tuple[str, Topic] | None:
+    for topic in (*STANDBY_TOPICS.values(), *TOPICS):
+        if topic in USUAL_TOPICS and channel.topic.removesuffix(topic.name) + USUAL_TOPICS[topic].name not in names:
+            continue  # a swarm whose namespace ends like that
         if channel.topic.endswith(f"/{topic.name}") and channel.message_encoding == "cdr":
             ours = _ros_type(channel, index) == topic.ros_type
             return (channel.topic.removesuffix(topic.name), topic) if ours else None

@@ -42,6 +42,10 @@ if TYPE_CHECKING:
     from swarmabs_core.membership import Change
 
 
+MEMORY = 250
+"""Number of past steps for which repeats are compared with the recorded messages, unless given otherwise."""
+
+
 class _Slot:
     """The received messages of a step."""
 
@@ -78,7 +82,7 @@ class RunCollector:
         schedule: Iterable[Change],
         last_step: int,
         *,
-        memory: int = 250,
+        memory: int = MEMORY,
         steered: bool = False,
         family: Family = PLANE_FAMILY,
         system: int | None = None,

@@ -12,6 +12,7 @@ from mcap.records import Header
 
 from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.channels import bag_topics
+from swarmabs_bag.completeness import LockstepCompleteness
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.index import FileIndex, scan_index
 from swarmabs_bag.metadata import METADATA_FILE, BagChannel, custom_texts, listed_topic, load_yaml
@@ -19,19 +20,15 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_bag.rebuild import OWN, Rebuilt
 from swarmabs_bag.records import MAGIC, RecordError, parse, read_record
 from swarmabs_bag.run_folder import SUFFIX, missing_files, split_files
-from swarmabs_config import configure
 from swarmabs_config.scenario import ScenarioError
 from swarmabs_config.scenario.text_file import read_text
 from swarmabs_core.errors import InputError
-from swarmabs_core.membership import Membership, Span
-from swarmabs_core.messages import ROBOT_STATES, Status, SwarmEvent
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from typing import BinaryIO
 
     from swarmabs_bag.output import RecordFile
-    from swarmabs_core.messages import Topic
 
 
 @dataclass(slots=True)
@@ -223,60 +220,14 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
         if is_realtime(bag):  # steps may lack messages
             return None
         scenario = attached_scenario(bag, steered=False)
-        members, family = configure.members(scenario), bag.family
-        membership = Membership(members, configure.schedule(scenario))
-        found: dict[tuple[Topic, int], _Spans] = {}
+        family = bag.family
+        found = LockstepCompleteness(scenario, family)
         for topic, _, message in bag.decoded():
-            if isinstance(message, SwarmEvent):
-                membership.apply(message.kind, message.agent_id, message.step, message.detail)
-                continue
-            agent = message.agent_id if isinstance(message, ROBOT_STATES) else 0
-            found.setdefault((topic, agent), _Spans()).add(message.step)
-            if agent and agent in membership and getattr(message, "status", None) == Status.LEFT:
-                membership.end(agent, message.step, stays=False, reason="left")
+            found.add(topic, message)
     except (DamagedBagError, InputError):
         return None
-
-    def first_missing(topic: Topic, start: int) -> int:
-        missing = []
-        for agent in members if topic is family.robot else (0,):
-            span = membership.span(agent) if agent else Span()
-            last = scenario.steps if span.last is None else min(span.last, scenario.steps)
-            step = found.get((topic, agent), _Spans()).first_missing(max(span.first, start))
-            missing.append(step if step <= last else scenario.steps + 1)
-        return min(missing)
-
-    # The file may begin within a step, which then does not count as the first.
-    first = max((spans.first for (topic, _), spans in found.items() if topic is not family.robot), default=0)
-    first += first_missing(family.robot, first) == first and first_missing(family.robot, first + 1) > first + 1
-    last = {topic: first_missing(topic, first) - 1 for topic in family.main}
+    first = found.first
+    last = {topic: found.first_missing(topic, first) - 1 for topic in family.main}
     names = {channel.topic: channel.name for channel in bag.channels if channel.topic is not None}
     by_topic = {names[topic]: step for topic, step in last.items() if topic in names}
     return RecordedSteps(scenario.steps, first, min(last.values()), by_topic)
-
-
-class _Spans:
-    """A set of nearly ordered steps, stored as spans."""
-
-    def __init__(self) -> None:
-        self._spans: list[tuple[int, int]] = []
-
-    @property
-    def first(self) -> int:
-        return min((first for first, _ in self._spans), default=0)
-
-    def add(self, step: int) -> None:
-        first, last = self._spans[-1] if self._spans else (step, step)
-        if self._spans and first <= step <= last + 1:
-            self._spans[-1] = (first, max(last, step))
-        else:
-            self._spans.append((step, step))
-
-    def first_missing(self, start: int) -> int:
-        """Return the first missing step from `start` on."""
-        position = start
-        for first, end in sorted(self._spans):
-            if first > position:
-                break
-            position = max(position, end + 1)
-        return position

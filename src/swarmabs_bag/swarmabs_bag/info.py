@@ -12,7 +12,7 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from swarmabs_bag.attached import SCENARIO_FILE, UNDECIDED, attached_provenance, contradiction
+from swarmabs_bag.attached import MERGED, SCENARIO_FILE, UNDECIDED, attached_provenance, contradiction
 from swarmabs_bag.channels import named_swarms
 from swarmabs_bag.errors import DamagedBagError, repair_command
 from swarmabs_bag.metadata import ABORTED_KEY, REPAIRED_KEY, load_yaml
@@ -21,12 +21,15 @@ from swarmabs_config.model.errors import shorten, show
 from swarmabs_config.scenario import ScenarioError, parse_scenario
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from rich.console import RenderableType
 
 _LONGEST_QOS = 200
+_MOST_SPANS = 5
+_DIGEST = 12
+"""Characters of a SHA-256 that identify a bag for a person."""
 _CLOCK = 1e8
 """Log time above which times count from 1970, not from the start of a simulation, s."""
 
@@ -73,6 +76,8 @@ class BagInfo:
         Whether the file has its end and every CRC and count is correct; otherwise `problem` says what is wrong.
     aborted, repaired : str or None
         Why the run ended early; what a repair could not recover.
+    merged : tuple of str
+        For a merged bag, the steps and the digest of each bag that it is made of.
     """
 
     file: str
@@ -96,6 +101,7 @@ class BagInfo:
     problem: str | None
     aborted: str | None
     repaired: str | None
+    merged: tuple[str, ...] = ()
 
 
 def bag_info(path: Path | str) -> BagInfo:
@@ -156,7 +162,22 @@ def bag_info(path: Path | str) -> BagInfo:
         problem=problem,
         aborted=custom.get(ABORTED_KEY),
         repaired=custom.get(REPAIRED_KEY),
+        merged=tuple(_merged(provenance.get(MERGED))),
     )
+
+
+def said_steps(spans: Iterable[Sequence[int]]) -> str:
+    """Return spans of steps, each with its first and last step, as text."""
+    texts = [f"step {first}" if first == last else f"steps {first} to {last}" for first, last in spans]
+    more = [f"{len(texts) - _MOST_SPANS} more spans"] if len(texts) > _MOST_SPANS else []
+    return ", ".join([*texts[:_MOST_SPANS], *more]) or "no step"
+
+
+def _merged(entries: object) -> Iterator[str]:
+    """Yield a text for each bag that a merged one is made of, as far as its provenance is as written."""
+    for entry in entries if isinstance(entries, list) else ():
+        with suppress(KeyError, TypeError, ValueError):
+            yield f"{said_steps(entry['steps'])} of {', '.join(digest[:_DIGEST] for digest in entry['sha256'])}"
 
 
 def render(info: BagInfo) -> RenderableType:
@@ -182,6 +203,7 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
         "state": _state(info),
         "ended early": info.aborted,
         "repaired": info.repaired,
+        "merged from": "; ".join(info.merged),
         "size": f"{info.size:,} bytes",
         "chunks": f"{info.chunks} ({info.compression or 'none'}; {info.uncompressed_size:,} bytes uncompressed)",
         "time": _times(info),

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.attached import attached_provenance
 from swarmabs_bag.figures import RealtimeFigures
 from swarmabs_config import configure
-from swarmabs_config.graph import REALTIME, RECORDER, endpoints
+from swarmabs_config.graph import REALTIME, RECORDER, STANDBY_TOPICS, Option, endpoints, usual_topic
+from swarmabs_core.cdr import misplaced
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (
-    AGENT_STATE,
     BASIS,
     EVENTS,
+    AgentState,
     Basis,
     DesiredAbstractState,
     EventKind,
@@ -21,8 +23,8 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.realtime.validation import Refusals
+from swarmabs_core.realtime.base import Realtime, Schedule
+from swarmabs_core.realtime.validation import Bounds, Refusals, Writers
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
@@ -32,8 +34,16 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario
 
 _WORLD = ("period_ns", "epoch_ns", "simulated_robots", "simulated_plane", "own_limits")
-RECORDED = tuple(endpoints(RECORDER, REALTIME).subscriptions)
-"""Topics of a recording in real time."""
+
+
+def recorded(*, paired: bool) -> tuple[Topic, ...]:
+    """Return the topics of a recording, with those of standby coordinators if any coordinator has one."""
+    return tuple(endpoints(RECORDER, REALTIME, frozenset({Option.PAIRED} if paired else ())).subscriptions)
+
+
+RECORDED = recorded(paired=True)
+"""All topics of a recording in real time."""
+_UNKNOWN_BOUNDS = Bounds(inf, inf)
 MEMORY = 1000
 """Steps around the recorder's current one within which messages are recorded, and duplicates recognised."""
 DIFFERENT = "two different messages of this step on "
@@ -50,22 +60,41 @@ class RealtimeCollector:
     """Selects the messages to record, which may arrive in any order and repeatedly.
 
     It records the first message of each topic, step and robot, and of desired states the first of each mode, because
-    the parent controller may change the mode within a step. Duplicates are dropped. Different messages for the same
-    place, and messages of another swarm or time, are dropped too, but reported by an event.
+    the parent controller may change the mode within a step. Messages on robots' own topics are recorded on the usual
+    ones. Duplicates are dropped. Different messages for the same place, states of a robot from a second sender, and
+    messages of another swarm or time, are dropped too, but reported by an event. While a robot has a second sender, an
+    event marks each of its steps, because other receivers may follow the other sender.
+
+    Parameters
+    ----------
+    bounds : Bounds, optional
+        What is credible: as for the observer, only a credible state binds the id of a robot to its writer.
+    age_limit : float
+        Silence, s, after which another writer may speak for a robot.
 
     Attributes
     ----------
+    writers : Writers
+        Who speaks for which robot.
     repeated, different, refused : int
         Numbers of dropped messages: duplicates, different messages for the same place, and those of another swarm or
         time.
     """
 
-    def __init__(self, members: Iterable[int], schedule: Schedule) -> None:
+    def __init__(
+        self,
+        members: Iterable[int],
+        schedule: Schedule,
+        bounds: Bounds = _UNKNOWN_BOUNDS,
+        age_limit: float = Realtime().state_age_limit,
+    ) -> None:
         self._members = frozenset(members)
         self._schedule = schedule
         self._known: dict[int, dict[tuple[Topic, object], bytes]] = {}
         self._oldest = 0
         self._refusals = Refusals()
+        self._bounds, self._age = bounds, schedule.steps(age_limit)
+        self.writers = Writers(self._age)
         self.repeated = self.different = 0
 
     @property
@@ -78,35 +107,59 @@ class RealtimeCollector:
         """Number of steps whose messages are kept for comparison."""
         return len(self._known)
 
-    def add(self, record: Record, now: int) -> tuple[Record, ...]:
-        """Process a message received at a time (ns since 1970); return the records to write."""
+    def add(self, record: Record, now: int, writer: bytes = b"") -> tuple[Record, ...]:
+        """Process a message received at a time (ns since 1970) from a writer; return the records to write."""
         step = self._schedule.step(now)
         self._forget(step - MEMORY)
         problem = self._problem(record, step)
         if problem:
             return tuple(map(Record.of, self._refusals.add(problem, step, now)))
+        if record.topic.agent_id:
+            record = record._replace(topic=usual_topic(record.topic))
         topic, agent_id, message, payload, *_ = record
+        self.writers.advance(step)
         known = self._known.setdefault(message.step, {})
         place = (topic, payload if isinstance(message, SwarmEvent) else part(record))
-        if place not in known:
-            known[place] = payload
-            return (record,)
-        if known[place] == payload:
+        if known.get(place) == payload:
             self.repeated += 1
             return ()
+        second = isinstance(message, AgentState) and self._is_of_second(message, step, writer)
+        if place not in known and not second:
+            known[place] = payload
+            # The observer may follow the other writer, whose state of this step need not arrive here.
+            doubtful = writer and agent_id in self.writers.contested()
+            return (record, *self._mark(known, place, record, now)) if doubtful else (record,)
         self.different += 1
+        return self._mark(known, place, record, now)
+
+    def _is_of_second(self, state: AgentState, step: int, writer: bytes) -> bool:
+        """Return whether a state is that of a second writer, by the rule of the observer."""
+        if self.writers.refuses(state.agent_id, writer):
+            return True
+        if abs(state.step - step) <= self._age and not self._bounds.problem(state):
+            self.writers.hear(state.agent_id, writer)
+        return False
+
+    def _mark(
+        self, known: dict[tuple[Topic, object], bytes], place: tuple[Topic, object], record: Record, now: int
+    ) -> tuple[Record, ...]:
+        """Return an event that names a step with different messages, unless it has been named."""
         mark = (EVENTS, place)
         if mark in known:
             return ()
-        told = Record.of(SwarmEvent(now, message.step, agent_id, EventKind.REFUSED, 1.0, DIFFERENT + topic.name))
+        step, agent_id, detail = record.message.step, record.agent_id, DIFFERENT + record.topic.name
+        told = Record.of(SwarmEvent(now, step, agent_id, EventKind.REFUSED, 1.0, detail))
         known[mark] = told.payload
         return (told,)
 
     def _problem(self, record: Record, step: int) -> str:
         topic, agent_id = record.topic, record.agent_id
-        if topic not in RECORDED:
+        if topic.agent_id:
+            if problem := misplaced(record.message, topic):
+                return problem
+        elif topic not in RECORDED:
             return f"{topic.name}: not a topic that is recorded"
-        if (topic is AGENT_STATE or agent_id) and agent_id not in self._members:
+        if (isinstance(record.message, AgentState) or agent_id) and agent_id not in self._members:
             return f"{topic.name}: robot {agent_id} is not a member of this swarm"
         if abs(record.message.step - step) > MEMORY:
             return f"{topic.name}: a step far from now; of another swarm, or its clock is wrong"
@@ -169,7 +222,7 @@ def law_begins(bag: BagReader) -> dict[int, int]:
     """Return, for every step answered by the parent controller, the step at which the time of its law began."""
     return {
         message.step: message.begun
-        for _, _, message in bag.decoded((BASIS,))
+        for _, _, message in bag.decoded((BASIS, STANDBY_TOPICS[BASIS]))
         if isinstance(message, Basis) and message.source == Source.CONTROLLER
     }
 

@@ -101,7 +101,9 @@ class RepairReport:
     last_planned_step: int | None
 
 
-def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool = False) -> RepairReport:
+def repair_bag(
+    path: Path | str, output: Path | None = None, *, in_place: bool = False, if_needed: bool = False
+) -> RepairReport:
     """Repair a damaged bag: a run folder, its ``bag/``, or an MCAP file.
 
     Intact chunks, attachments and other records are kept unchanged; of a chunk truncated by the end of the file, the
@@ -115,6 +117,8 @@ def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool =
         and not created if there is nothing to do.
     in_place : bool
         Whether the new files replace the damaged ones, which are kept with ``.damaged`` appended to their names.
+    if_needed : bool
+        Whether nothing is written if there is nothing to do, even with an output.
 
     Raises
     ------
@@ -143,11 +147,11 @@ def repair_bag(path: Path | str, output: Path | None = None, *, in_place: bool =
     if unfinished and ABORTED_KEY not in kept[-1].custom_data() and not kept[-1].problems:
         kept[-1].problems.append(CUT_OFF)
     idle = not problems and not any(part.problems for part in parts)
-    if idle and (output is None or in_place):
+    if idle and (output is None or in_place or if_needed):
         return _report(named, None, found, parts, problems)
     if in_place:
         _refuse_earlier(parts, target)
-    with _work_folder(target) as work:
+    with work_folder(target) as work:
         _write(kept, work, [] if folder is None else silent_topics(kept[0].path.parent), unfinished=unfinished)
         report = _report(named, target, work, parts, problems)
         if in_place:
@@ -166,12 +170,17 @@ def _target(bag: Path, output: Path | None, *, in_place: bool, is_file: bool) ->
             raise BagFolderError("--in-place and -o exclude each other: leave out one of them")
         return place.parent if is_file else place
     target = output if output is not None else place.with_name(f"{place.stem if is_file else place.name}_repaired")
+    refuse_taken(target)
+    return target
+
+
+def refuse_taken(target: Path) -> None:
+    """Raise `BagFolderError` if the place of a new bag is taken."""
     try:
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise BagFolderError(f"{target} exists: name a new folder with -o")
     except OSError as error:
         raise BagFolderError(f"{target} cannot be used: {error.strerror}; name another folder with -o") from error
-    return target
 
 
 def _worth_keeping(bag: Path, parts: Sequence[Part]) -> list[Part]:
@@ -214,7 +223,7 @@ def _lost_text(damage: Sequence[Damage]) -> str:
 
 
 @contextmanager
-def _work_folder(target: Path) -> Iterator[Path]:
+def work_folder(target: Path) -> Iterator[Path]:
     """Create a folder next to the target, which is removed afterwards unless it was renamed."""
     place = target.resolve()
     work = place.with_name(f".{place.name}{_TEMPORARY}")

@@ -30,6 +30,7 @@ from swarmabs_core.messages import (
     Message,
     ParentState,
     PlaneState,
+    Removal,
     RobotKind,
     RobotState,
     RobotStatus as SystemStatus,
@@ -432,7 +433,7 @@ class _State(Generic[_Identity, InstantT, ShownT]):
         self.version += 1
         if isinstance(message, self.family.robot.message):
             self._hear(message)
-        elif isinstance(message, SwarmEvent):
+        elif isinstance(message, SwarmEvent) and not isinstance(message, Removal):  # its effect is announced
             self._record_event(message)
         elif isinstance(message, Basis):
             if message.source == Source.CONTROLLER and _newer(message, self._begun):

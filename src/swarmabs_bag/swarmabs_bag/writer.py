@@ -283,8 +283,10 @@ class BagWriter:
             self._mcap.flush()
             self._end_chunk()
 
-    def close(self, attachments: Mapping[str, bytes] | None = None) -> None:
+    def close(self, attachments: Mapping[str, bytes] | None = None, *, aborted: str | None = None) -> None:
         """Write the remaining messages, attachments such as the run's log, the summary section, and ``metadata.yaml``.
+
+        `aborted` is why the run ended early, if it did.
 
         Raises
         ------
@@ -293,7 +295,7 @@ class BagWriter:
         """
         self._check_open()
         try:
-            self._finish(attachments or {}, aborted=None)
+            self._finish(attachments or {}, aborted=aborted)
         except BagWriteError as error:
             self.abort(reason=str(error))
             raise

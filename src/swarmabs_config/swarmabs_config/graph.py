@@ -20,9 +20,10 @@ with an event and a test for each case.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 from typing import Literal
 
 from swarmabs_core.messages import (
@@ -36,6 +37,7 @@ from swarmabs_core.messages import (
     PARENT_STATE,
     PLANE_STATE,
     RECORDING_PROGRESS,
+    REMOVALS,
     ROBOT_STATE,
     STEERING,
     SWARM_ABSTRACT,
@@ -44,11 +46,13 @@ from swarmabs_core.messages import (
     SWARM_DESIRED,
     SWARM_STATES,
     SYSTEM,
+    TOPIC_OF,
     Topic,
 )
+from swarmabs_core.realtime import leadership
 from swarmabs_core.steering import STEERER
 
-# Default names of the nodes; each robot's node has its own name (`agent_name`).
+# Default names of the nodes; each robot's node has its own name (`agent_name`), and so have standbys (`standby_name`).
 PLANE, PLANE_DRIVER, OBSERVER, CONTROLLER = "plane_sim", "plane_driver", "abstraction_observer", "parent_controller"
 RECORDER, ROBOT = "recorder", "agent_node"
 
@@ -87,9 +91,21 @@ NODES = {
 """Every kind of node."""
 
 
+ROBOT_PREFIX = "agent_"
+"""What the name of a robot's node begins with."""
+
+
 def agent_name(agent_id: int) -> str:
     """Return the node name of a robot."""
-    return f"agent_{agent_id:03d}"
+    return f"{ROBOT_PREFIX}{agent_id:03d}"
+
+
+STANDBY_SUFFIX = leadership.STANDBY_SUFFIX
+
+
+def standby_name(node: str) -> str:
+    """Return the node name of a coordinator's standby."""
+    return f"{node}{STANDBY_SUFFIX}"
 
 
 class Option(Enum):
@@ -107,6 +123,12 @@ class Option(Enum):
     """The tilt of the plane acts on the robot's drive."""
     SYSTEM = "system"
     """The parent system is not the plane."""
+    PAIRED = "paired"
+    """Some coordinator has a standby: in real time, what standbys publish is read too; in lockstep, this one has."""
+    STANDBY = "standby"
+    """This coordinator is a standby: in real time it publishes on topics of its own."""
+    OWN_TOPICS = "own topics"
+    """In real time each robot publishes on topics below its own name, so that permissions can tell robots apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +150,9 @@ class End:
     """A node at one end of a topic, under one driver or both, possibly only with or only without an option.
 
     The `depth` of a reader is the number of messages that wait for it before the oldest is lost; it may depend on the
-    number of robots. A reader may request retransmission if the writer offers it.
+    number of robots. A reader may request retransmission if the writer offers it. A reader of its `peer` is one of a
+    pair of coordinators and reads only what the other one publishes; a reader `of_robots` needs only what robots
+    publish.
     """
 
     node: str
@@ -137,6 +161,8 @@ class End:
     driver: Driver | None = None
     only: Option | None = None
     unless: Option | None = None
+    peer: bool = False
+    of_robots: bool = False
 
     def holds(self, driver: Driver, options: frozenset[Option]) -> bool:
         """Tell whether this end exists under a driver with these options."""
@@ -151,7 +177,8 @@ class End:
 class Link:
     """A topic with all its ends and what its publishers offer, by driver; a missing driver does not have the topic.
 
-    `system` is the topic that takes its place if the parent system is not the plane; None if there is none.
+    `system` is the topic that takes its place if the parent system is not the plane; None if there is none. `own` is
+    the name below that of a robot's node on which the robot publishes with `Option.OWN_TOPICS`; empty if there is none.
     """
 
     topic: Topic
@@ -159,6 +186,7 @@ class Link:
     writers: tuple[End, ...]
     readers: tuple[End, ...]
     system: Topic | None = None
+    own: str = ""
 
     def topic_with(self, options: frozenset[Option]) -> Topic | None:
         """Return the topic with these options, None if there is none."""
@@ -213,6 +241,16 @@ def _recorder(
     return lockstep, End(RECORDER, _RECORDED, reliable=True, driver=REALTIME, unless=unless)
 
 
+def _peer(node: str) -> End:
+    """Return the end at which a coordinator reads what the other one of its pair publishes."""
+    return End(node, driver=REALTIME, only=Option.PAIRED, peer=True)
+
+
+def _pair(node: str) -> End:
+    """Return the end at which each coordinator of a pair reads what both publish."""
+    return End(node, driver=LOCKSTEP, only=Option.PAIRED)
+
+
 def _both(lockstep: Qos, realtime: Qos) -> dict[Driver, Qos]:
     return {LOCKSTEP: lockstep, REALTIME: realtime}
 
@@ -230,6 +268,7 @@ GRAPH = (
             *_recorder(_recorded, unless=Option.PACKED),
         ),
         system=ROBOT_STATE,
+        own="state",
     ),
     Link(
         PLANE_STATE,
@@ -251,6 +290,7 @@ GRAPH = (
         (
             End(CONTROLLER, driver=LOCKSTEP, only=Option.PACKED),
             End(CONTROLLER, driver=REALTIME),
+            _peer(OBSERVER),
             *_recorder(),
             End(ROBOT, unless=Option.PACKED),
         ),
@@ -260,14 +300,19 @@ GRAPH = (
         AUXILIARY_STATE,
         _STATE,
         (End(OBSERVER),),
-        (End(CONTROLLER, only=Option.PACKED), *_recorder(), End(ROBOT, unless=Option.PACKED)),
+        (
+            End(CONTROLLER, only=Option.PACKED),
+            _pair(OBSERVER),
+            *_recorder(),
+            End(ROBOT, unless=Option.PACKED),
+        ),
         system=SWARM_AUXILIARY,
     ),
     Link(
         DESIRED_ABSTRACT_STATE,
         _STATE,
         (End(CONTROLLER),),
-        (*_recorder(), End(ROBOT, unless=Option.PACKED)),
+        (_peer(CONTROLLER), _pair(CONTROLLER), *_recorder(), End(ROBOT, unless=Option.PACKED)),
         system=SWARM_DESIRED,
     ),
     Link(
@@ -276,17 +321,18 @@ GRAPH = (
         (End(PLANE), End(PLANE_DRIVER), End(OBSERVER), End(CONTROLLER), End(ROBOT)),
         (
             End(PLANE, 1000, reliable=True, driver=LOCKSTEP),
-            End(OBSERVER, 1000, reliable=True, driver=REALTIME),
+            End(OBSERVER, 1000, reliable=True, driver=REALTIME, of_robots=True),
             *_recorder(reliable=True),
             End(STEERER, 1000, reliable=True),
         ),
         system=EVENTS,
+        own="events",
     ),
     Link(
         RECORDING_PROGRESS,
         {LOCKSTEP: Qos("best_effort", 10)},
         (End(RECORDER),),
-        (End(CONTROLLER, 1, only=Option.CREDITED),),
+        (End(CONTROLLER, 1, only=Option.CREDITED), _pair(RECORDER)),
         system=RECORDING_PROGRESS,
     ),
     Link(
@@ -307,7 +353,7 @@ GRAPH = (
         BASIS,
         {REALTIME: Qos("reliable", 10)},
         (End(PLANE), End(OBSERVER), End(CONTROLLER)),
-        _recorder(),
+        (_peer(CONTROLLER), *_recorder()),
     ),
     Link(
         STEERING,
@@ -329,40 +375,147 @@ GRAPH = (
         (End(RECORDER, 10, reliable=True, only=Option.SYSTEM),),
         system=SYSTEM,
     ),
+    Link(
+        REMOVALS,
+        {REALTIME: Qos("reliable", 100, "transient_local")},
+        (End(OBSERVER),),
+        (End(OBSERVER, 100, reliable=True), *_recorder(reliable=True)),
+    ),
 )
 """Every topic of the swarm, in the order of `swarmabs_core.messages.TOPICS`."""
+
+OWN = {link.topic: link.own for link in GRAPH if link.own}
+"""The names of robots' own topics below the names of their nodes, by the usual topic."""
+
+
+@cache
+def own_topic(topic: Topic, agent_id: int) -> Topic:
+    """Return the robot's own topic that takes the place of one of those in `OWN`."""
+    return Topic(f"{agent_name(agent_id)}/{OWN[topic]}", topic.message, topic.ros_type, agent_id)
+
+
+_STANDBY = "standby/"
+STANDBY_TOPICS = {
+    topic: Topic(f"{_STANDBY}{topic.name}", topic.message, topic.ros_type)
+    for topic in (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE, BASIS)
+}
+"""The topics on which a standby coordinator publishes in real time, by the usual topic. Events have no second one."""
+USUAL_TOPICS = {standby: topic for topic, standby in STANDBY_TOPICS.items()}
+"""The usual topics by those of standbys."""
+
+
+def standby_topic(topic: Topic) -> Topic:
+    """Return the topic on which a standby coordinator publishes, given the usual one."""
+    return STANDBY_TOPICS.get(topic, topic)
+
+
+def usual_topic(topic: Topic) -> Topic:
+    """Return the topic whose place one of a standby coordinator, or of a robot, takes; any other one unchanged."""
+    return TOPIC_OF[topic.message]
+
 
 OFFERED = {
     driver: {topic: link.offered[driver] for link in GRAPH if driver in link.offered for topic in link.topics}
     for driver in Driver
 }
 """What the publishers of a topic offer, by driver."""
+OFFERED[REALTIME] |= {standby: OFFERED[REALTIME][topic] for topic, standby in STANDBY_TOPICS.items()}
 
-SERVICES = {CONTROLLER: ("swarm/stop", "swarm/reset"), ROBOT: ("~/leave", "~/join")}
-"""The services for operators in real time, by node."""
+RELEASE = "~/release"
+"""The service by which one of a pair of coordinators hands over to the other one."""
+SERVICES = {
+    OBSERVER: (RELEASE,),
+    CONTROLLER: ("swarm/stop", "swarm/reset", RELEASE),
+    ROBOT: ("~/leave", "~/join"),
+}
+"""The services for operators in real time, by node. Only one of a pair of coordinators offers `RELEASE`."""
+
+
+def services(node: str, options: frozenset[Option] = frozenset()) -> tuple[str, ...]:
+    """Return the services of a node with these options; those of a standby, too, have names of their own."""
+    found = SERVICES.get(node, ())
+    if Option.STANDBY not in options:
+        return found
+    return tuple(map(standby_service, found))
+
+
+def standby_service(name: str) -> str:
+    """Return the name at a standby of a service; those below the name of a node are its own anyway."""
+    return name if name.startswith("~/") else f"{_STANDBY}{name}"
+
 
 DIAGNOSTICS = "diagnostics"
 """Topic on which real-time nodes report their health, relative to the swarm's namespace."""
 
 
-def endpoints(node: str, driver: Driver, options: frozenset[Option] = frozenset(), *, robots: int = 0) -> Endpoints:
-    """Return the endpoints of a node; some depths depend on the number of robots that ever take part."""
+def endpoints(
+    node: str,
+    driver: Driver,
+    options: frozenset[Option] = frozenset(),
+    *,
+    robots: int = 0,
+    members: Collection[int] = (),
+) -> Endpoints:
+    """Return the endpoints of a node; some depths depend on the number of robots that ever take part.
+
+    `members` are the robots whose own topics it uses with `Option.OWN_TOPICS`: all members, or for a robot only itself.
+    """
+    if driver is not REALTIME:
+        options -= _REALTIME_ONLY
+    reading = options if driver is REALTIME else options - {Option.PAIRED}  # one of a pair reads the usual topics, too
     found = ((link.topic_with(options), link) for link in GRAPH if driver in link.offered)
     links = [(topic, link) for topic, link in found if topic is not None]
     return Endpoints(
-        tuple(topic for topic, link in links if any(_is(end, node, driver, options) for end in link.writers)),
+        tuple(
+            written
+            for topic, link in links
+            for end in link.writers
+            if _is(end, node, driver, options)
+            for written in _written(topic, end, options, members)
+        ),
         {
-            topic: requested(
-                topic,
+            read: requested(
+                read,
                 driver,
-                depth=end.depth if isinstance(end.depth, int) else end.depth(robots),
+                depth=_depth(end, options, 1 if read.agent_id else robots, driver),
                 reliable=end.reliable,
             )
             for topic, link in links
             for end in link.readers
             if _is(end, node, driver, options)
+            for read in _read(topic, link, end, reading, members)
         },
     )
+
+
+_REALTIME_ONLY = frozenset({Option.STANDBY, Option.OWN_TOPICS})
+
+
+def _depth(end: End, options: frozenset[Option], robots: int, driver: Driver) -> int:
+    """Return the depth of a reader; one of a pair in lockstep may be behind by the window of the recorder."""
+    depth = end.depth if isinstance(end.depth, int) else end.depth(robots)
+    return max(depth, _recorded(robots)) if driver is LOCKSTEP and Option.PAIRED in options else depth
+
+
+def _written(topic: Topic, end: End, options: frozenset[Option], members: Collection[int]) -> tuple[Topic, ...]:
+    """Return the topics that are written at an end: the usual one, a robot's own, or that of standbys."""
+    if end.node == ROBOT and Option.OWN_TOPICS in options and topic in OWN:
+        return tuple(own_topic(topic, member) for member in members)
+    return (standby_topic(topic) if Option.STANDBY in options else topic,)
+
+
+def _read(
+    topic: Topic, link: Link, end: End, options: frozenset[Option], members: Collection[int]
+) -> tuple[Topic, ...]:
+    """Return the topics that are read at an end: the usual one, those of robots or of standbys, or several of them."""
+    if Option.OWN_TOPICS in options and topic in OWN:
+        shared = not end.of_robots and any(writer.node != ROBOT for writer in link.writers)
+        return (*((topic,) if shared else ()), *(own_topic(topic, member) for member in members))
+    if Option.PAIRED not in options:
+        return (topic,)
+    if end.peer:
+        return (topic if Option.STANDBY in options else standby_topic(topic),)
+    return tuple(dict.fromkeys((topic, standby_topic(topic))))
 
 
 def _is(end: End, node: str, driver: Driver, options: frozenset[Option]) -> bool:
@@ -371,7 +524,7 @@ def _is(end: End, node: str, driver: Driver, options: frozenset[Option]) -> bool
 
 def requested(topic: Topic, driver: Driver = LOCKSTEP, *, depth: int, reliable: bool = False) -> Qos:
     """Return the QoS that a reader of a topic requests: never more than is offered, retransmission if `reliable`."""
-    offered = OFFERED[driver][topic]
+    offered = OFFERED[driver][usual_topic(topic)]
     reliability = offered.reliability if reliable else "best_effort"
     return Qos(reliability, depth, offered.durability if reliability == "reliable" else "volatile")
 
@@ -385,6 +538,9 @@ def options_of(parameters: Mapping[str, object]) -> frozenset[Option]:
         Option.WATCHING: parameters.get("type") == "parent_response",
         Option.FEELING: parameters.get("feels_gravity") and parameters.get("kind") == "double_integrator",
         Option.SYSTEM: "system.type" in parameters,
+        Option.OWN_TOPICS: parameters.get("own_topics"),
+        Option.PAIRED: parameters.get("paired") or parameters.get("pair", "single") != "single",
+        Option.STANDBY: parameters.get("pair") == "standby",
     }
     return frozenset(option for option, given in asked.items() if given)
 

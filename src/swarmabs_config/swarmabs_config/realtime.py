@@ -12,6 +12,7 @@ from swarmabs_core.messages import Mode
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.controller import RealtimeControllerConfig
+from swarmabs_core.realtime.leadership import TAKEOVER_STEPS, Pair
 from swarmabs_core.realtime.observer import RealtimeObserverConfig
 from swarmabs_core.realtime.plane import RealtimePlaneConfig
 from swarmabs_core.realtime.validation import Bounds
@@ -38,6 +39,24 @@ def check_realtime(scenario: Scenario) -> None:
     for name, given in lockstep_only:
         if given:
             raise InputError(f"{name}: not supported in real time with simulated robots; remove it, or run in lockstep")
+
+
+def check_pairs(scenario: Scenario) -> None:
+    """Reject a scenario in which a standby coordinator would take over too late to keep the robots moving.
+
+    Raises
+    ------
+    InputError
+        If it would; the text names the field and the remedy.
+    """
+    limits = scenario.realtime
+    latest = limits.broadcast_age_limit - TAKEOVER_STEPS * scenario.period
+    if limits.takeover_after >= latest:
+        raise InputError(
+            f"realtime.takeover_after: {limits.takeover_after:g} s is too long for a fleet with standbys: a takeover "
+            f"takes {TAKEOVER_STEPS} periods more, and robots stop after realtime.broadcast_age_limit "
+            f"({limits.broadcast_age_limit:g} s); set it below {latest:g} s, or raise the age limit"
+        )
 
 
 def schedule(scenario: Scenario, epoch_ns: int) -> Schedule:
@@ -78,4 +97,5 @@ def controller_config(scenario: Scenario, clock: Schedule, start_mode: Mode = Mo
 
 
 def _declared(scenario: Scenario, clock: Schedule) -> tuple[object, ...]:
-    return *configure.declared(scenario), clock, bounds(scenario)
+    pair = Pair(takeover_after=scenario.realtime.takeover_after)
+    return *configure.declared(scenario), clock, bounds(scenario), pair

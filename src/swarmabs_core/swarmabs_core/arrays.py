@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmabs_core.cdr import canonical, decode, lengths_of, places
+from swarmabs_core.cdr import SECOND, canonical, decode, lengths_of, places
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
     FAMILIES,
@@ -34,7 +34,6 @@ PADDING = "padding"
 
 _NUMPY = {"i": "<i4", "I": "<u4", "B": "u1", "H": "<u2", "Q": "<u8", "d": "<f8"}
 
-_SECOND = 1_000_000_000
 _LONGEST = 4096
 """More bytes than a message of a main topic has."""
 LENGTH = "length of list "
@@ -75,7 +74,7 @@ def is_canonical(topic: Topic, table: NDArray[np.void]) -> bool:
     except MalformedMessageError:
         return False
     same = canonical(topic.message, first) == first and not ((rows ^ rows[0]) & constant(table.dtype)).any()
-    return same and bool((table["nanosec"] < _SECOND).all())
+    return same and bool((table["nanosec"] < SECOND).all())
 
 
 @lru_cache(maxsize=64)
@@ -88,10 +87,10 @@ def constant(layout: np.dtype[np.void]) -> NDArray[np.uint8]:
     return mask
 
 
-def canonical_table(topic: Topic, payloads: bytes) -> NDArray[np.void] | None:
+def canonical_table(topic: Topic, payloads: bytes | bytearray | memoryview) -> NDArray[np.void] | None:
     """Return joined payloads of at least one message as a table, None if they are not canonical or not equally long."""
     try:
-        table = np.frombuffer(payloads, layout_of(topic, payloads[:_LONGEST]))
+        table = np.frombuffer(payloads, layout_of(topic, bytes(payloads[:_LONGEST])))
     except (MalformedMessageError, ValueError):
         return None
     return table if len(table) and is_canonical(topic, table) else None

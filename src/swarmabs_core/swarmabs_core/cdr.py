@@ -19,13 +19,14 @@ from swarmabs_core.messages import FRAME_ID, TOPICS, AgentState, Field, RobotSta
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from swarmabs_core.messages import Message
+    from swarmabs_core.messages import Message, Topic
 
 ENCAPSULATION = b"\x00\x01"
 """Little-endian CDR; a reader treats the two option bytes that follow as padding."""
 FRAME = struct.pack(f"<I{len(FRAME_ID) + 1}s", len(FRAME_ID) + 1, FRAME_ID.encode())
 """The serialized frame id: length, characters, terminating zero."""
-_SECOND = 1_000_000_000
+SECOND = 1_000_000_000
+"""A second, ns."""
 _MOST_ROBOTS = 65535
 _TRANSPORT_PADDING = 4
 """Fast DDS pads a serialized payload to a multiple of this number of bytes."""
@@ -260,7 +261,7 @@ def _encode_bounded(message: Any, parts: list[Any]) -> bytes:
     values: list[Any] = [ENCAPSULATION]
     lengths = []
     for part in parts:
-        values += (*divmod(part[0], _SECOND), FRAME)
+        values += (*divmod(part[0], SECOND), FRAME)
         for value in part[1:]:
             if isinstance(value, tuple):
                 lengths.append(len(value))
@@ -275,7 +276,7 @@ def _decode_bounded(layout: _Layout, data: bytes) -> Message:
     shape = _shape_of(layout, data)
     values = shape.whole.unpack_from(data)
     own, *parts = [
-        _new(kind, (values[first] * _SECOND + values[first + 1], *[values[place] for place in fields]))
+        _new(kind, (values[first] * SECOND + values[first + 1], *[values[place] for place in fields]))
         for kind, first, fields in shape.parts
     ]
     return _new(layout.message, (*own, *parts)) if parts else own  # type: ignore[no-any-return]
@@ -290,7 +291,7 @@ def encode(message: Message) -> bytes:
         If a field does not fit its type.
     """
     layout = _LAYOUTS[type(message)]
-    seconds, nanoseconds = divmod(message[0], _SECOND)
+    seconds, nanoseconds = divmod(message[0], SECOND)
     try:
         if layout.plain:
             return layout.fixed.pack(ENCAPSULATION, seconds, nanoseconds, FRAME, *message[1:])
@@ -312,7 +313,7 @@ def _encode_parts(layout: _Layout, message: Any) -> bytes:
 
 def _values(part: Any) -> tuple[Any, ...]:
     """Return the values that are packed for a message, or for its first fields."""
-    return (*divmod(part[0], _SECOND), FRAME, *part[1:])
+    return (*divmod(part[0], SECOND), FRAME, *part[1:])
 
 
 def _encode_tail(layout: _Layout, message: Any) -> bytes:
@@ -357,16 +358,16 @@ def decode(message_type: type[Message], data: bytes) -> Message:
     if values[0] != ENCAPSULATION or values[3] != FRAME:
         _refuse_head(message_type, values[0])
     if layout.plain:
-        return _new(message_type, (values[1] * _SECOND + values[2], *values[4:]))  # type: ignore[no-any-return]
+        return _new(message_type, (values[1] * SECOND + values[2], *values[4:]))  # type: ignore[no-any-return]
     first = place = 5
     parts = []
     for part, count in layout.parts:
         seconds, nanoseconds, frame, *own = values[place : place + count]
         if frame != FRAME:
             _refuse_head(message_type, values[0])
-        parts.append(_new(part, (seconds * _SECOND + nanoseconds, *own)))
+        parts.append(_new(part, (seconds * SECOND + nanoseconds, *own)))
         place += count
-    return _new(message_type, (values[1] * _SECOND + values[2], *values[4:first], *parts))  # type: ignore[no-any-return]
+    return _new(message_type, (values[1] * SECOND + values[2], *values[4:first], *parts))  # type: ignore[no-any-return]
 
 
 def _decode_tail(layout: _Layout, message_type: type[Message], data: bytes) -> Message:
@@ -377,7 +378,7 @@ def _decode_tail(layout: _Layout, message_type: type[Message], data: bytes) -> M
     values = layout.fixed.unpack_from(data)
     if values[0] != ENCAPSULATION or values[3] != FRAME:
         _refuse_head(message_type, values[0])
-    own = (values[1] * _SECOND + values[2], *values[4:-1])
+    own = (values[1] * SECOND + values[2], *values[4:-1])
     read = _text if layout.text else _raw if layout.raw else _lists
     tail = read(layout, message_type, data, values[-1])
     return _new(message_type, (*own, *tail))  # type: ignore[no-any-return]
@@ -423,6 +424,22 @@ def _refuse_head(message_type: type[Message], encapsulation: bytes) -> None:
     raise MalformedMessageError(message_type.__name__, f"frame_id is not {FRAME_ID!r}")
 
 
+_STEP = struct.Struct(f"<{_BEGIN + 24}xQ")
+
+
+def step_of(data: bytes) -> int:
+    """Return the step of a serialized message of the swarm without deserializing it.
+
+    Raises
+    ------
+    MalformedMessageError
+        If it is too short to contain one.
+    """
+    if len(data) < _STEP.size:
+        raise MalformedMessageError("message", f"{len(data)} bytes, expected at least {_STEP.size}")
+    return int(_STEP.unpack_from(data)[0])
+
+
 def canonical(message_type: type[Message], data: bytes) -> bytes:
     """Return the canonical form of bytes that `decode` accepts: zero padding, no trailing bytes.
 
@@ -432,7 +449,7 @@ def canonical(message_type: type[Message], data: bytes) -> bytes:
         If the time stamp exceeds the range of a header.
     """
     layout = _LAYOUTS[message_type]
-    if layout.parts or data[_NANOSECONDS] >= _SECOND >> 24:  # rare: 1 s or more in the nanoseconds
+    if layout.parts or data[_NANOSECONDS] >= SECOND >> 24:  # rare: 1 s or more in the nanoseconds
         return encode(decode(message_type, data))
     content, size = (_shape_of(layout, data) if layout.bounds else layout).content, layout.size
     fixed: bytes = content.pack(*content.unpack_from(data))
@@ -465,3 +482,10 @@ def split(message_type: type[Message], data: bytes) -> list[bytes]:
 def agent_id_of(message: Message) -> int:
     """Return the id of the robot that a message concerns, 0 for messages of the coordinators."""
     return message.agent_id if isinstance(message, (AgentState, RobotState, SwarmEvent)) else 0
+
+
+def misplaced(message: Message, topic: Topic) -> str:
+    """Return why a message is rejected on a robot's own topic: it has the id of another robot; empty if it has not."""
+    if not topic.agent_id or agent_id_of(message) == topic.agent_id:
+        return ""
+    return f"robot {topic.agent_id}: messages with the id of another robot on {topic.name}"

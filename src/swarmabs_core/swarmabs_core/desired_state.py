@@ -72,6 +72,11 @@ class DesiredStateGenerator:
         """Continue from this state of the filter: torque (N m) and its rate (N m/s)."""
         self._state = (torque, rate)
 
+    def follow(self, desired: DesiredAbstractState) -> None:
+        """Continue from the desired state that another generator has computed for the latest step."""
+        torque = desired.torque + desired.mean_torque_rate * self._period
+        self.resume(torque, desired.torque_rate + desired.torque_acceleration * self._period)
+
     def advance(self, time_ns: int, plane: PlaneState, *, offset: float = 0.0) -> tuple[Messages, DesiredAbstractState]:
         """Return events, and the desired abstract state for a state of the plane, with the same step.
 

@@ -128,6 +128,35 @@ class FreezeFault(
     """The robot's process is stopped (SIGSTOP); the robot stands still where it is."""
 
 
+COORDINATORS = ("abstraction_observer", "parent_controller", "recorder")
+"""Nodes that may have a standby."""
+
+
+@dataclass(frozen=True)
+class NodeFault(Fault):
+    """Hits the process of a coordinator, in runs with standbys. Nothing recorded changes: a standby replaces it."""
+
+    at: float = _time(0.0, "time in s; the process is hit once the nearest step is recorded", required=True)
+    node: str = setting(
+        COORDINATORS[0],
+        "node whose process is hit",
+        choices=(*COORDINATORS, *(f"{name}_standby" for name in COORDINATORS)),
+        required=True,
+    )
+
+
+@dataclass(frozen=True)
+class NodeKillFault(NodeFault, kind="kill_node", description="the process of a coordinator dies"):
+    """The process of a coordinator dies."""
+
+
+@dataclass(frozen=True)
+class NodeFreezeFault(NodeFault, kind="freeze_node", description="the process of a coordinator is stopped"):
+    """The process of a coordinator is stopped (SIGSTOP), and may continue later."""
+
+    until: float | None = _time(None, "time in s at which the process continues", unset=-1.0, null="never")
+
+
 @dataclass(frozen=True)
 class SettingFault(Fault):
     """Sets a number, the field named by `sets`, for the whole run from a step until it is set again."""

@@ -74,6 +74,7 @@ class EventKind(IntEnum):
     MODE_CHANGED = 10
     REFUSED = 11
     HELD = 12
+    LEADING = 13
 
 
 class Source(IntEnum):
@@ -251,6 +252,15 @@ class SwarmEvent(NamedTuple):
     detail: Annotated[str, Field("string", "", "human-readable")]
 
 
+class Removal(SwarmEvent):
+    """An event by which an operator reports, in real time, that a silent robot was taken off the plane.
+
+    It has a topic of its own, so that permissions can tell who may publish it.
+    """
+
+    __slots__ = ()
+
+
 class RecordingProgress(NamedTuple):
     """Credit from the recorder: all steps up to ``written_step`` are on disk (`NEVER`: none yet)."""
 
@@ -423,11 +433,20 @@ Messages = tuple[Message, ...]
 
 @dataclass(frozen=True, slots=True, eq=False)  # compared and hashed by identity, which is fast
 class Topic:
-    """A topic: its name relative to the swarm's namespace, its message class and the ROS name of the type."""
+    """A topic: its name relative to the swarm's namespace, its message class and the ROS name of the type.
+
+    `agent_id` is the only robot whose messages it may carry, 0 if it is not a robot's own topic.
+    """
 
     name: str
     message: type[Message]
     ros_type: str
+    agent_id: int = 0
+
+    @property
+    def type_name(self) -> str:
+        """The name of the type without its package."""
+        return self.ros_type.rpartition("/")[2]
 
 
 def fields_of(message: type[Message]) -> dict[str, Field | type[Message]]:
@@ -458,6 +477,7 @@ SWARM_AUXILIARY = _topic("swarm/auxiliary", SwarmAuxiliary)
 SWARM_DESIRED = _topic("swarm/desired", SwarmDesired)
 SWARM_BROADCAST = _topic("swarm/packed", SwarmBroadcast)
 SYSTEM = _topic("parent/system", SystemDescription)
+REMOVALS = Topic("swarm/removals", Removal, EVENTS.ros_type)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -505,6 +525,7 @@ TOPICS = (
     *MAIN_TOPICS,
     *(EVENTS, RECORDING_PROGRESS, BROADCAST, SWARM_STATES, BASIS, STEERING),
     *(*SYSTEM_FAMILY.main, SWARM_BROADCAST, SYSTEM),
+    REMOVALS,
 )
 TOPIC_OF: dict[type[Message], Topic] = {topic.message: topic for topic in TOPICS}
-"""The topic on which a message of a class is published."""
+"""The topic on which a message of a class is published, unless nodes publish it on topics of their own."""

@@ -86,5 +86,7 @@ def _announcer(event: SwarmEvent) -> NodeName:
         return NodeName(NodeKind.AGENT, event.agent_id)
     if event.kind == EventKind.STEERING:
         return PLANE if event.detail == DISTURBANCE else CONTROLLER
+    if event.kind == EventKind.LEADING:
+        return OBSERVER if event.detail.startswith("abstraction_observer") else CONTROLLER
     asked = event.detail == TORQUE_LIMITED or event.detail.endswith(NEED_LIMITED.format(""))
     return PLANE if event.kind == EventKind.LIMIT_HIT and not asked else CONTROLLER

@@ -195,7 +195,7 @@ def host_bundle(loaded: LoadedFleet, host: HostPlan, keys: Keys | None) -> dict[
     texts = node_files(host)
     for node in host.nodes:
         texts[f"nodes/{node.name}.yaml"] = parameter_file(parameters(loaded, node))
-        if node.name == RECORDER:
+        if node.kind == RECORDER:
             texts[SCENARIO_FILE] = loaded.scenario_text
     files = {path: BundleFile(text.encode()) for path, text in texts.items()}
     files |= {name: BundleFile(host.render(name).encode(), PROGRAM) for name in SCRIPTS}

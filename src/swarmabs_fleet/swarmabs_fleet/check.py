@@ -132,7 +132,7 @@ def _bundle(folder: Path, manifest: Manifest) -> Iterator[Verdict]:
         yield "bad", problem
     if not problems and differing is None:
         yield "ok", f"{len(manifest.files)} files match the manifest, version {here['swarmabs']}"
-    yield from _certificates(folder, manifest)
+    yield from _ends(folder, manifest).values()
     if str(folder.resolve()) == manifest.installed and not (folder / "complete").is_file():
         yield "bad", "its installation was interrupted; run install.sh of the bundle again"
     file = folder.parent / FLEET_FILE
@@ -165,22 +165,41 @@ def _files(folder: Path, manifest: Manifest) -> Iterator[str]:
         yield f"{folder / path} does not belong to the bundle; remove it"
 
 
-def _certificates(folder: Path, manifest: Manifest) -> Iterator[Verdict]:
-    """Report permissions that have expired or soon will; certificates expire with them."""
+def expiring(fleet: Fleet, file: Path) -> list[str]:
+    """Return one line for each enclave of a fleet whose certificate has expired or soon will.
+
+    Found are those in the bundle that is installed on this host and in all bundles next to the fleet file.
+    """
+    installed = Path(f"{fleet.installation.prefix}/{fleet.name}")
+    found: dict[str, str] = {}
+    for folder in (installed, *(file.parent / host.name for host in fleet.hosts)):
+        try:
+            manifest = read_manifest(folder)
+        except InputError:
+            continue  # no bundle, or one that is not for this account
+        if manifest.fleet == fleet.name:
+            found |= {path: f"{manifest.host}: {text}" for path, (_, text) in _ends(folder, manifest).items()}
+    return list(found.values())
+
+
+def _ends(folder: Path, manifest: Manifest) -> dict[str, Verdict]:
+    """Return, by their paths, the permissions that have expired or soon will; certificates expire with them."""
     now = datetime.now(timezone.utc)
+    ends: dict[str, Verdict] = {}
     for path in manifest.files:
         if not path.endswith("permissions.xml"):
             continue
         try:
             found = _NOT_AFTER.search((folder / path).read_bytes())
         except OSError:
-            continue  # already reported as a file that differs
+            continue  # a check reports it as a file that differs
         if found is None:
             continue
         last = datetime.fromisoformat(f"{found[1].decode()}+00:00")
         if last - now < _EXPIRING:
             text = f"{path}: valid until {last:%Y-%m-%d}; remove its folder from the key folder, and deploy again"
-            yield "bad" if last < now else "note", text
+            ends[path] = ("bad" if last < now else "note", text)
+    return ends
 
 
 def _up_to_date(file: Path, manifest: Manifest) -> Iterator[Verdict]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from swarmabs_config.fleet.participants import NodePlan, nodes_on
+from swarmabs_config.fleet.participants import NodePlan, nodes_on, operator_hosts
 from swarmabs_core.realtime.instruments import TopicSettings
 from swarmabs_run.rendering import templates
 
@@ -35,7 +35,7 @@ class HostPlan:
             roles.add("driver")
         if parts.plane.type == "driver" and parts.plane.host == self.name:
             roles.add("driver")
-        if parts.controller.host == self.name:
+        if self.name in operator_hosts(self.fleet):
             roles.add("operator")
         return tuple(sorted(roles))
 

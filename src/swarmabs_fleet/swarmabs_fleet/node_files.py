@@ -10,10 +10,18 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from swarmabs_config.fleet.participants import DISCOVERY, DISCOVERY_SERVER, DRIVERS, OPERATOR, node_plans
+from swarmabs_config.fleet.participants import (
+    DISCOVERY,
+    DISCOVERY_SERVER,
+    DRIVERS,
+    OPERATOR,
+    node_plans,
+    operator_hosts,
+)
 from swarmabs_config.fleet.robots import PluginDrive
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER
 from swarmabs_config.ports import metatraffic_port
+from swarmabs_core.realtime.leadership import STANDBY
 from swarmabs_run.orchestration.network import PARTICIPANT_VARIABLE, Discovery, dds_environment, network_profile_xml
 
 if TYPE_CHECKING:
@@ -47,10 +55,13 @@ def node_files(host: HostPlan) -> dict[str, str]:
 
 
 def restart_order(nodes: tuple[NodePlan, ...]) -> tuple[NodePlan, ...]:
-    """Return nodes in the order of a rolling restart: the robots first, the controller last."""
+    """Return nodes in the order of a rolling restart: the robots first, then standbys, the controller last."""
     robots = [node for node in nodes if node.robot is not None]
     others = [node for node in nodes if node.robot is None]
-    return (*robots, *sorted(others, key=lambda node: (node.name == CONTROLLER, node.participant)))
+    return (
+        *robots,
+        *sorted(others, key=lambda node: (node.pair != STANDBY, node.kind == CONTROLLER, node.participant)),
+    )
 
 
 def profile(host: HostPlan, role: str) -> str:
@@ -73,7 +84,7 @@ def _peers(host: HostPlan, role: str) -> list[tuple[str, int]]:
     fleet, nodes = host.fleet, node_plans(host.fleet)
     coordinators = [(fleet.address(node.host), node.participant) for node in nodes if node.role == "coordinator"]
     robots = [(fleet.address(node.host), node.participant) for node in nodes if node.robot is not None]
-    operator = [(fleet.address(fleet.coordinators.controller.host), OPERATOR)]
+    operator = [(fleet.address(name), OPERATOR) for name in operator_hosts(fleet)]
     drivers = [(host.address, number) for number in DRIVERS] if "driver" in host.roles else []
     if role == "robot":
         return [*coordinators, *operator, *drivers]
@@ -134,8 +145,8 @@ def _unit(host: HostPlan, node: NodePlan) -> str:
         node=node,
         command=_command(host, node),
         refused=REFUSED,
-        watchdog=SLOW_WATCHDOG if node.name in {RECORDER, DISCOVERY} else WATCHDOG,
-        state=host.service if node.name in {OBSERVER, RECORDER} else None,
+        watchdog=SLOW_WATCHDOG if node.kind in {RECORDER, DISCOVERY} else WATCHDOG,
+        state=host.service if node.kind in {OBSERVER, RECORDER} else None,
         private_devices="yes" if devices else "no",
         addresses=_addresses(host, node),
         interfaces=(host.fleet.interface(host.name), *host.fleet.host(host.name).further_interfaces),

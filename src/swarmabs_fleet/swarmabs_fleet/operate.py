@@ -18,28 +18,37 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from swarmabs_config import realtime
 from swarmabs_config.fleet.loader import load_fleet
-from swarmabs_config.fleet.participants import DISCOVERY, node_plans
-from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER, agent_name
+from swarmabs_config.fleet.participants import DISCOVERY, node_plans, operator_hosts
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, REALTIME, RECORDER, agent_name, standby_name
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent
+from swarmabs_core.messages import REMOVALS, EventKind, Removal
 from swarmabs_core.realtime.base import Level
+from swarmabs_fleet.check import expiring
 from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.node_files import profile, tool_environment
+from swarmabs_fleet.own_address import problem_of
 from swarmabs_ros.endpoints import advertise
 from swarmabs_run.orchestration.network import dds_environment
-from swarmabs_run.orchestration.run_files import environment_of_run, is_realtime, is_running
+from swarmabs_run.orchestration.run_files import environment_of_run, epoch_of, is_realtime, is_running
 from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    from rclpy.client import Client
     from rclpy.node import Node
+    from rclpy.task import Future
+
+    from swarmabs_core.realtime.base import Schedule
 
 SLICE = 0.1
 """Longest wait, s, before checking again whether enough has been received."""
+GRACE = 1.0
+"""Time, s, for which the other services of several are still waited for when one has reported success."""
 SILENT_AFTER = 3.0
 """Time, s, without diagnostics after which a node counts as silent; nodes publish them once a second."""
 SILENT, STALE = "silent", "STALE"
@@ -61,6 +70,10 @@ class Target:
         Environment variables with which a process joins its network.
     run : Path, optional
         The folder, if the swarm is a run, whose domain another run may use after its end.
+    schedule : Schedule, optional
+        The steps of its messages; None while a run is starting.
+    warnings : tuple of str
+        What will need attention, such as certificates that expire soon.
     """
 
     name: str
@@ -69,6 +82,8 @@ class Target:
     robots: tuple[int, ...]
     environment: Mapping[str, str]
     run: Path | None = None
+    schedule: Schedule | None = None
+    warnings: tuple[str, ...] = ()
 
     def robot(self, agent_id: int) -> str:
         """Return the name of a robot's node.
@@ -82,6 +97,10 @@ class Target:
             known = ", ".join(map(str, self.robots[:20]))
             raise InputError(f"{self.name} has no robot {agent_id}; it has {known}")
         return agent_name(agent_id)
+
+    def pair(self, coordinator: str) -> tuple[str, ...]:
+        """Return the names of a coordinator and, if it has one, of its standby."""
+        return tuple(name for name in (coordinator, standby_name(coordinator)) if name in self.hosts)
 
     def check(self) -> None:
         """Raise `RunError` if the run has ended: another swarm may use its network by now."""
@@ -101,8 +120,11 @@ def target(path: Path) -> Iterator[Target]:
     if path.is_dir():
         yield _run(path)
         return
-    fleet = load_fleet(path).fleet
-    host = HostPlan(fleet, fleet.coordinators.controller.host)
+    loaded = load_fleet(path)
+    fleet = loaded.fleet
+    places = operator_hosts(fleet)
+    here = next((name for name in places if problem_of(fleet.address(name)) == ""), places[0])
+    host = HostPlan(fleet, here)
     hosts = {node.name: node.host for node in node_plans(fleet) if node.name != DISCOVERY}
     robots = tuple(robot.id for robot in fleet.members)
     with TemporaryDirectory(prefix="swarmabs-operator-") as folder:
@@ -110,7 +132,9 @@ def target(path: Path) -> Iterator[Target]:
         file.write_text(profile(host, "operator"), encoding="utf-8")
         # As in the installed bundle, whose keys may be needed, except for a freshly generated profile.
         environment = tool_environment(host, "operator") | dds_environment(fleet.network.domain, str(file))
-        yield Target(fleet.name, fleet.namespace, hosts, robots, environment)
+        schedule = realtime.schedule(loaded.scenario, fleet.epoch_ns)
+        warnings = tuple(expiring(fleet, path))
+        yield Target(fleet.name, fleet.namespace, hosts, robots, environment, schedule=schedule, warnings=warnings)
 
 
 def _run(folder: Path) -> Target:
@@ -122,7 +146,43 @@ def _run(folder: Path) -> Target:
     scenario = load_scenario(folder / "scenario.yaml")
     robots = tuple(agent.id for agent in scenario.agents)
     hosts = dict.fromkeys((PLANE, OBSERVER, CONTROLLER, RECORDER, *map(agent_name, robots)), "this one")
-    return Target(scenario.name, "/", hosts, robots, environment, folder)
+    epoch = epoch_of(folder)
+    schedule = None if epoch is None else realtime.schedule(scenario, epoch)
+    return Target(scenario.name, "/", hosts, robots, environment, folder, schedule)
+
+
+@dataclass(slots=True)
+class _Call:
+    """A call of a service: waits for the service, then for its answer, until a monotonic time, s."""
+
+    client: Client
+    patience: float
+    deadline: float
+    future: Future | None = None
+
+    def begins(self) -> bool:
+        """Return whether the service has been found and not been called."""
+        return self.future is None and bool(self.client.service_is_ready())
+
+    def advance(self, now: float) -> None:
+        """Call the service if it has been found."""
+        if self.begins():
+            self.future = self.client.call_async(Trigger.Request())
+            self.deadline = now + self.patience
+
+    def waits(self, now: float) -> bool:
+        """Return whether there is still something to wait for."""
+        return now < self.deadline and (self.future is None or not self.future.done())
+
+    def problem(self) -> str:
+        """Return what is wrong so far, empty once the service has reported success."""
+        name = self.client.srv_name
+        if self.future is None:
+            return f"{name} was not found; check that its node is running, and run this on the controller's host"
+        if not self.future.done():
+            return f"{name} did not answer within {self.patience:g} s; check its node with 'swarm status'"
+        answer = self.future.result()
+        return "" if answer.success else f"{name}: {answer.message}"
 
 
 class OperatorClient:
@@ -140,34 +200,51 @@ class OperatorClient:
         RunError
             If the service is not found, does not answer or reports failure, or the run has ended.
         """
-        client = self._node.create_client(Trigger, service)
-        who = f"{self._target.name}: {client.srv_name}"
-        try:
-            if not client.wait_for_service(patience):
-                raise RunError(
-                    f"{who} was not found; check that its node is running, and run this on the controller's host"
-                )
-            self._target.check()
-            future = client.call_async(Trigger.Request())
-            rclpy.spin_until_future_complete(self._node, future, timeout_sec=patience)
-            answer = future.result()
-            if answer is None:
-                raise RunError(f"{who} did not answer within {patience:g} s; check its node with 'swarm status'")
-            if not answer.success:
-                raise RunError(f"{who}: {answer.message}")
-        finally:
-            self._node.destroy_client(client)
+        (problem,) = self.call_each((service,), patience).values()
+        if problem:
+            raise RunError(problem)
 
-    @contextmanager
-    def announced(self, agent_id: int, detail: str, patience: float) -> Iterator[None]:
-        """Publish the event that a robot has left; it stays available to subscribers during the block.
+    def call_each(self, services: Sequence[str], patience: float) -> dict[str, str]:
+        """Call ``std_srvs/Trigger`` services at the same time, and return by name what went wrong, empty if nothing.
+
+        Once one of them has reported success, the others have `GRACE` at most.
 
         Raises
         ------
         RunError
-            If no subscriber appears within `patience`, s, or the run has ended.
+            If the run has ended.
         """
-        publisher = advertise(self._node, EVENTS)
+        calls: dict[str, _Call] = {}
+        try:
+            for name in services:
+                calls[name] = _Call(self._node.create_client(Trigger, name), patience, time.monotonic() + patience)
+            while any(call.waits(time.monotonic()) for call in calls.values()):
+                if any(call.begins() for call in calls.values()):
+                    self._target.check()
+                for call in calls.values():
+                    call.advance(time.monotonic())
+                rclpy.spin_once(self._node, timeout_sec=SLICE)
+                if not all(call.problem() for call in calls.values()):
+                    for call in calls.values():
+                        call.deadline = min(call.deadline, time.monotonic() + GRACE)
+            return {name: call.problem() and f"{self._target.name}: {call.problem()}" for name, call in calls.items()}
+        finally:
+            for call in calls.values():
+                self._node.destroy_client(call.client)
+
+    @contextmanager
+    def announced(self, agent_id: int, detail: str, patience: float) -> Iterator[None]:
+        """Publish that a robot was removed; this stays available to subscribers during the block.
+
+        Raises
+        ------
+        RunError
+            If no subscriber appears within `patience`, s, or the run is starting or has ended.
+        """
+        schedule = self._target.schedule
+        if schedule is None:
+            raise RunError(f"{self._target.name}: the run is still starting; try again in a moment")
+        publisher = advertise(self._node, REMOVALS, REALTIME)
         try:
             deadline = time.monotonic() + patience
             while not publisher.get_subscription_count():
@@ -177,7 +254,9 @@ class OperatorClient:
                     )
                 time.sleep(SLICE)
             self._target.check()
-            publisher.publish(encode(SwarmEvent(time.time_ns(), 0, agent_id, EventKind.LEFT, 0.0, detail)))
+            now = time.time_ns()
+            step = max(0, schedule.step(now))
+            publisher.publish(encode(Removal(now, step, agent_id, EventKind.LEFT, 0.0, detail)))
             yield
         finally:
             self._node.destroy_publisher(publisher)

@@ -15,13 +15,21 @@ def main(arguments: list[str]) -> int:
     if len(arguments) != 1:
         print("own_address: give one address", file=sys.stderr)  # noqa: T201 - a command-line program
         return 1
+    problem = problem_of(arguments[0])
+    if problem:
+        print(f"own_address: {arguments[0]}: {problem}; is its interface up?", file=sys.stderr)  # noqa: T201
+        return 1
+    return 0
+
+
+def problem_of(address: str) -> str:
+    """Return why this host cannot use an address, empty if it can."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.bind((arguments[0], 0))
+            probe.bind((address, 0))
         except OSError as error:
-            print(f"own_address: {arguments[0]}: {error.strerror}; is its interface up?", file=sys.stderr)  # noqa: T201
-            return 1
-    return 0
+            return error.strerror or str(error)
+    return ""
 
 
 if __name__ == "__main__":

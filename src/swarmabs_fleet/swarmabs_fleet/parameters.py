@@ -12,12 +12,13 @@ from swarmabs_config.fleet.loader import SCENARIO_FILE
 from swarmabs_config.fleet.participants import DISCOVERY
 from swarmabs_config.fleet.parts import MeasuredPlane
 from swarmabs_config.fleet.robots import SimulatedDrive
-from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER
 from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_core.declaration import values_of
 from swarmabs_core.messages import Mode
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.instruments import TopicSettings
+from swarmabs_core.realtime.leadership import Pair
 from swarmabs_core.robot_controller import Limits
 from swarmabs_fleet.host_plan import HostPlan
 
@@ -34,25 +35,34 @@ if TYPE_CHECKING:
     Parameters: TypeAlias = dict[str, object]
 
 
+_READERS_OF_ROBOTS = (PLANE, OBSERVER, RECORDER)
+
+
 def parameters(loaded: LoadedFleet, node: NodePlan) -> Parameters:
     """Return the parameters of a node by name."""
-    if node.name == DISCOVERY:
+    if node.kind == DISCOVERY:
         return {}
+    own = loaded.fleet.own_topics and (node.robot is not None or node.kind in _READERS_OF_ROBOTS)
+    return _parameters(loaded, node) | ({"own_topics": True} if own else {})
+
+
+def _parameters(loaded: LoadedFleet, node: NodePlan) -> Parameters:
     fleet, scenario, host = loaded.fleet, loaded.scenario, HostPlan(loaded.fleet, node.host)
     schedule = realtime.schedule(scenario, fleet.epoch_ns)
-    if node.name == RECORDER:
+    if node.kind == RECORDER:
         common = {**values_of(schedule), "clock_tolerance": scenario.realtime.clock_tolerance}
         return common | {"scenario_file": f"{host.installed}/{SCENARIO_FILE}", "bags": host.state} | _recorder(fleet)
     mass = fleet.swarm_mass or math.fsum(robot.mass for robot in fleet.members)
     if node.robot is not None:
         robots = realtime.agent_configs(scenario, schedule)
         config = next(config for config in robots if config.agent_id == node.robot.id)
-        return {**values_of(_robot(replace(config, swarm_mass=mass), node.robot))}
-    if node.name == CONTROLLER:
+        return {**values_of(_robot(replace(config, swarm_mass=mass, paired=fleet.paired), node.robot))}
+    pair = Pair(node.pair, fleet.paired, scenario.realtime.takeover_after)
+    if node.kind == CONTROLLER:
         mode = Mode[fleet.coordinators.controller.start_mode.upper()]
-        return {**values_of(realtime.controller_config(scenario, schedule, mode))}
-    if node.name == OBSERVER:
-        observer = replace(realtime.observer_config(scenario, schedule), swarm_mass=mass)
+        return {**values_of(replace(realtime.controller_config(scenario, schedule, mode), pair=pair))}
+    if node.kind == OBSERVER:
+        observer = replace(realtime.observer_config(scenario, schedule), swarm_mass=mass, pair=pair)
         return {**values_of(observer), "memory": f"{host.state}/silent_robots.json"}
     plane = fleet.coordinators.plane
     if isinstance(plane, MeasuredPlane):
@@ -89,7 +99,7 @@ def _recorder(fleet: Fleet) -> Parameters:
     real = {robot.id for robot in fleet.robots if not isinstance(robot.drive, SimulatedDrive)}
     limited = {robot.id for robot in fleet.robots if any(limit is not None for _, limit in robot.limits)}
     lists = {name: sorted(ids) for name, ids in (("driven", real), ("own_limits", limited)) if ids}
-    return {"simulated_plane": fleet.coordinators.plane.type == "simulated", **lists}
+    return {"simulated_plane": fleet.coordinators.plane.type == "simulated", "paired": fleet.paired, **lists}
 
 
 def _robot(config: RealtimeAgentConfig, robot: Robot) -> RealtimeAgentConfig:

@@ -7,13 +7,25 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet.participants import DISCOVERY
 from swarmabs_config.fleet.parts import MeasuredPlane, path_of
-from swarmabs_config.graph import DIAGNOSTICS, PLANE_DRIVER, REALTIME, RECORDER, ROBOT, SERVICES, endpoints
-from swarmabs_core.messages import EVENTS
+from swarmabs_config.graph import (
+    DIAGNOSTICS,
+    OWN,
+    PLANE_DRIVER,
+    REALTIME,
+    RECORDER,
+    ROBOT_PREFIX,
+    endpoints,
+    options_of,
+    services,
+    usual_topic,
+)
+from swarmabs_core.messages import REMOVALS
 from swarmabs_core.realtime.instruments import TopicSettings
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.checked import Fleet
     from swarmabs_config.fleet.participants import NodePlan
+    from swarmabs_core.messages import Topic
     from swarmabs_fleet.host_plan import HostPlan
 
 _DISCOVERY_INFO = "ros_discovery_info"
@@ -49,23 +61,28 @@ def host_rights(host: HostPlan) -> dict[str, Rights]:
 
 
 def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
-    """Return the rights of a node; only a robot publishes its own state, and only the controller the desired state."""
+    """Return the rights of a node; only a robot publishes its own state, and only the controller the desired state.
+
+    A standby publishes what its primary does on topics of standbys only. Without DDS Security nobody enforces these
+    rights, and robots share the topics of states and events.
+    """
     ns, own = fleet.namespace, path_of(fleet.namespace, node.name)
-    managed = node.name not in _PLAIN
+    managed = node.kind not in _PLAIN
     publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS]
     subscribe = [_DISCOVERY_INFO]
     if managed:  # has /rosout, and lifecycle topics below its name
         publish += [_LOG, f"rt{own}/*"]
-    if node.name != DISCOVERY:
+    if node.kind != DISCOVERY:
         publish.append(_topic(ns, DIAGNOSTICS))
-    role = ROBOT if node.robot else node.name
-    ends = endpoints(role, REALTIME)
-    publish += [_topic(ns, topic.name) for topic in ends.publications]
-    subscribe += [_topic(ns, topic.name) for topic in ends.subscriptions]
-    if node.name != RECORDER:  # services, including those of parameters and lifecycle
+    options = options_of({"pair": node.pair, "paired": fleet.paired, "own_topics": fleet.own_topics})
+    members = [node.robot.id] if node.robot else [robot.id for robot in fleet.members]
+    ends = endpoints(node.kind, REALTIME, options, members=members)
+    publish += [_topic(ns, topic.name) for topic in ends.publications if not topic.agent_id]  # covered by the wildcard
+    subscribe += dict.fromkeys(_topic(ns, _of_any_robot(topic)) for topic in ends.subscriptions)
+    if node.kind != RECORDER:  # services, including those of parameters and lifecycle
         publish.append(f"rr{own}/*Reply")
         subscribe.append(f"rq{own}/*Request")
-    for service in SERVICES.get(role, ()):
+    for service in services(node.kind, options):
         if service.startswith("~/"):  # covered by the wildcard above
             continue
         publish.append(f"rr{path_of(ns, service)}Reply")
@@ -79,7 +96,7 @@ def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
     """Return the topics on which a node receives measurements of its body or the plane, and those of its commands."""
     own = path_of(fleet.namespace, node.name)
     plane = fleet.coordinators.plane
-    if node.name == PLANE_DRIVER and isinstance(plane, MeasuredPlane):
+    if node.kind == PLANE_DRIVER and isinstance(plane, MeasuredPlane):
         return [_topic(fleet.namespace, plane.instrument.topic or f"{own}/{_MEASURED[plane.instrument.source]}")], []
     if node.robot is None or not isinstance(node.robot.drive, TopicSettings):
         return [], []
@@ -91,6 +108,11 @@ def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
     command = by_kind if drive.command == "auto" else drive.command
     commanded = [drive.command_topic or f"{own}/{_COMMANDED[command]}"]
     return [_topic(fleet.namespace, name) for name in measured], [_topic(fleet.namespace, name) for name in commanded]
+
+
+def _of_any_robot(topic: Topic) -> str:
+    """Return the name of a topic, with a wildcard for a robot's own: a list of all would be sent in each handshake."""
+    return topic.name if not topic.agent_id else f"{ROBOT_PREFIX}*/{OWN[usual_topic(topic)]}"
 
 
 def _driver_rights(host: HostPlan) -> Rights:
@@ -109,10 +131,10 @@ def _driver_rights(host: HostPlan) -> Rights:
 
 
 def _operator_rights(fleet: Fleet) -> Rights:
-    """Return the rights of operator tools: read every topic, call every service, report that a robot has left."""
+    """Return the rights of operator tools: read every topic, call every service, report that a robot was removed."""
     ns = fleet.namespace.rstrip("/")
     services, own_services = f"rq{ns}/*Request", f"rr/{_COMMAND_LINE}*Reply"
-    publish = (_DISCOVERY_INFO, _PARAMETER_EVENTS, _LOG, _topic(ns, EVENTS.name), services, own_services)
+    publish = (_DISCOVERY_INFO, _PARAMETER_EVENTS, _LOG, _topic(ns, REMOVALS.name), services, own_services)
     return Rights(publish, (_DISCOVERY_INFO, "rt/*", f"rr{ns}/*Reply", f"rq/{_COMMAND_LINE}*Request"))
 
 

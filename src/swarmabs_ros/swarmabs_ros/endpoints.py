@@ -3,11 +3,15 @@
 Only this module uses non-public parts of rclpy: waiting on a wait set and taking messages directly has a quarter of the
 cost of an executor with callbacks, which makes hundreds of processes on two cores possible. `ExecutorReceiver` does the
 same with rclpy's public interface, as a fallback if a future rclpy changes its internals.
+
+rclpy of Jazzy does not tell who wrote a message. `IdentifyingTake` asks rcl, to which rclpy passes the call on.
 """
 
 from __future__ import annotations
 
+import ctypes
 import importlib
+import weakref
 from collections import deque
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -23,10 +27,11 @@ from rclpy.qos import (
     QoSReliabilityPolicy,
 )
 
-from swarmabs_config.graph import LOCKSTEP, OFFERED, Driver, Qos
+from swarmabs_config.graph import LOCKSTEP, OFFERED, Driver, Qos, usual_topic
+from swarmabs_core.errors import RunError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from rclpy.node import Node
     from rclpy.publisher import Publisher
@@ -62,7 +67,7 @@ def profile(qos: Qos) -> QoSProfile:
 
 def advertise(node: Node, topic: Topic, driver: Driver = LOCKSTEP) -> Publisher:
     """Create the publisher of a topic, which accepts serialized messages."""
-    return node.create_publisher(ros_type(topic), topic.name, profile(OFFERED[driver][topic]))
+    return node.create_publisher(ros_type(topic), topic.name, profile(OFFERED[driver][usual_topic(topic)]))
 
 
 class Receiver(Protocol):
@@ -76,19 +81,123 @@ class Receiver(Protocol):
         """Wait until a message of one of the topics arrives; return False after `timeout` (s)."""
         ...
 
+    def writer(self, topic: Topic) -> bytes:
+        """Return the GID of the writer of the message taken last from a topic; empty if unknown."""
+        ...
+
     def publisher_count(self, topic: Topic) -> int:
         """Return the number of matched publishers of a topic."""
         ...
 
 
+class _Allocator(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_void_p) for name in ("allocate", "deallocate", "reallocate", "zero_allocate", "state")]
+
+
+class _Bytes(ctypes.Structure):
+    """``rcutils_uint8_array_t``, the serialized message."""
+
+    _fields_ = [
+        ("buffer", ctypes.c_void_p),
+        ("length", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
+        ("allocator", _Allocator),
+    ]
+
+
+class _Info(ctypes.Structure):
+    """``rmw_message_info_t`` of Jazzy, and room for another layout."""
+
+    _fields_ = [
+        ("source_timestamp", ctypes.c_int64),
+        ("received_timestamp", ctypes.c_int64),
+        ("publication_sequence_number", ctypes.c_uint64),
+        ("reception_sequence_number", ctypes.c_uint64),
+        ("implementation", ctypes.c_void_p),
+        ("gid", ctypes.c_uint8 * 16),
+        ("room", ctypes.c_uint8 * 192),
+    ]
+
+
+_OK, _TAKE_FAILED = 0, 401
+_FIRST_CAPACITY = 1024
+"""Bytes of the buffer for a message at first; the middleware enlarges it if necessary."""
+
+
+class IdentifyingTake:
+    """Takes serialized messages by rcl's own function, which also tells the GID of the writer.
+
+    Raises `ImportError` if rcl cannot be called in this way. Whether the GID is where Jazzy has it shows with the first
+    message: the address of the middleware's name, which is known, stands before it. If it does not, `note` is called
+    with a text, messages are taken as usual, and their writers are unknown.
+
+    Attributes
+    ----------
+    writer : bytes
+        GID of the writer of the message taken last; empty if unknown.
+    """
+
+    def __init__(self, subscription: Subscription, note: Callable[[str], object]) -> None:
+        self._handle: Any = subscription.handle
+        self._note: Callable[[str], object] | None = note
+        self.writer = b""
+        message, self._info = _Bytes(), _Info()
+        try:
+            # Holds the GIL, as rclpy's own call does: taking never waits.
+            library = ctypes.PyDLL(rclpy_implementation.__file__)
+            topic_name, allocator = library.rcl_subscription_get_topic_name, library.rcutils_get_default_allocator
+            make, end = library.rcutils_uint8_array_init, library.rcutils_uint8_array_fini
+            implementation, self._forget_error = library.rmw_get_implementation_identifier, library.rcutils_reset_error
+            self._take = library.rcl_take_serialized_message
+        except (AttributeError, OSError) as error:
+            raise ImportError(f"this rclpy does not give access to rcl: {error}") from error
+        topic_name.argtypes, topic_name.restype = (ctypes.c_void_p,), ctypes.c_char_p
+        allocator.restype = _Allocator
+        make.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
+        implementation.restype = ctypes.c_void_p
+        self._take.argtypes = (ctypes.c_void_p,) * 4
+        with self._handle:
+            if (topic_name(self._handle.pointer) or b"").decode() != subscription.topic_name:
+                raise ImportError("this rclpy does not give access to rcl: a subscription is not what rcl knows")
+        if make(ctypes.byref(message), _FIRST_CAPACITY, ctypes.byref(allocator())) != _OK:
+            raise MemoryError("no memory for a message")
+        weakref.finalize(self, end, ctypes.byref(message))
+        self._message, self._implementation = message, implementation()
+        self._arguments = ctypes.addressof(message), ctypes.addressof(self._info), None
+
+    def __call__(self, _type: object, _raw: bool) -> tuple[bytes] | None:  # noqa: FBT001 - the interface of rclpy
+        """Return the oldest message that has not been taken yet, None if there is none."""
+        with self._handle:
+            code = self._take(self._handle.pointer, *self._arguments)
+        if code == _TAKE_FAILED:
+            return None
+        if code != _OK:
+            self._forget_error()
+            raise RunError(f"a message cannot be taken: rcl_take_serialized_message returned {code}")
+        if self._info.implementation == self._implementation:
+            self.writer = bytes(self._info.gid)
+        elif self._note is not None:
+            self.writer = b""
+            self._note("this rcl does not tell the writers of messages where Jazzy does")
+            self._note = None
+        return (ctypes.string_at(self._message.buffer, self._message.length),)
+
+
 class WaitSetReceiver:
     """Waits on a wait set of only the given topics and takes serialized messages directly.
 
-    If an executor also serves the node, `group` keeps it from taking the messages. Raises `ImportError` if this rclpy
-    has no such interface; the text names the alternative.
+    If an executor also serves the node, `group` keeps it from taking the messages. The writers of the `identified`
+    topics are known, unless this rclpy does not give access to rcl; then the node's log says so. Raises `ImportError`
+    if this rclpy has no such interface; the text names the alternative.
     """
 
-    def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos], group: CallbackGroup | None = None) -> None:
+    def __init__(
+        self,
+        node: Node,
+        subscriptions: Mapping[Topic, Qos],
+        group: CallbackGroup | None = None,
+        identified: Collection[Topic] = (),
+    ) -> None:
         self._context = node.context.handle
         self._types = {topic: ros_type(topic) for topic in subscriptions}
         self._subscriptions: dict[Topic, Any] = {
@@ -100,16 +209,37 @@ class WaitSetReceiver:
         self._wait_sets: dict[tuple[Topic, ...], Any] = {}
         try:
             self._make_wait_set: Any = rclpy_implementation.WaitSet
-            self._take = {topic: s.handle.take_message for topic, s in self._subscriptions.items()}
+            self._take: dict[Topic, Any] = {topic: s.handle.take_message for topic, s in self._subscriptions.items()}
         except AttributeError as error:
             raise ImportError(
                 f"this rclpy does not support direct waiting ({error}); start with the parameter receive:=executor"
             ) from error
+        self._identifying: dict[Topic, IdentifyingTake] = {}
+        self._warn = node.get_logger().warning
+        for topic in identified:
+            if topic in subscriptions:
+                self._identify(topic)
+
+    def _identify(self, topic: Topic) -> None:
+        """Take the messages of a topic so that their writers are known, if possible."""
+
+        def note(problem: str) -> None:
+            self._warn(f"{topic.name}: {problem}; a second sender cannot be told from the first")
+
+        try:
+            self._take[topic] = self._identifying[topic] = IdentifyingTake(self._subscriptions[topic], note)
+        except ImportError as error:
+            note(str(error))
 
     def take(self, topic: Topic) -> bytes | None:
         """Return the oldest message of a topic that has not been taken yet, None if there is none."""
         taken = self._take[topic](self._types[topic], True)
         return None if taken is None else taken[0]
+
+    def writer(self, topic: Topic) -> bytes:
+        """Return the GID of the writer of the message taken last from a topic; empty if unknown."""
+        take = self._identifying.get(topic)
+        return b"" if take is None else take.writer
 
     def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
         """Wait until a message of one of the topics arrives; return False after `timeout` (s)."""
@@ -172,6 +302,10 @@ class ExecutorReceiver:
         """Return the oldest message of a topic that has not been taken yet, None if there is none."""
         arrived = self._arrived[topic]
         return arrived.popleft() if arrived else None
+
+    def writer(self, topic: Topic) -> bytes:  # noqa: ARG002 - the interface of receivers
+        """Return nothing, because rclpy does not tell."""
+        return b""
 
     def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
         """Wait until a message arrives, and store all that have arrived; return False after `timeout` (s)."""

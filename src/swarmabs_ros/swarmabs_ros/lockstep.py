@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
-from swarmabs_core.cdr import decode, encode
+from swarmabs_core.cdr import decode, encode, step_of
 from swarmabs_core.messages import TOPIC_OF
+from swarmabs_ros.pairs import EarlyMessages, OwnMessages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Mapping
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Messages, Topic
     from swarmabs_ros.endpoints import Receiver
+    from swarmabs_ros.pairs import Pair
     from swarmabs_ros.status import StatusChannel
 
 SLICE = 0.1
@@ -70,6 +72,14 @@ class NodeSpec:
         Takes topic and bytes of a message, for a node that needs the bytes; by default the behaviour takes the message.
     hear_all : callable, optional
         Takes topic and bytes of all messages that have arrived on it, for a node that handles them in batches.
+    pair : Pair, optional
+        What one of a pair of observers or controllers knows of the other one.
+    echoed : Topic, optional
+        A topic that the node reads and publishes, and on which it handles only the messages of others.
+    on_silence : callable, optional
+        Takes the time, s, since the last answer; called like `on_idle`, and what it returns is an answer.
+    on_peer_end : callable, optional
+        Called when the process of another node has ended that does the same (SIGUSR1); a `pair` has its own reaction.
     """
 
     behaviour: Behaviour
@@ -81,6 +91,10 @@ class NodeSpec:
     on_idle: Callable[[], None] | None = None
     hear: Callable[[Topic, bytes], Messages] | None = None
     hear_all: Callable[[Topic, list[bytes]], Messages] | None = None
+    pair: Pair | None = None
+    echoed: Topic | None = None
+    on_silence: Callable[[float], Messages] | None = None
+    on_peer_end: Callable[[], None] | None = None
 
 
 class RunningClock:
@@ -181,7 +195,10 @@ class Lockstep:
         self._repeat_after, self._repeat_steps = repeat_after, repeat_steps
         self._repeater: Repeater
         self._hear = spec.hear or self._decoded
-        self._sent: deque[tuple[int, Publisher, bytes]] = deque()
+        self._pair, self._early = spec.pair, EarlyMessages()
+        self._echoed = spec.echoed if spec.pair is None else spec.pair.topic
+        self._own = OwnMessages()
+        self._sent: deque[tuple[int, Topic, bytes]] = deque()
         self._stalled = False
         self._waited: tuple[int, tuple[str, ...]] = (-1, ())
         self._waited_since = 0.0
@@ -219,10 +236,14 @@ class Lockstep:
             topics = behaviour.awaits()
             if not topics and not spec.lingers:
                 return
-            if self._drain(topics):
+            if self._pair is not None and self._waits_for_peer(self._pair):
+                topics = (self._pair.topic,)
+            elif self._drain(topics):
                 continue
             if spec.on_idle is not None:
                 spec.on_idle()
+            if spec.on_silence is not None and (answer := spec.on_silence(repeater.silence(clock()))):
+                self._progress(answer, clock())
             heard = yield topics, min(SLICE, repeater.wait(clock()))
             if heard:
                 if spec.gather is not None:
@@ -232,6 +253,19 @@ class Lockstep:
             if topics:
                 self._check_stall(now)
             self._repeat(repeater.due(now))
+
+    def _waits_for_peer(self, pair: Pair) -> bool:
+        """Take what the peer has published; return whether the run must not be further ahead of it."""
+        while (data := self._taken(pair.topic)) is not None:
+            pair.hear(step_of(data))
+        return pair.waits(self._clock())
+
+    def _taken(self, topic: Topic) -> bytes | None:
+        """Return the next message of a topic, without own ones."""
+        while (data := self._receiver.take(topic)) is not None:
+            if topic is not self._echoed or not self._own.returned(data):
+                return data
+        return None
 
     def _drain(self, topics: tuple[Topic, ...]) -> bool:
         """Handle messages of these topics while they are the awaited ones; return whether to look again at once.
@@ -252,6 +286,11 @@ class Lockstep:
     def _answers(self, topic: Topic) -> Iterator[Messages]:
         """Take the messages of a topic, one after the other or all at once, and yield the answers."""
         take, hear, hear_all = self._receiver.take, self._hear, self._spec.hear_all
+        if self._pair is not None:
+            yield from self._answers_in_order(topic, self._pair.current)
+            return
+        if topic is self._echoed:
+            take = self._taken
         if hear_all is not None:
             payloads = list(iter(partial(take, topic), None))
             if payloads:
@@ -260,27 +299,49 @@ class Lockstep:
         while (data := take(topic)) is not None:
             yield hear(topic, data)
 
+    def _answers_in_order(self, topic: Topic, step: Callable[[], int]) -> Iterator[Messages]:
+        """Yield the answers as above, but keep messages of later steps until the behaviour is there."""
+        hear, hear_all, early = self._hear, self._spec.hear_all, self._early
+        while True:
+            found = early.take(step())
+            if found is None:
+                data = self._taken(topic)
+                if data is None:
+                    return
+                if early.keep(topic, data, step()):
+                    continue
+                found = topic, data
+            yield hear(*found) if hear_all is None else hear_all(found[0], [found[1]])
+
     def _decoded(self, topic: Topic, data: bytes) -> Messages:
         return self._behaviour.handle(decode(topic.message, data))
 
     def _publish(self, messages: Messages) -> None:
         for message in messages:
-            publisher = self._publishers[TOPIC_OF[type(message)]]
+            topic = TOPIC_OF[type(message)]
             data = encode(message)
-            publisher.publish(data)
-            self._sent.append((message.step, publisher, data))
+            if self._pair is None or self._pair.publishes(topic, message.step):
+                self._send(topic, data)
+            self._sent.append((message.step, topic, data))
         if self._sent:
             oldest = self._sent[-1][0] - WINDOW
             while self._sent[0][0] < oldest:
                 self._sent.popleft()
 
+    def _send(self, topic: Topic, data: bytes) -> None:
+        if topic is self._echoed:
+            self._own.published(data)
+        self._publishers[topic].publish(data)
+
     def _repeat(self, steps: int) -> None:
         if not steps or not self._sent:
             return
+        if self._pair is not None and self._pair.take_over():
+            self._status.send("leads", step=self._pair.step)
         newest = self._sent[-1][0]
-        for step, publisher, data in self._sent:
+        for step, topic, data in self._sent:
             if step > newest - steps:
-                publisher.publish(data)
+                self._send(topic, data)
 
     def _check_stall(self, now: float) -> None:
         if not self._stall_timeout:

@@ -15,10 +15,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from swarmabs_core.cdr import decode, encode
+from swarmabs_config.graph import USUAL_TOPICS
+from swarmabs_core.cdr import decode, encode, misplaced
 from swarmabs_core.errors import MalformedMessageError, RunError
-from swarmabs_core.messages import EVENTS, TOPIC_OF
-from swarmabs_core.realtime.base import Health, Level
+from swarmabs_core.messages import AGENT_STATE, TOPIC_OF, SwarmEvent
+from swarmabs_core.realtime.base import Health, Level, Sender
+from swarmabs_core.realtime.validation import Refusals
 from swarmabs_ros.timing import Reading, StepClock
 
 if TYPE_CHECKING:
@@ -39,6 +41,8 @@ HALTS_WITHIN = 5.0
 """Time limit, s, of halting for any reason; a drive that takes longer to stop is considered hung."""
 TOLERATED = 0.01
 """Fraction of periods that may be missed between two health reports without a warning."""
+IDENTIFIED = (AGENT_STATE,)
+"""Topics whose receivers distinguish the writers: many nodes publish on them, each for itself."""
 _NOTHING: Wait = ((), 0.0)
 _PAIRED = 100_000
 """Longest time, ns, between the readings of two clocks that count as simultaneous."""
@@ -56,14 +60,17 @@ def read_clocks() -> Reading:
     return Reading(system, steady)
 
 
-def arrived(receiver: Receiver, depths: Mapping[Topic, int]) -> Iterator[tuple[Topic, bytes]]:
-    """Take messages that have arrived, at most `depths` of each topic, so that a flood cannot delay further work."""
+def arrived(receiver: Receiver, depths: Mapping[Topic, int]) -> Iterator[tuple[Topic, bytes, bytes]]:
+    """Take messages that have arrived, with the GIDs of their writers where the receiver knows them.
+
+    At most `depths` of each topic are taken, so that a flood cannot delay further work.
+    """
     for topic, depth in depths.items():
         for _ in range(depth):
             data = receiver.take(topic)
             if data is None:
                 break
-            yield topic, data
+            yield topic, data, receiver.writer(topic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +83,8 @@ class Engine:
         Determines when the behaviour's steps are due.
     depths : mapping
         Queue depth of each topic.
+    publishers : mapping
+        Publishers by the usual topic, also those of a standby or a robot that publishes on topics of its own.
     wakes : tuple of Topic
         Topics whose messages are processed at once; all others are processed when a step is due.
     """
@@ -110,12 +119,14 @@ class Activity:
         self.active = False
         self.refused = 0
         self.refusal = ""
+        self._misplaced = Refusals()
 
     def activate(self) -> None:
         """Start executing steps."""
         engine = self.engine
         # Queued messages are outdated; events are kept for nodes that join late, regardless of their age.
-        for _ in arrived(engine.receiver, {t: n for t, n in engine.depths.items() if t is not EVENTS}):
+        passing = {t: n for t, n in engine.depths.items() if not issubclass(t.message, SwarmEvent)}
+        for _ in arrived(engine.receiver, passing):
             pass
         engine.clock.start(self._read())
         self.active = True
@@ -157,22 +168,30 @@ class Activity:
 
     def _hear(self, now: int) -> None:
         engine = self.engine
-        for topic, data in arrived(engine.receiver, engine.depths):
+        for topic, data, writer in arrived(engine.receiver, engine.depths):
             try:
                 message = decode(topic.message, data)
             except MalformedMessageError as error:
                 self.refused += 1
                 self.refusal = str(error)
+                continue
+            problem = misplaced(message, topic)
+            if problem:
+                self._publish(self._misplaced.add(problem, engine.clock.step(now), now))
             else:
-                self._publish(engine.behaviour.hear(message, now))
+                self._publish(engine.behaviour.hear(message, now, Sender(topic in USUAL_TOPICS, writer)))
 
     def _publish(self, messages: Messages) -> None:
         for message in messages:
             self.engine.publishers[TOPIC_OF[type(message)]].publish(encode(message))
 
     def _refusals(self) -> tuple[tuple[str, str], ...]:
-        values = (("malformed messages", str(self.refused)),)
-        return (*values, ("last malformed", self.refusal)) if self.refused else values
+        values = [("malformed messages", str(self.refused))]
+        if self.refused:
+            values.append(("last malformed", self.refusal))
+        if self._misplaced.total:
+            values += [("misplaced messages", str(self._misplaced.total)), ("last misplaced", self._misplaced.latest)]
+        return tuple(values)
 
 
 class Watchdog(threading.Thread):

@@ -61,6 +61,11 @@ COMMON = (
 )
 """Parameters that every node in real time has."""
 
+OWN_TOPICS = Parameter(
+    "own_topics", default=False, description="whether each robot publishes on topics below the name of its own node"
+)
+"""Parameter of robots, and of the nodes that read what robots publish."""
+
 SWITCH_INTERVAL = 0.0005
 """Longest time, s, for which the thread that serves ROS holds the interpreter while a step is due."""
 _ENDS_WITHIN = 5.0

@@ -12,6 +12,7 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Imu as ImuMessage, JointState
 
+from swarmabs_core.cdr import SECOND
 from swarmabs_ros.endpoints import unheard
 from swarmabs_ros.readings import Imu, Joints, Odometry, Reading
 
@@ -56,7 +57,7 @@ class SensorSubscription:
 def reading(message: Any, stamp: int | None = None) -> Reading:
     """Convert a message of one of `TYPES`; `stamp` (ns since 1970) replaces that of its header."""
     if stamp is None:
-        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
     if isinstance(message, JointState):
         return Joints(stamp, tuple(message.name), tuple(message.position), tuple(message.velocity))
     frame = message.header.frame_id

@@ -23,7 +23,9 @@ START_FD = "SWARMABS_START_FD"
 EPOCH_RECORD = 20
 """Length, in bytes, of the decimal number that sends the epoch to a process."""
 
-Report = Literal["ready", "stalled", "recovered", "failed", "progress", "written", "done", "timing", "steered"]
+Report = Literal[
+    "ready", "stalled", "recovered", "failed", "progress", "written", "done", "timing", "steered", "leads", "behind"
+]
 
 
 class StatusChannel:

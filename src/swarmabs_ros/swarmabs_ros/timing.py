@@ -114,6 +114,10 @@ class StepClock:
         """Return the time until the next step is due, ns."""
         return max(0, self._schedule.begin(self._next, self._phase) - now.system)
 
+    def step(self, now: int) -> int:
+        """Return the step at a time of the system clock, ns."""
+        return self._schedule.step(now)
+
     def values(self) -> tuple[tuple[str, str], ...]:
         """Return the timing statistics in readable form."""
         late = self.lateness

@@ -70,12 +70,12 @@ def _ros() -> Verdict:
 def _messages() -> Verdict:
     try:
         module = importlib.import_module("swarmabs_msgs.msg")
-        missing = [topic.ros_type for topic in TOPICS if not hasattr(module, topic.message.__name__)]
+        missing = [topic.ros_type for topic in TOPICS if not hasattr(module, topic.type_name)]
     except ImportError as error:
         return "bad", f"swarmabs_msgs cannot be imported ({error}); build the workspace"
     if missing:
         return "bad", f"swarmabs_msgs is too old: {missing[0]} is missing; build the workspace again"
-    return "ok", f"{len(TOPICS)} types"
+    return "ok", f"{len({topic.ros_type for topic in TOPICS})} types"
 
 
 def _loopback() -> Verdict:

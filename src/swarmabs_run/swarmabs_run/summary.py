@@ -53,6 +53,7 @@ def summarise(scenario: AnyScenario, outcome: Outcome, times: Times) -> dict[str
         "rerun_of": None,
         **({"realtime": figures["realtime"]} if "realtime" in figures else {}),
         **({"packed": True} if outcome.packed else {}),
+        **({} if outcome.standby is None else {"standby": outcome.standby}),
     }
 
 
@@ -88,6 +89,9 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Track
         rows |= _realtime_rows(summary["realtime"])
     if summary.get("packed"):
         rows["packed"] = "broadcasts, and states for plane and recorder (--no-packed: one message each)"
+    if "standby" in summary:
+        lost = "; ".join(f"{name} {how}" for name, how in summary["standby"]["lost"].items())
+        rows["standby"] = f"lost: {lost}" if lost else "nothing was lost"
     if summary["events"]:
         rows["events"] = "\n".join(summary["events"])
     if summary["rerun_of"] is not None:

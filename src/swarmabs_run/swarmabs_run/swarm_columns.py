@@ -15,7 +15,7 @@ import numpy as np
 
 from swarmabs_core.abstraction import quotient, summed
 from swarmabs_core.arrays import LAYOUT
-from swarmabs_core.cdr import ENCAPSULATION, FRAME
+from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.messages import AGENT_STATE, Kind, Status
 from swarmabs_core.parent_response import SumObserver
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from swarmabs_core.summation import Terms
 
     Floats = NDArray[np.float64]
-
-_SECOND = 1_000_000_000
 
 
 def on_columns(scenario: Scenario) -> bool:
@@ -112,7 +110,7 @@ class SwarmColumns:
         The motion is given by positions (m), velocities (m/s) and commands, (K, N) in the order of the columns.
         """
         rows = np.repeat(self._rows[np.newaxis], len(steps), axis=0)
-        rows["sec"], rows["nanosec"] = (part[:, np.newaxis] for part in np.divmod(stamps, _SECOND))
+        rows["sec"], rows["nanosec"] = (part[:, np.newaxis] for part in np.divmod(stamps, SECOND))
         rows["step"] = steps[:, np.newaxis]
         rows["broadcast_step"] = steps[:, np.newaxis] - np.uint64(1)  # `NEVER` in step 0
         for name, values in zip(("position", "velocity", "command"), motion, strict=True):

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-_SECOND = 1_000_000_000
 
 Coordinated: TypeAlias = tuple[PlaneState, AbstractState, AuxiliaryState, DesiredAbstractState]
 """The messages of the coordinators in a step, in the order of a bag."""

@@ -6,24 +6,30 @@ reliable, so that earlier ones arrive too; their writers keep a bounded number f
 
 from __future__ import annotations
 
+import re
+import time
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_config.graph import OFFERED, Driver, requested
-from swarmabs_core.cdr import decode
+from swarmabs_config.graph import OFFERED, OWN, ROBOT_PREFIX, Driver, own_topic, requested, usual_topic
+from swarmabs_core.cdr import decode, misplaced
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import BASIS, EVENTS, FAMILIES
 from swarmabs_ros.endpoints import receiver
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from swarmabs_core.messages import Message, Topic
+    from swarmabs_ros.endpoints import Receiver
     from swarmabs_ros.start import SwarmNode
 
 DEPTH = 256
 """Queued messages of a coordinator, and at least of the robots; enough for nearly all at the highest step rates."""
 ROBOT_STEPS = 4
 """Queued steps of all robots."""
+LOOK = 1.0
+"""Time, s, between two searches for robots' own topics."""
+_ID = re.compile(r"\d{3,5}")
 
 
 class Heard(NamedTuple):
@@ -35,7 +41,11 @@ class Heard(NamedTuple):
 
 
 class Listener:
-    """Listens to a swarm on any parent system, with the number of robots known so far; counts malformed payloads."""
+    """Listens to a swarm on any parent system, with the number of robots known so far; counts malformed payloads.
+
+    The topics of robots that publish on topics of their own are found in the graph; their messages are reported on the
+    usual ones.
+    """
 
     def __init__(self, node: SwarmNode, robots: int) -> None:
         # The robots come last: when the broadcasts of a step are read, its states have arrived.
@@ -43,32 +53,58 @@ class Listener:
         topics = [topic for family in FAMILIES for topic in (family.parent, family.abstract, family.desired)]
         self._most = dict.fromkeys((*once, BASIS, *topics), DEPTH)
         self._most |= {family.robot: max(DEPTH, ROBOT_STEPS * robots) for family in FAMILIES} | {EVENTS: 1000}
+        self._reliable = {EVENTS, *once}
+        self._node = node
+        self._receivers: dict[Topic, Receiver] = {}
+        self._look_at = 0.0
+        self.topics = tuple(self._most)
+        """The usual topics of the messages."""
+        self.malformed = 0
+        self._subscribe(self._most)
+
+    def poll(self) -> Iterator[Heard]:
+        """Yield the received messages; count and skip malformed ones."""
+        self._look()
+        for topic, most in self._most.items():
+            usual, take = usual_topic(topic), self._receivers[topic].take
+            for _ in range(most):
+                payload = take(topic)
+                if payload is None:
+                    break
+                try:
+                    message = decode(topic.message, payload)
+                except MalformedMessageError:
+                    self.malformed += 1
+                    continue
+                if misplaced(message, topic):
+                    self.malformed += 1
+                else:
+                    yield Heard(usual, message, payload)
+
+    def _look(self) -> None:
+        """Subscribe to further robots' own topics, at most once per `LOOK`."""
+        now = time.monotonic()
+        if now < self._look_at:
+            return
+        self._look_at = now + LOOK
+        names = {name for name, _ in self._node.get_topic_names_and_types()}
+        first = f"{self._node.get_namespace().rstrip('/')}/{ROBOT_PREFIX}"
+        robots = sorted({name.removeprefix(first).partition("/")[0] for name in names if name.startswith(first)})
+        found = [own_topic(topic, int(robot)) for robot in robots if _ID.fullmatch(robot) for topic in OWN]
+        self._subscribe({topic: self._most[usual_topic(topic)] for topic in found if topic not in self._most})
+
+    def _subscribe(self, topics: Mapping[Topic, int]) -> None:
+        if not topics:
+            return
         asked = {
             # In real time most topics exist, and this QoS is compatible with publishers in lockstep too.
             topic: requested(
                 topic,
-                Driver.REALTIME if topic in OFFERED[Driver.REALTIME] else Driver.LOCKSTEP,
+                Driver.REALTIME if usual_topic(topic) in OFFERED[Driver.REALTIME] else Driver.LOCKSTEP,
                 depth=most,
-                reliable=topic in {EVENTS, *once},
+                reliable=usual_topic(topic) in self._reliable,
             )
-            for topic, most in self._most.items()
+            for topic, most in topics.items()
         }
-        self._receiver = receiver(node, asked, "wait_set")
-        self.malformed = 0
-
-    @property
-    def topics(self) -> tuple[Topic, ...]:
-        """The subscribed topics."""
-        return tuple(self._most)
-
-    def poll(self) -> Iterator[Heard]:
-        """Yield the received messages; count and skip malformed ones."""
-        for topic, most in self._most.items():
-            for _ in range(most):
-                payload = self._receiver.take(topic)
-                if payload is None:
-                    break
-                try:
-                    yield Heard(topic, decode(topic.message, payload), payload)
-                except MalformedMessageError:
-                    self.malformed += 1
+        self._receivers |= dict.fromkeys(asked, receiver(self._node, asked, "wait_set"))
+        self._most = {**self._most, **topics}

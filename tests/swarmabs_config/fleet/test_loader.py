@@ -21,6 +21,10 @@ LAN, TUNNEL, CERTIFICATES = (EXAMPLES[name].read_text(encoding="utf-8") for name
 
 KILL = "{at: 1.0, kind: kill, agent: 1}"
 TOMORROW = f"{datetime.now(timezone.utc) + timedelta(days=1):%Y-%m-%dT%H:%M:%SZ}"
+SLOW = """set: {realtime.takeover_after: 0.09}
+coordinators:
+  plane: {host: base}
+  observer: {host: base, standby: robot-1}"""
 REFUSED = [
     # what is replaced: by what, in the line of what, and the words of the refusal
     ("security: {level: none}", "", "schema", ("security", "'security' is missing", "level: none")),
@@ -50,6 +54,25 @@ REFUSED = [
     (".11}", ".11, user: root}", "name: robot-1", ("hosts.1.user: nodes must not run as root",)),
     ("static", "static, server: base", "static, server", ("network.server", "'discovery: static'")),
     ("discovery: static", "discovery: server", "discovery: server", ("network.discovery",)),
+    (
+        "r: {host: base}\n  c",
+        "r: {host: base, standby: base}\n  c",
+        "standby",
+        ("observer.standby: base also", "another"),
+    ),
+    (
+        "host: base}\n  r",
+        "host: base, standby: robt-3}\n  r",
+        "standby",
+        ("controller.standby", "did you mean 'robot-3'?"),
+    ),
+    ("recorder: {host: base}", "recorder: {standby: robot-1}", "recorder", ("coordinators.recorder", "host")),
+    (
+        "coordinators:\n  plane: {host: base}\n  observer: {host: base}",
+        SLOW,
+        "scenario: pd",
+        ("realtime.takeover_after: 0.09 s is too long", "'set' changes values"),
+    ),
 ]
 ADDED = [
     # what is added to the fleet's name, in the line of what, and the words of the refusal
@@ -121,6 +144,9 @@ FIELDS = [
     ("127.0.0.1", "192.0.2.1", "hosts.0.interface: lo on base reaches no other host"),
     (SINGLE, TOPICS + "topic: 'a b'}", "robots.0.drive.topic: 'a b' is"),
     (SINGLE, TOPICS + "command_topic: 5}", "robots.0.drive.command_topic:"),
+    (SINGLE, TOPICS + "command_topic: agent_002/state}", "robots.0.drive.command_topic: agent_002/state is a topic of"),
+    (DOUBLE, TOPICS + "topic: /swarm/removals}", "robots.1.drive.topic: /swarm/removals is a topic of the swarm"),
+    ("plane: {host", "plane: {type: driver, topic: plane/state, host", "coordinators.plane.topic: plane/state is a"),
     (DOUBLE, TOPICS + "gravity: imu, imu: {topic: /a-b}}", "robots.1.drive.imu.topic: '/a-b'"),
     ("plane: {host", "plane: {type: driver, topic: '%', host", "coordinators.plane.topic: '%' is"),
     (SINGLE, PLUGIN + "{'a b': 1}}", "robots.0.drive.settings.a b: 'a b' is not a valid setting name"),
@@ -225,6 +251,21 @@ IDLE = "  - {name: idle, address: 192.168.10.99, interface: eth0}\nrobots:"
 def test_what_is_doubtful_is_said(fleet: str, change: tuple[str, str], warnings: list[str], tmp_path: Path) -> None:
     found = load_fleet(edited(tmp_path / "fleet.yaml", fleet, change)).fleet.warnings()
     assert [words in text for text, words in zip(found, warnings, strict=True)] == [True] * len(warnings)
+
+
+def test_a_standby_is_a_node_of_its_own_with_the_participant_of_its_primary() -> None:
+    fleet = load_fleet(EXAMPLES["standby"]).fleet
+    assert [
+        (plan.name, plan.host, plan.participant, plan.pair) for plan in node_plans(fleet) if plan.robot is None
+    ] == [
+        ("plane_driver", "encoder", 0, "single"),
+        ("abstraction_observer", "base", 1, "primary"),
+        ("abstraction_observer_standby", "spare", 1, "standby"),
+        ("parent_controller", "base", 2, "primary"),
+        ("parent_controller_standby", "spare", 2, "standby"),
+        ("recorder", "base", 3, "primary"),
+        ("recorder_standby", "spare", 3, "standby"),
+    ]
 
 
 @pytest.mark.parametrize("discovery", ["static", "server, server: base"])

@@ -36,7 +36,7 @@ FILLED = """
              sensor: {noise: [0.0, 0.0], resolution: [0.0, 0.0]}, actuator_lag: 0.0},
      observer: {type: sum}, limits: {velocity: null, force: 2.0}, lockstep: {on_stall: drop, stall_timeout: 5.0},
      realtime: {broadcast_age_limit: 0.1, state_age_limit: 0.1, plane_age_limit: 0.1, clock_tolerance: 0.02,
-                lane_margin: 0.02, start: wait, quorum: null},
+                takeover_after: 0.04, lane_margin: 0.02, start: wait, quorum: null},
      faults: [{kind: kill, at: 1.0, agent: 1}, {kind: delay, from: 0.0, to: null, agents: null, steps: 2}]}"""
 LINES = """\
 schema: 1

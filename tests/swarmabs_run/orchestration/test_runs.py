@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from signal import SIGINT, SIGKILL, SIGSEGV, SIGSTOP, SIGTERM
+from signal import SIGCONT, SIGINT, SIGKILL, SIGSEGV, SIGSTOP, SIGTERM, SIGUSR1
 from typing import Any, NamedTuple
 
 import pytest
@@ -23,7 +23,7 @@ from swarmabs_run.orchestration.machine import POLL
 from swarmabs_run.orchestration.plan import ProcessPlan
 from swarmabs_run.orchestration.process_run import CLOSING_SECONDS, START_SILENCE, ProcessRun
 from swarmabs_run.orchestration.realtime_run import ENDING_SECONDS, GRACE, LEAD, LEAD_PER_PROCESS, OVERTIME, RealtimeRun
-from swarmabs_run.orchestration.run_files import read_processes, read_progress
+from swarmabs_run.orchestration.run_files import read_processes, read_progress, write_network
 from swarmabs_run.orchestration.supervision import RESTARTS
 from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.steering.client import SOCKET
@@ -86,6 +86,7 @@ class FakeMachine:
     first_step: float = BEGUN
     dead: bool = False
     asked: bool = False
+    stopped: tuple[str, ...] = ()
     recorded: bool = False
     spawned: list[str] = field(default_factory=list)
     logs: set[Path] = field(default_factory=set)
@@ -115,7 +116,7 @@ class FakeMachine:
         return self.asked
 
     def state_of(self, pid: int) -> str:
-        return f"{pid} stopped"
+        return "stopped" if pid in {self.pids[name] for name in self.stopped} else f"{pid} stopped"
 
     def listen(self) -> list[Report]:
         self.clock = min([self.clock + POLL, *(max(time, self.clock) for time, _ in self.due)]) + 1e-6
@@ -152,7 +153,7 @@ class FakeMachine:
         self.signals.append((name, number))
         if number == SIGKILL:
             self.expect(exited(0.05, name, -number))
-        elif number != SIGSTOP and name not in self.deaf:
+        elif number not in {SIGSTOP, SIGCONT, SIGUSR1} and name not in self.deaf:
             self.expect(report(0.1, name, "timing", pid=self.pids[name], **TIMING), exited(0.2, name, 0))
             if name == RECORDER and not self.recorded:
                 self.expect(done(0.1, complete=False))
@@ -165,6 +166,7 @@ def drive(
     folder = new_run_folder(path / "run")
     scenario = find_scenario("pd_het_4", ["duration=1", *overrides]).resolved()
     folder.fill(scenario)
+    write_network(folder.logs, 5, len(NAMES), realtime=kind is RealtimeRun)
     for name in (*NAMES, "launcher"):
         (folder.logs / f"{name}.log").write_text(f"{name} says so\n")
     return kind(scenario, folder, RunOptions(namespace="/north", **options)).drive(machine, 5, CALLED)

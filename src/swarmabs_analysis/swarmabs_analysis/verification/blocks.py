@@ -21,7 +21,7 @@ from swarmabs_bag.blocks import Block
 from swarmabs_config import configure
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.arrays import LAYOUT, raw
-from swarmabs_core.cdr import ENCAPSULATION, FRAME, encode
+from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND, encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-_SECOND = 1_000_000_000
 _FOREVER = 2**63
 
 
@@ -229,7 +228,7 @@ def _rows(
     """Return messages of a topic with the values of their fields behind the step."""
     rows = np.zeros(len(steps), dtype=layout)
     rows["encapsulation"], rows["frame"] = np.void(ENCAPSULATION), np.void(FRAME)
-    rows["sec"], rows["nanosec"] = np.divmod(stamps, _SECOND)
+    rows["sec"], rows["nanosec"] = np.divmod(stamps, SECOND)
     rows["step"] = steps
     for name, value in zip(topic.message._fields[2:], values, strict=True):
         rows[name] = value

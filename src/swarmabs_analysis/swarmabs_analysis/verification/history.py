@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from swarmabs_analysis.difference import Difference
 from swarmabs_bag.realtime import MEMORY, conflict, part
+from swarmabs_config.graph import USUAL_TOPICS, standby_topic
 from swarmabs_core.messages import (
     AGENT_STATE,
     DESIRED_ABSTRACT_STATE,
@@ -54,6 +55,8 @@ class History:
     ----------
     steps : dict
         The messages by step, topic and key: robot, mode of a desired state, or source of a provenance.
+    paired : bool
+        Whether a standby has sent any of them.
     """
 
     def __init__(self) -> None:
@@ -61,6 +64,7 @@ class History:
         self._pinned: dict[int, dict[tuple[int, int], Record]] = {}
         self._ambiguous: set[tuple[str, int, int]] = set()
         self._newest: dict[tuple[str, int], int] = {}
+        self.paired = False
 
     def add(self, stored: Record) -> bool:
         """Keep a message; return False if its place is already taken."""
@@ -75,6 +79,7 @@ class History:
         if key in place:
             return False
         place[key] = stored
+        self.paired = self.paired or topic in USUAL_TOPICS
         sender = (topic.name, 0 if isinstance(message, DesiredAbstractState) else key)
         if message.step < self._newest.get(sender, -1):
             # A sender's messages stay in order, so its clock may have been set back, and an earlier message may exist.
@@ -151,6 +156,22 @@ class History:
     def is_ambiguous(self, topic: Topic, step: int, agent_id: int = 0) -> bool:
         """Return whether different messages were received, of which the bag contains only the first."""
         return (topic.name, agent_id, step) in self._ambiguous
+
+
+class StandbyHistory(History):
+    """The messages of another history, with those of the standbys in place of those of the primaries."""
+
+    def __init__(self, of: History) -> None:
+        super().__init__()
+        self._of = of
+
+    def on(self, topic: Topic, step: int) -> Mapping[int, Record]:
+        """Return the messages of a topic and step by key."""
+        return self._of.on(standby_topic(topic), step)
+
+    def is_ambiguous(self, topic: Topic, step: int, agent_id: int = 0) -> bool:
+        """Return whether different messages were received, of which the bag contains only the first."""
+        return self._of.is_ambiguous(standby_topic(topic), step, agent_id)
 
 
 def wrong_stamp(message: Message, schedule: Schedule, within: int = 0) -> Difference | None:

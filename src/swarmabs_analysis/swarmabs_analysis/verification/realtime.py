@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_analysis.difference import PUBLISH_TIME, Difference, surplus, wrong_padding
 from swarmabs_analysis.verification.base import Verification
-from swarmabs_analysis.verification.history import WAIT, History, wrong_stamp
+from swarmabs_analysis.verification.history import WAIT, History, StandbyHistory, wrong_stamp
 from swarmabs_analysis.verification.realtime_nodes import ControllerCheck, ObserverCheck, PlaneCheck, RobotCheck
 from swarmabs_bag.realtime import MEMORY
 from swarmabs_config import configure as lockstep, realtime as configure
@@ -41,19 +41,31 @@ class RealtimeVerification(Verification):
         self._world = world
         self._schedule = schedule = world.schedule
         self._history = history = History()
+        standby = StandbyHistory(history)
         self._judged: int | None = None
         self._newest = -1
         starts = {agent.id: (agent.position, agent.velocity) for agent in scenario.agents if agent.id in world.robots}
         self._robots = {
             config.agent_id: RobotCheck(
-                config, history, tolerance, starts.get(config.agent_id), own_limits=config.agent_id in world.own_limits
+                config,
+                history,
+                tolerance,
+                starts.get(config.agent_id),
+                standby=standby,
+                own_limits=config.agent_id in world.own_limits,
             )
             for config in configure.agent_configs(scenario, schedule)
         }
         self._plane = PlaneCheck(configure.plane_config(scenario, schedule), history, tolerance)
-        self._observer = ObserverCheck(configure.observer_config(scenario, schedule), history, tolerance)
+        observer = configure.observer_config(scenario, schedule)
         controller = configure.controller_config(scenario, schedule)
-        self._controller = ControllerCheck(controller, history, tolerance, lambda: lockstep.parent_controller(scenario))
+        self._coordinators = [
+            (
+                ObserverCheck(observer, of, tolerance),
+                ControllerCheck(controller, of, tolerance, lambda: lockstep.parent_controller(scenario)),
+            )
+            for of in (history, standby)
+        ]
 
     @property
     def step(self) -> int:
@@ -127,5 +139,6 @@ class RealtimeVerification(Verification):
             yield from self._plane.check(step)
         else:
             yield from [MEASURED] * len(self._history.on(PLANE_STATE, step))
-        yield from self._observer.check(step)
-        yield from self._controller.check(step)
+        for checks in self._coordinators[: 1 + self._history.paired]:
+            for check in checks:
+                yield from check.check(step)

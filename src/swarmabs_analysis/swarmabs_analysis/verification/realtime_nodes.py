@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Generic, TypeVar
+from itertools import product
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from swarmabs_analysis.difference import Difference, judge
 from swarmabs_analysis.verification.history import AMBIGUOUS, NO_STATES, UnconfirmedError, wrong_stamp
@@ -69,8 +70,18 @@ class _Check(Generic[Config]):
             raise UnconfirmedError(wrong)
 
 
+class _Followed(NamedTuple):
+    """The messages among which are those of the observer and of the parent controller that a robot followed."""
+
+    observer: History
+    controller: History
+
+
 class RobotCheck(_Check[RealtimeAgentConfig]):
     """Checks the states of one robot: each command from the previous state and the broadcasts that it names.
+
+    Where coordinators have standbys, the broadcasts must be those of one observer and one controller; `standby` has the
+    messages of the standbys.
 
     `start` is the initial position (m) and velocity (m/s) of a simulated body; the motion of another body is not
     checked. The commands of a robot with its own limits, unlike those of the configuration, are not checked either.
@@ -83,9 +94,11 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         tolerance: float,
         start: tuple[float, float] | None,
         *,
+        standby: History,
         own_limits: bool = False,
     ) -> None:
         super().__init__(config, history, tolerance)
+        self._standby = standby
         self._start = start
         self._own_limits = own_limits
         self._law = RealtimeLaw(config)
@@ -111,40 +124,64 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
             return None
         if before is None or self._history.is_ambiguous(AGENT_STATE, before.step, state.agent_id):
             return NO_STATE_BEFORE
-        found: Finding
-        try:
-            found = self._judge(stored, self._move(self._follow(state, before), before))
-        except UnconfirmedError as error:
-            found = error.finding
+        found = self._explain(stored, state, before)
         if isinstance(found, Difference) and state.step > before.step + 1:
             return NO_STATE_BEFORE  # the command may follow from a state in between
         return found
+
+    def _explain(self, stored: Record, state: AgentState, before: AgentState) -> Finding:
+        """Return whether the broadcasts of any observer and controller explain a state: no finding if some do."""
+        findings: list[Finding] = []
+        for followed in self._followed(before.step):
+            finding: Finding
+            try:
+                finding = self._judge(stored, self._move(self._follow(state, before, followed), before))
+            except UnconfirmedError as error:
+                finding = error.finding
+            if finding is None:
+                return None
+            findings.append(finding)
+        return next((finding for finding in findings if isinstance(finding, str)), findings[0])
+
+    def _followed(self, step: int) -> list[_Followed]:
+        """Return all whom the robot may have followed in a step: those who have sent anything around it."""
+        either = (self._history, self._standby)
+        if self._history.paired:
+            near = range(step - self._age, step + self._ahead + 1)
+            speaking = [
+                [of for of in either if any(of.on(topic, s) for s in near)]
+                for topic in (ABSTRACT_STATE, DESIRED_ABSTRACT_STATE)
+            ]
+            if all(speaking):
+                return [_Followed(*each) for each in product(*speaking)]
+        return [_Followed(self._history, self._history)]
 
     def _begins(self, state: AgentState) -> bool:
         """Return whether a state is the first one of a robot with a simulated body."""
         at_rest = (state.status, state.broadcast_step, state.command) == (Status.SAFE_STOP, NEVER, 0.0)
         return at_rest and (state.position, state.velocity) == self._start
 
-    def _follow(self, state: AgentState, before: AgentState) -> AgentState:
+    def _follow(self, state: AgentState, before: AgentState, followed: _Followed) -> AgentState:
         """Return the state with the command, broadcasts and status that follow from the previous one."""
         brake = self._law.brake(before.velocity)
         still = (0.0, brake) if str(state.command) == str(0.0) else (brake, 0.0)
         at_rest = state._replace(command=still[0], broadcast_step=NEVER)
         if state.broadcast_step == NEVER:
             if state.status == Status.ACTIVE:
-                self._check_hold(state, before)
+                self._check_hold(state, before, followed.observer)
             return at_rest
-        decision, _ = self._law.decide(before.position, before.velocity, self._broadcasts(state, before))
+        heard = self._broadcasts(state, before, followed)
+        decision, _ = self._law.decide(before.position, before.velocity, heard)
         if decision.problem:
             return at_rest
         measured = self._start is not None or state.status == Status.LEFT
         return state._replace(command=decision.command, status=Status.ACTIVE if measured else state.status)
 
-    def _check_hold(self, state: AgentState, before: AgentState) -> None:
+    def _check_hold(self, state: AgentState, before: AgentState, observer: History) -> None:
         """Raise an error for an active robot that follows nothing, unless the swarm may have been degenerate."""
         complete = True
         for step in range(before.step - self._age, before.step + self._ahead + 1):
-            sums = self._history.get(AuxiliaryState, step)
+            sums = observer.get(AuxiliaryState, step)
             if sums is None:
                 complete = complete and step > before.step
             elif is_degenerate(sums.s0, sums.s3, self._config.bounds.plane_length):
@@ -154,19 +191,20 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         reason = "it follows no broadcasts"
         raise UnconfirmedError(Difference.of(state, "status", Status.ACTIVE, Status.SAFE_STOP, reason))
 
-    def _broadcasts(self, state: AgentState, before: AgentState) -> Broadcast:
+    def _broadcasts(self, state: AgentState, before: AgentState, followed: _Followed) -> Broadcast:
         """Return the broadcasts that the robot names, if it was allowed to follow them."""
-        step, history = state.broadcast_step, self._history
+        step, (observer, controller) = state.broadcast_step, followed
         if not before.step - self._age <= step <= before.step + self._ahead:
             raise _not_to_follow(state, f"they were {before.step - step} steps old when it decided")
-        if any(history.is_ambiguous(topic, step) for topic in BROADCASTS):
+        senders = (observer, observer, controller)
+        if any(of.is_ambiguous(topic, step) for of, topic in zip(senders, BROADCASTS, strict=True)):
             raise UnconfirmedError(AMBIGUOUS)
-        abstract, sums = history.get(AbstractState, step), history.get(AuxiliaryState, step)
-        asked = next(iter(history.desired(step)), None)
+        abstract, sums = observer.get(AbstractState, step), observer.get(AuxiliaryState, step)
+        asked = next(iter(controller.desired(step)), None)
         if abstract is None or sums is None or asked is None:
             raise UnconfirmedError(NO_BROADCASTS)
         if asked.mode != Mode.RUN:
-            if history.changes_within(step):
+            if controller.changes_within(step):
                 raise UnconfirmedError(NO_BROADCASTS)
             mode = Mode(asked.mode).name if asked.mode in set(Mode) else f"mode {asked.mode}"
             raise _not_to_follow(state, f"the parent controller requested {mode}")
@@ -220,7 +258,7 @@ class ObserverCheck(_Check[RealtimeObserverConfig]):
             if self._history.is_ambiguous(stored.topic, step):
                 yield AMBIGUOUS
             else:
-                yield self._judge(stored, expected[stored.topic is AUXILIARY_STATE])
+                yield self._judge(stored, expected[isinstance(stored.message, AuxiliaryState)])
 
     def _recompute(self, provenance: Basis) -> tuple[AbstractState, AuxiliaryState]:
         """Return the recomputed answers of the observer."""

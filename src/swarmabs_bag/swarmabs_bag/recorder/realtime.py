@@ -15,26 +15,32 @@ from swarmabs_bag.realtime import RealtimeWorld
 from swarmabs_bag.recorder.node import COMMON as OF_RECORDERS, Reporter, scenario_of, split_of
 from swarmabs_bag.recorder.recording import RealtimeRecording
 from swarmabs_config import configure
-from swarmabs_config.graph import DIAGNOSTICS, REALTIME, RECORDER, endpoints
+from swarmabs_config.graph import DIAGNOSTICS, REALTIME, RECORDER
+from swarmabs_core.declaration import parameters_of
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
 from swarmabs_core.messages import NEVER
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.realtime.leadership import Pair
 from swarmabs_core.record import Record
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.lockstep import INTERRUPTED
 from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
 from swarmabs_ros.parameters import declare
-from swarmabs_ros.realtime import arrived
-from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, choose
+from swarmabs_ros.realtime import IDENTIFIED, arrived
+from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, OWN_TOPICS, choose
 from swarmabs_ros.runner import COMMON, Settings
 from swarmabs_ros.start import SwarmNode, run_program
 from swarmabs_ros.status import Heartbeat, notify
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rclpy.node import Node
 
+    from swarmabs_config.graph import Qos
     from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.messages import Topic
     from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (
@@ -47,6 +53,8 @@ PARAMETERS = (
     ),
     Parameter("driven", (), "ids of the robots whose bodies are not simulated", minimum=1, maximum=65535, item=0),
     Parameter("simulated_plane", default=True, description="whether the plane is simulated"),
+    *choose(parameters_of(Pair), "paired"),
+    OWN_TOPICS,
 )
 
 SLICE = 0.1
@@ -61,10 +69,9 @@ LINGER = 0.5
 class RealtimeRecorder:
     """The loop of the node: waits for messages, lets them accumulate, and records them."""
 
-    def __init__(self, node: Node, status: StatusChannel) -> None:
-        subscriptions = endpoints(RECORDER, REALTIME).subscriptions
+    def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos], status: StatusChannel) -> None:
         self._depths = {topic: qos.depth for topic, qos in subscriptions.items()}
-        self._receiver = WaitSetReceiver(node, subscriptions)
+        self._receiver = WaitSetReceiver(node, subscriptions, identified=IDENTIFIED)
         self._status = status
         self._name = node.get_name()
         self._diagnostics = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
@@ -104,13 +111,13 @@ class RealtimeRecorder:
             self._diagnostics.publish(diagnostic_array(self._name, recording.health(), time.time_ns()))
 
     def _drain(self, recording: RealtimeRecording) -> None:
-        for topic, payload in arrived(self._receiver, self._depths):
+        for topic, payload, writer in arrived(self._receiver, self._depths):
             try:
                 record = Record.heard(topic, payload)
             except MalformedMessageError:
                 self.malformed += 1
             else:
-                recording.add(record, time.time_ns())
+                recording.add(record, time.time_ns(), writer)
 
 
 def _folder(settings: Settings, scenario: AnyScenario) -> Path | None:
@@ -123,7 +130,9 @@ def _folder(settings: Settings, scenario: AnyScenario) -> Path | None:
 
 def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     scenario = scenario_of(settings)
-    recorder = RealtimeRecorder(node, status)
+    members = configure.members(scenario)
+    subscriptions = settings.endpoints(RECORDER, REALTIME, members=members).subscriptions
+    recorder = RealtimeRecorder(node, subscriptions, status)
     epoch = settings.integer("epoch_ns")
     if settings.flag("await_epoch"):
         status.send("ready")
@@ -134,7 +143,7 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     if settings.integer("period_ns") != scenario.step_ns:
         raise InputError(f"parameter period_ns does not match the scenario: set it to {scenario.step_ns}")
     last = settings.last_step()
-    robots = sorted(set(configure.members(scenario)) - set(settings.integers("driven")))
+    robots = sorted(set(members) - set(settings.integers("driven")))
     world = RealtimeWorld(
         schedule, tuple(robots), settings.flag("simulated_plane"), tuple(settings.integers("own_limits"))
     )
@@ -145,6 +154,7 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
         last_step=last,
         namespace=settings.namespace,
         split=split_of(settings),
+        paired=settings.flag("paired"),
     )
     reporter = Reporter(recording, status, settings.text("logs"))
     status.send("ready")

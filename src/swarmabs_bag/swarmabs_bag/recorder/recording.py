@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from swarmabs_bag.attached import attachments, provenance
 from swarmabs_bag.blocks import Block
 from swarmabs_bag.figures import RealtimeFigures, RunFigures, tracking_of
-from swarmabs_bag.realtime import RECORDED, RealtimeCollector, RealtimeWorld
+from swarmabs_bag.realtime import RealtimeCollector, RealtimeWorld, recorded
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
 from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
+from swarmabs_config.realtime import bounds
 from swarmabs_core.messages import EVENTS, PLANE_FAMILY
 from swarmabs_core.realtime.base import Health, Level
 
@@ -72,7 +73,7 @@ class Recording(_Recording[RunFigures]):
     ----------
     folder : Path, optional
         Folder of the bag; None if only figures are needed.
-    driver, replay, packed, steered
+    driver, replay, packed, steered, standby
         As for `swarmabs_bag.attached.provenance`.
     namespace, split
         As for `BagWriter`.
@@ -94,9 +95,10 @@ class Recording(_Recording[RunFigures]):
         replay: Mapping[str, object] | None = None,
         packed: bool = False,
         steered: bool = False,
+        standby: str | None = None,
     ) -> None:
         self._reference = configure.reference(scenario)
-        made = provenance(scenario, driver=driver, replay=replay, packed=packed, steered=steered)
+        made = provenance(scenario, driver=driver, replay=replay, packed=packed, steered=steered, standby=standby)
         figures, family = RunFigures(self._reference, tracking_of(scenario)), scenario.family
         topics = (*family.once, *family.main, EVENTS)
         super().__init__(
@@ -131,6 +133,8 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         As for `Recording`.
     last_step : int, optional
         The last step to record, if the nodes continue beyond it.
+    paired : bool
+        Whether any coordinator has a standby, which publishes on topics of its own.
     """
 
     def __init__(
@@ -142,25 +146,35 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         last_step: int | None = None,
         namespace: str = "/",
         split: Split = ONE_FILE,
+        paired: bool = False,
     ) -> None:
-        self._collector = RealtimeCollector(configure.members(scenario), world.schedule)
+        self._collector = RealtimeCollector(
+            configure.members(scenario), world.schedule, bounds(scenario), scenario.realtime.state_age_limit
+        )
         self._received = 0
         self._heard = self._heard_before = 0
         self._last_step = last_step
         made = provenance(scenario, driver=REALTIME.value, realtime=world.provenance())
         figures = RealtimeFigures(configure.parent_controller(scenario).reference, world.schedule)
         super().__init__(
-            scenario, folder, figures, made, topics=RECORDED, qos=OFFERED[REALTIME], namespace=namespace, split=split
+            scenario,
+            folder,
+            figures,
+            made,
+            topics=recorded(paired=paired),
+            qos=OFFERED[REALTIME],
+            namespace=namespace,
+            split=split,
         )
 
-    def add(self, record: Record, now: int) -> None:
-        """Record a message received at a time (ns since 1970); errors as for `Recording.add`."""
+    def add(self, record: Record, now: int, writer: bytes = b"") -> None:
+        """Record a message received at a time (ns since 1970) from a writer; errors as for `Recording.add`."""
         if self._last_step is not None and record.message.step > self._last_step:
             return
         self._heard += 1
         # Keeps the times in the file in order even if the clock is set back.
         self._received = max(self._received, now)
-        for kept in self._collector.add(record, now):
+        for kept in self._collector.add(record, now, writer):
             self.run.add(kept)
             self._tracker.hear(kept.message)
             if self._writer is not None:
@@ -173,7 +187,8 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         figures = tuple((name, str(value)) for name, value in values.items())
         if not heard:
             return Health(Level.WARN, "receives no messages of the swarm", figures)
-        return Health(Level.OK, "recording" if self._writer is not None else "listening, without a bag", figures)
+        text = "recording" if self._writer is not None else "listening, without a bag"
+        return self._collector.writers.warned(Health(Level.OK, text, figures))
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of the run so far, and the numbers of dropped messages."""

@@ -7,7 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_bag.swarm_state import RobotHistory, shown_robot, shown_status
-from swarmabs_core.messages import ROBOT_STATES, EventKind, SwarmEvent, said
+from swarmabs_core.messages import ROBOT_STATES, EventKind, Removal, SwarmEvent, said
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -87,7 +87,7 @@ class SummaryTracker:
         if isinstance(message, ROBOT_STATES):
             self._robots.add(message)
             self._newest = max(self._newest, message.step)
-        elif isinstance(message, SwarmEvent):
+        elif isinstance(message, SwarmEvent) and not isinstance(message, Removal):  # its effect is announced
             self._keep(describe_event(message))
             self._robots.take(message)
 

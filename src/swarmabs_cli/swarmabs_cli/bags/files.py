@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import click
 
-from swarmabs_bag.info import bag_info, render
+from swarmabs_bag.info import bag_info, render, said_steps
+from swarmabs_bag.merge import MergeReport, merge_bags
 from swarmabs_bag.repair import RepairReport, repair_bag
-from swarmabs_cli.options import bag_argument, bags_argument, examples, json_option, output_option
+from swarmabs_cli.options import bags_argument, examples, json_option, output_option
 from swarmabs_cli.output import print_documents, print_json, print_tables, printable
+
+_MOST_SHOWN = 20
+"""Most gaps, contradictions and robots in a text; the JSON document has all."""
 
 
 @click.command(epilog=examples("info runs/pd_het_4-001"))
@@ -30,27 +34,81 @@ def info(bags: tuple[Path, ...], *, as_json: bool) -> int:
     return 0 if all(one.complete for one in found) else 1
 
 
-@click.command(epilog=examples("repair runs/pd_het_4-001"))
-@bag_argument
-@output_option("Folder of the repaired bag.  [default: BAG_repaired]")
+@click.command(
+    epilog=examples("repair runs/pd_het_4-001", "repair --merge bags/primary bags/standby -o bags/both"),
+)
+@bags_argument
+@output_option("Folder of the new bag.  [default: BAG_repaired; required with --merge]")
 @click.option("--in-place", is_flag=True, help="Replace the damaged files and keep them as NAME.damaged.")
+@click.option("--merge", is_flag=True, help="Merge bags that several recorders wrote of one run.")
 @json_option
-def repair(bag: Path, output: Path | None, *, in_place: bool, as_json: bool) -> int:
-    """Repair a damaged bag and report what was lost.
+def repair(bags: tuple[Path, ...], output: Path | None, *, in_place: bool, merge: bool, as_json: bool) -> int:
+    """Repair a damaged bag and report what was lost, or merge bags of one run.
 
-    BAG is the folder of a run, its bag folder, or an .mcap file. A complete bag is left as it is. The exit code is 0
+    A BAG is the folder of a run, its bag folder, or an .mcap file. A complete bag is left as it is. The exit code is 0
     whenever the result is a complete bag, even if messages were lost.
+
+    With --merge, the new bag contains what any of the bags contains. The exit code is 0 only if no message is known to
+    be missing from it, and none differs.
     """
-    report = repair_bag(bag, output, in_place=in_place)
+    if merge:
+        return _merge(bags, output, in_place=in_place, as_json=as_json)
+    if len(bags) > 1:
+        raise click.UsageError("repair takes one BAG; add --merge to merge bags of one run.")
+    report = repair_bag(bags[0], output, in_place=in_place)
     if as_json:
         print_json(asdict(report))
     else:
-        for line in _lines(report):
-            click.echo(printable(line))
+        _print(_lines(report))
     return 0
 
 
-def _lines(report: RepairReport) -> Iterator[str]:
+def _merge(bags: tuple[Path, ...], output: Path | None, *, in_place: bool, as_json: bool) -> int:
+    if len(bags) < 2 or output is None or in_place:
+        raise click.UsageError("--merge takes two or more BAGs and a new folder: --merge A B -o C, without --in-place.")
+    report = merge_bags(bags, output)
+    if as_json:
+        print_json(asdict(report))
+    else:
+        _print(_merge_lines(report))
+    return 0 if report.complete else 1
+
+
+def _print(lines: Iterator[str]) -> None:
+    for line in lines:
+        click.echo(printable(line))
+
+
+def _merge_lines(report: MergeReport) -> Iterator[str]:
+    for bag in report.bags:
+        if bag.repaired is not None:
+            for line in _problems(bag.repaired):
+                yield f"repaired first: {line}"
+        yield f"{bag.bag}: {bag.messages} messages of {said_steps(bag.steps)}"
+    for name, count in report.topics.items():
+        yield f"/{name}: {count} messages"
+    for gap in report.gaps[:_MOST_SHOWN]:
+        robots = f" of {_said('robot', gap.robots)}" if gap.robots else ""
+        topic = "every topic" if gap.topic is None else f"/{gap.topic}"
+        yield f"missing: {topic}{robots}, {said_steps([(gap.first, gap.last)])}"
+    for place in report.contradictions[:_MOST_SHOWN]:
+        robot = f" of robot {place.robot}" if place.robot else ""
+        yield f"different: /{place.topic}{robot}, step {place.step}; the first one received is kept"
+    for kind, found in (("missing", report.gaps), ("different", report.contradictions)):
+        if len(found) > _MOST_SHOWN:
+            yield f"{kind}: {len(found) - _MOST_SHOWN} more; --json lists them all"
+    if report.ended_early is not None:
+        yield f"ended early: {report.ended_early}"
+    known = "nothing is known to be missing" if report.complete else "the bag is not complete"
+    yield f"wrote {report.messages} messages to {report.output}; {known}"
+
+
+def _said(word: str, numbers: Sequence[int]) -> str:
+    more = f" and {len(numbers) - _MOST_SHOWN} more" if len(numbers) > _MOST_SHOWN else ""
+    return f"{word}{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:_MOST_SHOWN]))}{more}"
+
+
+def _problems(report: RepairReport) -> Iterator[str]:
     yield from report.problems
     for file in report.files:
         for problem in file.problems:
@@ -58,6 +116,10 @@ def _lines(report: RepairReport) -> Iterator[str]:
         for part in file.lost:
             span = "" if part.start is None else f", recorded as {part.start:.9g} s to {part.end:.9g} s"
             yield f"lost: {part.bytes} bytes at byte {part.offset} of {Path(file.file).name}{span}"
+
+
+def _lines(report: RepairReport) -> Iterator[str]:
+    yield from _problems(report)
     for topic in report.topics:
         lost = f", {topic.lost} known to be lost" if topic.lost else ""
         last = topic.last_complete_step

@@ -1,4 +1,4 @@
-"""The commands that operate a swarm in real time: `swarm stop`, `reset`, `drain`, `join`, `remove`, `status`."""
+"""The commands that operate a swarm in real time: `swarm stop`, `reset`, `failover`, `drain`, `join`, and others."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from rich.table import Table
 from rich.text import Text
 
 from swarmabs_cli.options import examples, json_option, together
-from swarmabs_cli.output import print_json
+from swarmabs_cli.output import print_json, print_warnings
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.errors import RunError
 from swarmabs_core.realtime.observer import CARRIED_AWAY
-from swarmabs_fleet.operate import HealthMonitor, Row, Target, in_order, joined, target
+from swarmabs_fleet import pairs
+from swarmabs_fleet.operate import HealthMonitor, OperatorClient, Row, Target, in_order, joined, target
 
 _STYLES = {"OK": "green", "WARN": "yellow"}
 
@@ -39,7 +40,7 @@ of_swarm, of_robot = together(_swarm, _timeout), together(_swarm, _robot, _timeo
 @of_swarm
 def stop(swarm: Path, patience: float) -> None:
     """Stop all robots of a fleet or a real-time run until `reset`."""
-    _call(swarm, lambda _: "swarm/stop", patience, "all robots have been told to stop, until a reset")
+    _command(swarm, pairs.stop, patience, "all robots have been told to stop, until a reset")
 
 
 @click.command(epilog=examples("reset runs/pd_het_4-001"))
@@ -49,9 +50,33 @@ def reset(swarm: Path, patience: float) -> None:
 
     A fleet that starts in the stopped state moves after its first `reset`.
     """
-    _call(
-        swarm, lambda _: "swarm/reset", patience, "robots stand still for one second, then follow the controller again"
-    )
+    _command(swarm, pairs.reset, patience, "robots stand still for one second, then follow the controller again")
+
+
+def _command(
+    swarm: Path, command: Callable[[Target, OperatorClient, float], list[str]], patience: float, done: str
+) -> None:
+    """Give a command to the controller and its standby, and print the effect."""
+    with target(swarm) as found, joined(found) as client:
+        print_warnings(command(found, client, patience))
+    click.echo(f"{found.name}: {done}")
+
+
+@click.command(epilog=examples("failover examples/fleet/standby.yaml controller"))
+@_swarm
+@click.argument("coordinator", required=False, type=click.Choice(list(pairs.PAIRS)))
+@_timeout
+def failover(swarm: Path, coordinator: str | None, patience: float) -> None:
+    """Let a standby coordinator take over, for example to service the host of the one that leads.
+
+    Without COORDINATOR, each pair changes roles. The robots keep moving.
+    """
+    with target(swarm) as found:
+        kinds = pairs.chosen(found, coordinator)
+        with joined(found) as client:
+            for kind in kinds:
+                leader = pairs.failover(found, client, kind, patience)
+                click.echo(f"{found.name}: {leader} leads, on {found.hosts[leader]}")
 
 
 @click.command(epilog=examples("drain runs/pd_het_4-001 2"))
@@ -90,10 +115,11 @@ def remove(swarm: Path, robot: int, patience: float) -> None:
     """
     with target(swarm) as found:
         found.robot(robot)
-        monitor = HealthMonitor({OBSERVER: found.hosts.get(OBSERVER, "unknown")})
+        observers = found.pair(OBSERVER)
+        monitor = HealthMonitor({node: found.hosts[node] for node in observers})
 
         def gone() -> bool:
-            return str(robot) in monitor.value(OBSERVER, "left").split()
+            return any(str(robot) in monitor.value(node, "left").split() for node in observers)
 
         with joined(found) as client, client.announced(robot, CARRIED_AWAY, patience):
             client.listen(monitor, patience, gone)
@@ -113,17 +139,19 @@ def remove(swarm: Path, robot: int, patience: float) -> None:
 def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
     """Show the health of every node of a fleet or a real-time run.
 
-    The exit code is 1 if a node is silent or reports an error.
+    Of coordinators with a standby it shows which one leads, and since when. It warns about certificates that expire
+    within 30 days. The exit code is 1 if a node is silent or reports an error.
     """
     if watch and as_json:
         raise click.UsageError("--watch cannot be combined with --json; remove one of them")
     with target(swarm) as found, joined(found) as client:
         monitor = HealthMonitor(found.hosts)
+        print_warnings(found.warnings)
         if watch:
-            with Live(_table(monitor.rows(0.0)), refresh_per_second=2) as live:
+            with Live(_table(found, monitor.rows(0.0)), refresh_per_second=2) as live:
 
                 def refresh() -> bool:
-                    live.update(_table(monitor.rows(time.monotonic())))
+                    live.update(_table(found, monitor.rows(time.monotonic())))
                     return False
 
                 client.listen(monitor, float("inf"), refresh)
@@ -131,17 +159,19 @@ def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
         rows = monitor.rows(time.monotonic())
     if as_json:
         nodes = [row._asdict() for row in rows]
-        print_json({"swarm": found.name, "in_order": in_order(rows), "nodes": nodes})
+        print_json({"swarm": found.name, "in_order": in_order(rows), "nodes": nodes, "warnings": found.warnings})
     else:
-        Console(highlight=False).print(_table(rows))
+        Console(highlight=False).print(_table(found, rows))
     return 0 if in_order(rows) else 1
 
 
-def _table(rows: Sequence[Row]) -> Table:
+def _table(found: Target, rows: Sequence[Row]) -> Table:
     table = Table(box=None, pad_edge=False)
-    for head in ("node", "host", "health", "message"):
+    roles = bool(pairs.paired(found))
+    for head in ("node", "host", "health", *(["role"] * roles), "message"):
         table.add_column(head, overflow="fold")
     for row in rows:
         level = Text(row.level, style=_STYLES.get(row.level, "red"))
-        table.add_row(Text(row.node), Text(row.host), level, Text(row.text))
+        role = [Text(pairs.role(row.values, found.schedule, time.time_ns()))] * roles
+        table.add_row(Text(row.node), Text(row.host), level, *role, Text(row.text))
     return table

@@ -7,7 +7,11 @@ import math
 from typing import TYPE_CHECKING
 
 from swarmabs_config.fleet import participants
+from swarmabs_config.fleet.parts import MeasuredPlane, path_of
+from swarmabs_config.graph import OWN, STANDBY_TOPICS, own_topic
 from swarmabs_config.model.fields import Finding, Location, nearest
+from swarmabs_core.messages import TOPICS
+from swarmabs_core.realtime.instruments import TopicSettings
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Iterator
@@ -21,7 +25,11 @@ _LOOPBACK = "lo"
 def findings(fleet: UncheckedFleet) -> list[Finding]:
     """Return every error of a fleet whose individual fields are valid."""
     # A later check relies on the earlier ones.
-    for group in ((_hosts, _ids), (_references,), (_network, _loopback, _security, _installation, _participants)):
+    for group in (
+        (_hosts, _ids),
+        (_references,),
+        (_network, _loopback, _security, _installation, _participants, _topics),
+    ):
         if found := [finding for check in group for finding in check(fleet)]:
             return found
     return []
@@ -96,17 +104,25 @@ def _ids(fleet: UncheckedFleet) -> Iterator[Finding]:
 def _references(fleet: UncheckedFleet) -> Iterator[Finding]:
     known = [host.name for host in fleet.hosts]
     parts = fleet.coordinators
+    doubled = {"observer": parts.observer, "controller": parts.controller, "recorder": parts.recorder}
     named: list[tuple[Location, str | None]] = [
         *((("robots", n, "host"), robot.host) for n, robot in enumerate(fleet.robots)),
         (("coordinators", "plane", "host"), parts.plane.host),
-        (("coordinators", "observer", "host"), parts.observer.host),
-        (("coordinators", "controller", "host"), parts.controller.host),
-        (("coordinators", "recorder", "host"), parts.recorder.host if parts.recorder else None),
+        *((("coordinators", name, "host"), part.host) for name, part in doubled.items() if part),
+        *((("coordinators", name, "standby"), part.standby) for name, part in doubled.items() if part),
         (("network", "server"), fleet.network.server),
     ]
     for location, name in named:
         if name is not None and name not in known:
             yield Finding.of(location, f"unknown host '{name}'", nearest(name, known))
+    for name, part in doubled.items():
+        if part is not None and part.standby == part.host:
+            yield Finding.of(
+                ("coordinators", name, "standby"),
+                f"{part.host} also runs the {name} itself, so both would be lost together",
+                "name another host, or remove 'standby'",
+                see=("coordinators", name, "host"),
+            )
 
 
 def _network(fleet: UncheckedFleet) -> Iterator[Finding]:
@@ -195,6 +211,24 @@ def _security(fleet: UncheckedFleet) -> Iterator[Finding]:
                 "install ROS 2 Jazzy there and write 'ros: sourced', or use 'level: tunnel'",
                 see=("hosts", n),
             )
+
+
+def _topics(fleet: UncheckedFleet) -> Iterator[Finding]:
+    """Reject topics of drives and of the plane's sensor that are the swarm's: permissions follow from these names."""
+    own = (own_topic(topic, robot.id) for topic in OWN for robot in fleet.robots)
+    taken = {path_of(fleet.namespace, topic.name) for topic in (*TOPICS, *STANDBY_TOPICS.values(), *own)}
+    plane = fleet.coordinators.plane
+    named: list[tuple[Location, str]] = []
+    if isinstance(plane, MeasuredPlane):
+        named.append((("coordinators", "plane", "topic"), plane.instrument.topic))
+    for n, robot in enumerate(fleet.robots):
+        if isinstance(robot.drive, TopicSettings):
+            place, drive = ("robots", n, "drive"), robot.drive
+            named += [((*place, "topic"), drive.topic), ((*place, "command_topic"), drive.command_topic)]
+            named.append(((*place, "imu", "topic"), drive.imu.topic))
+    for location, name in named:
+        if name and path_of(fleet.namespace, name) in taken:
+            yield Finding.of(location, f"{name} is a topic of the swarm itself", "name another topic")
 
 
 def _participants(fleet: UncheckedFleet) -> Iterator[Finding]:

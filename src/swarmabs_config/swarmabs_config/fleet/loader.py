@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from swarmabs_config.fleet.checked import Fleet
 from swarmabs_config.fleet.robots import SimulatedDrive
 from swarmabs_config.model.fields import LONGEST_FILE_NAME, schema_of
-from swarmabs_config.realtime import check_realtime
+from swarmabs_config.realtime import check_pairs, check_realtime
 from swarmabs_config.scenario import Scenario, ScenarioError, dump_scenario, on_plane, parse_scenario
 from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_config.scenario.loader import read_mapping, validated
@@ -20,7 +20,7 @@ from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from swarmabs_config.fleet.robots import Robot
     from swarmabs_config.model.fields import Location
@@ -92,6 +92,8 @@ def json_schema() -> dict[str, object]:
 def _check_against_scenario(loaded: LoadedFleet, root: Node) -> None:
     """Check a fleet against its scenario."""
     fleet, scenario = loaded.fleet, loaded.scenario
+    if fleet.paired:
+        _of_scenario(check_pairs, scenario, root)
     tolerance, half = scenario.realtime.clock_tolerance, scenario.plane.length / 2.0
     if tolerance < 2.0 * fleet.time.max_offset:
         mark, _ = root.locate(("time", "max_offset"))
@@ -117,12 +119,7 @@ def _default_name(stem: str) -> str:
 
 def _with_robots(scenario: Scenario, fleet: Fleet, root: Node) -> Scenario:
     """Return the scenario with the fleet's robots, checked like any other scenario."""
-    try:
-        check_realtime(scenario)
-    except InputError as error:
-        mark, _ = root.locate(("scenario",))
-        problem, _, remedy = str(error).partition("; ")
-        raise mark.error(problem, f"{remedy} ('set' changes values)", ("scenario",)) from error
+    _of_scenario(check_realtime, scenario, root)
     data: dict[str, Plain] = scenario.model_dump(mode="json", by_alias=True)
     sides = cycle((_PLACEHOLDER * scenario.plane.length, -_PLACEHOLDER * scenario.plane.length))
     agents: Plain = [dict(_agent(robot, side)) for robot, side in zip(fleet.members, sides, strict=False)]
@@ -132,6 +129,16 @@ def _with_robots(scenario: Scenario, fleet: Fleet, root: Node) -> Scenario:
         return on_plane(parse_scenario(dump_tree(data), source=str(root.mark.source)), "a fleet")
     except ScenarioError as error:
         raise _at_robot(error, fleet, root) from error
+
+
+def _of_scenario(check: Callable[[Scenario], None], scenario: Scenario, root: Node) -> None:
+    """Check a scenario; an error names the field of the fleet file that names it."""
+    try:
+        check(scenario)
+    except InputError as error:
+        mark, _ = root.locate(("scenario",))
+        problem, _, remedy = str(error).partition("; ")
+        raise mark.error(problem, f"{remedy} ('set' changes values)", ("scenario",)) from error
 
 
 def _mapping(value: Plain) -> dict[str, Plain]:

@@ -99,6 +99,11 @@ class UncheckedFleet(Model):
         """The robots in order of their ids."""
         return tuple(sorted(self.robots, key=lambda robot: robot.id))
 
+    @property
+    def paired(self) -> bool:
+        """Whether the observer or the parent controller has a standby, whose broadcasts others then read too."""
+        return any(part.standby is not None for part in (self.coordinators.observer, self.coordinators.controller))
+
     def host(self, name: str) -> Host:
         """Return a host by name."""
         return next(host for host in self.hosts if host.name == name)
@@ -123,6 +128,11 @@ class UncheckedFleet(Model):
     def ros(self, name: str) -> str:
         """Return where ROS 2 comes from on a host: ``wheels`` or ``sourced``."""
         return self.host(name).ros or self.installation.ros
+
+    @property
+    def own_topics(self) -> bool:
+        """Whether each robot publishes on topics of its own, because permissions are granted by topic."""
+        return self.security.level == "sros2"
 
     @property
     def tunnel(self) -> TunnelSecurity | None:

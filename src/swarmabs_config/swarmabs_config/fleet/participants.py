@@ -21,8 +21,10 @@ from swarmabs_config.graph import (
     RECORDER,
     ROBOT,
     agent_name,
+    standby_name,
 )
 from swarmabs_config.ports import DATA_OFFSET, METATRAFFIC_OFFSET, metatraffic_port
+from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.model import UncheckedFleet
@@ -42,34 +44,44 @@ Role = Literal["coordinator", "robot", "server"]
 
 @dataclass(frozen=True, slots=True)
 class NodePlan:
-    """One node of a fleet: its name, also that of its unit and files, the module whose ``main`` it runs, and its host.
+    """One node of a fleet: its kind (a name of `NODES`), the module whose ``main`` it runs, and its host.
 
     The DDS participant id is unique on the host. The role determines discovery: coordinators announce themselves to all
-    nodes, robots to coordinators.
+    nodes, robots to coordinators. Of a `pair` of coordinators the primary has the usual name; standbys are on other
+    hosts and have the same participant id.
     """
 
-    name: str
+    kind: str
     module: str
     host: str
     participant: int
     role: Role
     robot: Robot | None = None
+    pair: str = SINGLE
+
+    @property
+    def name(self) -> str:
+        """The name of the node, of its unit, and of its files."""
+        if self.robot is not None:
+            return agent_name(self.robot.id)
+        return standby_name(self.kind) if self.pair == STANDBY else self.kind
 
 
 def node_plans(fleet: UncheckedFleet) -> tuple[NodePlan, ...]:
-    """Return all nodes of a fleet: the coordinators first, then the robots by id."""
+    """Return all nodes of a fleet: the coordinators first, each before its standby, then the robots by id."""
     parts = fleet.coordinators
-    hosts = {
-        PLANE if parts.plane.type == "simulated" else PLANE_DRIVER: parts.plane.host,
-        OBSERVER: parts.observer.host,
-        CONTROLLER: parts.controller.host,
+    hosts: dict[str, tuple[str, str | None]] = {
+        PLANE if parts.plane.type == "simulated" else PLANE_DRIVER: (parts.plane.host, None),
+        OBSERVER: (parts.observer.host, parts.observer.standby),
+        CONTROLLER: (parts.controller.host, parts.controller.standby),
     }
     if parts.recorder is not None:
-        hosts[RECORDER] = parts.recorder.host
-    nodes = [
-        NodePlan(name, NODES[name].modules[REALTIME], host, NODES[name].participant, "coordinator")
-        for name, host in hosts.items()
-    ]
+        hosts[RECORDER] = (parts.recorder.host, parts.recorder.standby)
+    nodes = []
+    for kind, (host, standby) in hosts.items():
+        pair = [(host, SINGLE)] if standby is None else [(host, PRIMARY), (standby, STANDBY)]
+        module, number = NODES[kind].modules[REALTIME], NODES[kind].participant
+        nodes += [NodePlan(kind, module, place, number, "coordinator", pair=rank) for place, rank in pair]
     if fleet.network.discovery == "server" and fleet.network.server is not None:
         module = "swarmabs_fleet.discovery_server"
         nodes.append(NodePlan(DISCOVERY, module, fleet.network.server, DISCOVERY_SERVER, "server"))
@@ -77,8 +89,14 @@ def node_plans(fleet: UncheckedFleet) -> tuple[NodePlan, ...]:
     for robot in fleet.members:
         number = on_host.setdefault(robot.host, COORDINATORS)
         on_host[robot.host] += 1
-        nodes.append(NodePlan(agent_name(robot.id), NODES[ROBOT].modules[REALTIME], robot.host, number, "robot", robot))
+        nodes.append(NodePlan(ROBOT, NODES[ROBOT].modules[REALTIME], robot.host, number, "robot", robot))
     return tuple(nodes)
+
+
+def operator_hosts(fleet: UncheckedFleet) -> tuple[str, ...]:
+    """Return the hosts on which an operator's tools run: that of the controller, then that of its standby."""
+    controller = fleet.coordinators.controller
+    return (controller.host,) if controller.standby is None else (controller.host, controller.standby)
 
 
 def nodes_on(fleet: UncheckedFleet, host: str) -> tuple[NodePlan, ...]:

@@ -134,16 +134,21 @@ class MeasuredPlane:
 PLANES: dict[str, type[Model]] = {"simulated": SimulatedPlane, "driver": model_of(MeasuredPlane, tag="type")}
 
 
+_STANDBY = "host of a second one, which takes over when this one falls silent; null: none"
+
+
 class Observer(Model):
     """The node that computes the swarm's abstract state."""
 
     host: Name = Field(description="host on which it runs")
+    standby: Name | None = Field(default=None, description=_STANDBY)
 
 
 class Controller(Model):
     """The parent controller."""
 
     host: Name = Field(description="host on which it runs")
+    standby: Name | None = Field(default=None, description=_STANDBY)
     start_mode: Literal["stop", "run"] = Field(
         default="stop", description="stop: robots do not move until a reset; run: they move once all nodes are present"
     )
@@ -153,6 +158,9 @@ class Recorder(Model):
     """The node that writes the bag."""
 
     host: Name = Field(description="host on which it runs; its bags are in /var/lib/swarmabs-NAME")
+    standby: Name | None = Field(
+        default=None, description="host of a second one, which records a bag of its own; null: none"
+    )
 
 
 class Coordinators(Model):

@@ -21,6 +21,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
+from swarmabs_core.cdr import SECOND
 from swarmabs_core.declaration import LONGEST_TIME, tree_of
 from swarmabs_core.registry import PluginError
 
@@ -142,9 +143,6 @@ NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=LARGEST), WithoutNegati
 Positive: TypeAlias = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(not_tiny)]
 
 
-NANOSECONDS = 10**9
-
-
 def to_nanoseconds(seconds: float) -> int:
     """Return `seconds` (s) as an integer number of nanoseconds, exactly as its decimal text says.
 
@@ -153,7 +151,7 @@ def to_nanoseconds(seconds: float) -> int:
     ValueError
         If the decimal is not a whole number of nanoseconds.
     """
-    exact = Fraction(repr(seconds)) * NANOSECONDS
+    exact = Fraction(repr(seconds)) * SECOND
     if exact.denominator != 1:
         raise ValueError(f"{seconds!r} s is not a whole number of nanoseconds")
     return exact.numerator
@@ -161,7 +159,7 @@ def to_nanoseconds(seconds: float) -> int:
 
 def nearest_step(at: float, step_ns: int) -> int:
     """Return round(at/step): `at` in s, `step_ns` in ns, the ratio taken exactly, ties to the even step."""
-    return round(Fraction(repr(at)) * NANOSECONDS / step_ns)
+    return round(Fraction(repr(at)) * SECOND / step_ns)
 
 
 def _whole_nanoseconds(seconds: float) -> float:

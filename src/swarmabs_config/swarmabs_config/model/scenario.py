@@ -7,6 +7,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_v
 
 from swarmabs_core.behaviours.base import Lockstep, Run
 from swarmabs_core.behaviours.systems import SystemAgentConfig
+from swarmabs_core.cdr import SECOND
 from swarmabs_core.declaration import setting_of
 from swarmabs_core.faults import FAULTS, Fault, JoinFault, SystemReferenceFault
 from swarmabs_core.manifold import Manifold
@@ -39,7 +40,6 @@ from .controllers import (
 from .declared import Declared, Like, declared_field, like, model_of
 from .errors import describe
 from .fields import (
-    NANOSECONDS,
     AsTuple,
     Duration,
     Model,
@@ -184,7 +184,7 @@ class AnyScenario(Model):
     @property
     def period(self) -> float:
         """The control period in s, as used in every computation."""
-        return self.step_ns / NANOSECONDS
+        return self.step_ns / SECOND
 
     @property
     def agents(self) -> tuple[Any, ...]:

@@ -8,8 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
-from swarmabs_config.model.fields import NANOSECONDS, SMALLEST, Finding, Location
+from swarmabs_config.model.fields import SMALLEST, Finding, Location
 from swarmabs_core import behaviours
+from swarmabs_core.cdr import SECOND
 from swarmabs_core.controllers import PD
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import JoinFault, MembershipFault
@@ -86,7 +87,7 @@ def _timing(scenario: "AnyScenario") -> Iterator[Finding]:
         yield Finding.of(
             ("duration",),
             f"the duration {scenario.duration!r} s is not a multiple of the step {scenario.step!r} s",
-            f"use a duration of {' or '.join(repr(ns / NANOSECONDS) for ns in near)} s, or another step",
+            f"use a duration of {' or '.join(repr(ns / SECOND) for ns in near)} s, or another step",
             see=("step",),
         )
 

@@ -116,6 +116,11 @@ class Observer:
         return ()
 
     @property
+    def step(self) -> int:
+        """The step that is summed up next."""
+        return self._gathering.step
+
+    @property
     def standing(self) -> tuple[AnyRobotState, ...]:
         """The robots that are assumed at rest."""
         return tuple(self._standing.values())

@@ -10,10 +10,11 @@ from swarmabs_core.behaviours.robot import RobotConfig
 from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.messages import NEVER, AgentState, EventKind, Status, SwarmEvent
 from swarmabs_core.parameters import Settings
-from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule, StepCounter
+from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 from swarmabs_core.realtime.drives import DRIVES, SIMULATED, Reporting
 from swarmabs_core.realtime.envelope import LaneEnvelope
+from swarmabs_core.realtime.leadership import Pair
 from swarmabs_core.realtime.validation import Bounds, Refusals
 from swarmabs_core.robot_controller import COMMAND_LIMITED, HELD, Decision, RobotController
 from swarmabs_core.swarm_law import Robot
@@ -45,6 +46,7 @@ class RealtimeAgentConfig(RobotConfig):
     )
     lane_margin: float = same(Realtime, "lane_margin")
     broadcast_age_limit: float = same(Realtime, "broadcast_age_limit")
+    paired: bool = same(Pair, "paired")
     measurement_age_limit: float = setting(
         0.1, "age of a robot's motion measurement above which it stops, s", above=0.0
     )
@@ -126,9 +128,9 @@ class RealtimeAgent:
 
         return install
 
-    def hear(self, message: Message, now: int) -> Messages:
+    def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:
         """Take a broadcast, which is rejected if it is not valid."""
-        problem = self._inbox.add(message, now)
+        problem = self._inbox.add(message, now, standby=sender.standby)
         return self._refusals.add(problem, self._config.schedule.step(now), now) if problem else ()
 
     def tick(self, now: int) -> Messages:
@@ -177,6 +179,7 @@ class RealtimeAgent:
             ("position, m", "none" if m is None else f"{m.position:.4f}"),
             ("velocity, m/s", "none" if m is None else f"{m.velocity:.4f}"),
             ("command", f"{self._command:.4f}"),
+            *(self._inbox.followed.values() if self._config.paired else ()),
             *self._refusals.values(),
             *(self._drive.report() if isinstance(self._drive, Reporting) else ()),
         )

@@ -31,13 +31,32 @@ class Health(NamedTuple):
     values: tuple[tuple[str, str], ...] = ()
 
 
+class Sender(NamedTuple):
+    """Who sent a message, as far as its receiver knows.
+
+    Attributes
+    ----------
+    standby : bool
+        Whether it came on the topic of a standby coordinator.
+    writer : bytes
+        GID of the writer; empty if unknown.
+    """
+
+    standby: bool = False
+    writer: bytes = b""
+
+
+UNKNOWN = Sender()
+"""A sender on the usual topic of which nothing else is known."""
+
+
 class RealtimeBehaviour(Protocol):
     """A node as a state machine. Its driver publishes the returned messages in order.
 
     `now` is the time of the swarm's clock, in ns since 1970; it is an argument so that tests can simulate the clock.
     """
 
-    def hear(self, message: Message, now: int) -> Messages:
+    def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:
         """Take a message that has arrived; invalid messages never raise an error."""
         ...
 
@@ -69,6 +88,9 @@ class Realtime:
     )
     clock_tolerance: float = setting(
         0.02, "how far in the future a message may be by the receiver's clock, s", minimum=0.0
+    )
+    takeover_after: float = setting(
+        0.04, "silence of a coordinator after which its standby takes over, s; only in fleets with standbys", above=0.0
     )
     lane_margin: float = setting(0.02, "distance that a robot keeps from the ends of the plane, m", minimum=0.0)
     start: str = setting(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.messages import (
     BROADCASTS,
@@ -27,6 +27,8 @@ MOST_GUARD = 0.5
 MOST_CHANGES = 2
 """Steps within the age limit in which one parent controller may change its mode; more indicate a second one."""
 _LONG_AGO = -(2**62)
+MOST_BEHIND = 3
+"""Largest number of steps by which a robot's coordinators may be behind others without being left for them."""
 
 
 class ModeLatch:
@@ -67,15 +69,39 @@ class ModeLatch:
         self.reset_step = _LONG_AGO
 
 
+_Place = tuple[Topic, int, bool]
+"""Where a broadcast belongs within its step: topic, mode of a desired state, and whether it is a standby's."""
+
+
+class Coordinators(NamedTuple):
+    """The instances that broadcasts come from: for each, whether it is the standby and not the primary."""
+
+    observer: bool = False
+    controller: bool = False
+
+    def values(self) -> tuple[tuple[str, str], ...]:
+        """Return the values for a health status."""
+        instance = {False: "primary", True: "standby"}
+        return ("follows observer", instance[self.observer]), ("follows controller", instance[self.controller])
+
+
+ANY = tuple(Coordinators(observer, controller) for observer in (False, True) for controller in (False, True))
+"""All combinations of instances, first those of the primaries."""
+
+
 class BroadcastInbox:
     """Takes broadcasts in any order and keeps the newest complete set of valid ones.
 
     Above the age limit (s) a broadcast is outdated; it may be in the future by at most the tolerance (s).
 
+    Where coordinators have standbys, a set consists of the two broadcasts of one observer and the one of one
+    controller. The robot stays with the instances that it follows until others are more than `MOST_BEHIND` steps ahead,
+    or theirs contradict each other.
+
     Attributes
     ----------
-    newest : Broadcast or None
-        The newest complete set.
+    followed : Coordinators
+        The instances that the robot follows.
     """
 
     def __init__(self, schedule: Schedule, age_limit: float, clock_tolerance: float, bounds: Bounds) -> None:
@@ -83,17 +109,26 @@ class BroadcastInbox:
         self._age = schedule.steps(age_limit)
         ahead = schedule.ahead(clock_tolerance)
         self._bounds = bounds
-        self._heard: Heard[tuple[Topic, int]] = Heard(self._age, ahead)
+        self._heard: Heard[_Place] = Heard(self._age, ahead)
         self._latch = ModeLatch(min(self._age + ahead, schedule.steps(MOST_GUARD)))
-        self.newest: Broadcast | None = None
+        self._sets: dict[Coordinators, Broadcast] = {}
+        self.followed = ANY[0]
+
+    @property
+    def newest(self) -> Broadcast | None:
+        """The newest complete set of the coordinators that the robot follows."""
+        return self._sets.get(self.followed)
 
     @property
     def stopped(self) -> bool:
         """Whether a STOP was received, and since then no effective RESET."""
         return self._latch.stopped
 
-    def add(self, message: Message, now: int) -> str:
-        """Take a message; return why it is rejected, empty if it is valid. An older or repeated one changes nothing."""
+    def add(self, message: Message, now: int, *, standby: bool = False) -> str:
+        """Take a message; return why it is rejected, empty if it is valid. An older or repeated one changes nothing.
+
+        `standby` tells whether a standby has sent it.
+        """
         topic = TOPIC_OF[type(message)]
         if topic not in BROADCASTS:
             return "not a broadcast"
@@ -104,66 +139,96 @@ class BroadcastInbox:
             self._latch.stop(message.step)  # even if it is otherwise invalid
         if message.step < step - self._age:
             return f"{topic.name}: outdated"
-        problem = self._bounds.problem(message) or self._contradiction(topic, message, step)
+        problem = self._bounds.problem(message) or self._contradiction(topic, message, step, standby=standby)
         if problem:
             return f"{topic.name}: {problem}"
         if isinstance(message, DesiredAbstractState) and message.mode == Mode.RESET:
             self._latch.reset(message.step)
         self._complete(message.step)
+        self._choose(step)
         return ""
 
     def forget(self, now: int) -> None:
         """Discard everything but the latch, because the clock was set."""
         self._heard.forget()
         self._latch.forget(self._schedule.step(now))
-        self.newest = None
+        self._sets.clear()
 
-    def _contradiction(self, topic: Topic, message: Message, step: int) -> str:
+    def _contradiction(self, topic: Topic, message: Message, step: int, *, standby: bool) -> str:
         """Store a message; return a contradiction with another of the same step, or a sign of a second controller."""
         mode = 0
         if isinstance(message, DesiredAbstractState):
             mode = message.mode  # the parent controller may change its mode within a step
             if mode != Mode.RUN:
                 message = message._replace(stamp=0)  # a repeated service call publishes the mode again
-        place = topic, mode
+        place = topic, mode, standby
         if self._heard.add(place, message, step):
             return "two different ones of a step; a second swarm, or an intruder"
-        if _has_changed(self._heard.of(message.step)) and self._changes() > MOST_CHANGES:
+        if _has_changed(self._heard.of(message.step), standby) and self._changes(standby) > MOST_CHANGES:
             self._heard.doubt(place, step)
             return "its mode changes again and again; a second controller, or an intruder"
         return ""
 
-    def _changes(self) -> int:
-        """Return the number of steps with more than one mode."""
-        return sum(map(_has_changed, self._heard.steps()))
+    def _changes(self, standby: bool) -> int:  # noqa: FBT001 - it identifies the controller
+        """Return the number of steps in which a controller has sent more than one mode."""
+        return sum(_has_changed(places, standby) for places in self._heard.steps())
 
     def _complete(self, step: int) -> None:
-        """Make the broadcasts of a step the newest set, if it is complete."""
-        if self.newest is not None and step <= self.newest.step:
+        """Make the broadcasts of a step the newest set of the coordinators that have sent all of them."""
+        first: dict[tuple[Topic, bool], Message] = {}
+        for (topic, _, standby), message in self._heard.of(step).items():
+            first.setdefault((topic, standby), message)
+        if len(first) < len(BROADCASTS):
             return
-        first: dict[Topic, Message] = {}
-        for (topic, _), message in self._heard.of(step).items():
-            first.setdefault(topic, message)
-        if len(first) == len(BROADCASTS):
-            abstract, sums, desired = (first[t] for t in BROADCASTS)
-            self.newest = Broadcast(desired.stamp, step, abstract, sums, desired)  # type: ignore[arg-type]  # by topic
+        for of in ANY:
+            known = self._sets.get(of)
+            if known is not None and step <= known.step:
+                continue
+            senders = (of.observer, of.observer, of.controller)
+            found = [first.get(place) for place in zip(BROADCASTS, senders, strict=True)]
+            if None not in found:
+                abstract, sums, desired = found
+                self._sets[of] = Broadcast(desired.stamp, step, abstract, sums, desired)  # type: ignore[arg-type,union-attr]  # by topic
+
+    def _choose(self, step: int) -> None:
+        """Leave the coordinators that the robot follows if their set is doubted, missing, or far behind others."""
+        if len(self._sets) == 1 and self.followed in self._sets:
+            return
+        trusted = {of: found.step for of, found in self._sets.items() if not self._doubts(of, step)}
+        if not trusted:
+            return
+        newest = max(trusted.values())
+        if newest - trusted.get(self.followed, _LONG_AGO) > MOST_BEHIND:
+            before = self.followed
+            self.followed = max(
+                trusted,
+                key=lambda of: (trusted[of], of.observer == before.observer, of.controller == before.controller),
+            )
+
+    def _doubts(self, of: Coordinators, step: int) -> bool:
+        """Return whether any broadcasts of these coordinators contradict each other."""
+        abstract, sums, desired = BROADCASTS
+        observed = any(self._heard.doubts((topic, 0, of.observer), step) for topic in (abstract, sums))
+        return observed or any(self._heard.doubts((desired, mode, of.controller), step) for mode in Mode)
 
     def problem(self, now: int) -> str:
         """Return why the newest set must not be followed; empty if it may be."""
         step = self._schedule.step(now)
         if self.stopped:
             return "stop commanded"
-        if self._heard.doubts_any(step):
+        self._choose(step)
+        newest = self.newest
+        if self._doubts(self.followed, step):
             return "the broadcasts contradict each other"
-        if self.newest is None:
+        if newest is None:
             return "no complete broadcasts yet"
-        if step - self.newest.step > self._age:
+        if step - newest.step > self._age:
             return "the broadcasts are outdated"
-        if self.newest.desired.mode != Mode.RUN or self.newest.step <= self._latch.reset_step:
+        if newest.desired.mode != Mode.RUN or newest.step <= self._latch.reset_step:
             return "reset commanded"
         return ""
 
 
-def _has_changed(places: Iterable[tuple[Topic, int]]) -> bool:
-    """Return whether the messages of a step contain more than one mode."""
-    return sum(topic is DESIRED_ABSTRACT_STATE for topic, _ in places) > 1
+def _has_changed(places: Iterable[_Place], standby: bool) -> bool:  # noqa: FBT001 - it identifies the controller
+    """Return whether the messages of a step contain more than one mode of a controller."""
+    return sum(topic is DESIRED_ABSTRACT_STATE and sender is standby for topic, _, sender in places) > 1

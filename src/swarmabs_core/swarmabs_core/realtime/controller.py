@@ -24,7 +24,9 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 from swarmabs_core.plant import Plane
-from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule
+from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedule, Sender
+from swarmabs_core.realtime.broadcasts import MOST_GUARD, ModeLatch
+from swarmabs_core.realtime.leadership import Pair, Voice
 from swarmabs_core.realtime.validation import Bounds, Heard, Refusals
 
 if TYPE_CHECKING:
@@ -56,6 +58,7 @@ class RealtimeControllerConfig:
     )
     plane_age_limit: float = same(Realtime, "plane_age_limit")
     clock_tolerance: float = same(Realtime, "clock_tolerance")
+    pair: Pair = part(Pair, name="")
 
     @property
     def bounds(self) -> Bounds:
@@ -85,6 +88,12 @@ class RealtimeController:
         self._asked: DesiredAbstractState | None = None
         self._last_published = -1
         self._blind = False
+        leadership = config.pair.leadership(config.schedule, config.clock_tolerance)
+        self._voice = Voice("parent_controller", leadership, config.pair.rank)
+        guard = self._age + config.schedule.ahead(config.clock_tolerance)
+        self._latch = ModeLatch(min(guard, config.schedule.steps(MOST_GUARD)))
+        self._commanded: tuple[Mode, int] | None = None
+        self._peer_step = -1
         self._restart()
 
     def _restart(self) -> None:
@@ -104,12 +113,14 @@ class RealtimeController:
 
         return install
 
-    def hear(self, message: Message, now: int) -> Messages:
+    def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:  # noqa: ARG002 - the interface of behaviours
         """Take a state of the plane or of the swarm; return the desired abstract state of the step."""
         if isinstance(message, AbstractState):
             self._swarm_heard = True
             return ()
         step = self._config.schedule.step(now)
+        if isinstance(message, (DesiredAbstractState, Basis)) and not self._config.pair.single:
+            return self._hear_peer(message, step, now)
         problem = self._problem(message, step)
         if problem:
             return self._refusals.add(problem, step, now)
@@ -122,29 +133,39 @@ class RealtimeController:
     def tick(self, now: int) -> Messages:
         """Repeat STOP and RESET even without states of the plane, and report if those are missing."""
         step = self._config.schedule.step(now)
-        events = self._end_reset(now)
+        events = self._voice.say(self._end_reset(now, step), now, step, able=self._mode is not Mode.RUN)
         if self._plane is not None and self._plane.step > step + self._age:  # the clock was set back
-            self._plane, self._last_published = None, -1
+            self._plane, self._last_published, self._peer_step = None, -1, -1
             self._heard.forget()
+            self._latch.forget(step)
         if self._mode is not Mode.RUN and self._last_published < step:
-            return (*events, self._keep_still(now, step))
+            return (*events, *self._say_still(now, step))
         doubt, was_blind = self._doubt(step), self._blind
         self._blind = bool(doubt)
         if doubt and not was_blind and self._plane is not None:
-            return (*events, self._event(now, EventKind.STALLED, 0.0, doubt))
+            stalled = self._event(now, EventKind.STALLED, 0.0, doubt)
+            return (*events, *self._voice.say((stalled,), now, step, able=False))
         return events
 
     def stop(self, now: int) -> Messages:
         """Stop the swarm until `reset`; the message is published at once."""
+        step = self._config.schedule.step(now)
+        self._command(Mode.STOP, step)
         if self._mode is Mode.STOP:
-            return (self._keep_still(now, self._config.schedule.step(now)),)
+            return (self._keep_still(now, step),)
         return self._change(Mode.STOP, now, "stop commanded")
 
     def reset(self, now: int) -> Messages:
         """Resume after `stop`, also after a stop before this node started; law and reference restart."""
-        self._reset_until = now + round(RESET_SECONDS * 1e9)
-        self._restart()
-        return self._change(Mode.RESET, now, "reset commanded")
+        step = self._config.schedule.step(now)
+        self._command(Mode.RESET, step)
+        self._begin_reset(now)
+        return self._voice.say(self._change(Mode.RESET, now, "reset commanded"), now, step)
+
+    def release(self, now: int) -> Messages:
+        """Hand over to the other one of the pair."""
+        self._voice.leadership.release(self._config.schedule.step(now))
+        return ()
 
     def halt(self) -> None:
         """Discard the plane's state; the robots then stop when the last desired state is outdated."""
@@ -160,6 +181,7 @@ class RealtimeController:
             ("desired inertia, kg m^2", "none" if asked is None else f"{asked.inertia:.5f}"),
             ("angle, rad", "none" if plane is None else f"{plane.angle:.4f}"),
             *self._refusals.values(),
+            *self._voice.leadership.values(self._config.schedule.step(now)),
         )
         if self._mode is not Mode.RUN:
             return Health(Level.WARN, f"{self._mode.name}: {self._why}", values)
@@ -193,9 +215,10 @@ class RealtimeController:
         return ""
 
     def _answer(self, plane: PlaneState, now: int) -> Messages:
+        step = self._config.schedule.step(now)
         if self._mode is not Mode.RUN:
-            return () if plane.step <= self._last_published else (self._keep_still(now, plane.step),)
-        if not self._swarm_heard or self._doubt(self._config.schedule.step(now)):
+            return () if plane.step <= self._last_published else self._say_still(now, plane.step)
+        if not self._swarm_heard or self._doubt(step):
             return ()
         if self._first_step is not None and not 0 < plane.step - self._law_step <= MOST_STEPS:
             self._restart()
@@ -212,9 +235,87 @@ class RealtimeController:
                 news, desired = self._generator.advance(time, plane)
                 events.extend(event._replace(stamp=now) for event in news)
         except RunError as error:
-            return self._change(Mode.STOP, now, str(error))
+            return self._voice.say(self._change(Mode.STOP, now, str(error)), now, step)
         self._asked, self._last_published = desired._replace(stamp=now), plane.step
-        return (*events, provenance, self._asked)
+        return self._voice.say((*events, provenance, self._asked), now, step)
+
+    def _hear_peer(self, message: DesiredAbstractState | Basis, step: int, now: int) -> Messages:
+        """Note that the other controller speaks, and take over its mode and the time of its law unless this one leads.
+
+        A STOP counts whatever it is, as for a robot.
+        """
+        stops = isinstance(message, DesiredAbstractState) and message.mode == Mode.STOP
+        if message.step > step + self._config.schedule.ahead(self._config.clock_tolerance):
+            problem = "from the future"
+        elif message.step < step - self._age and not stops:
+            problem = "outdated"
+        else:
+            problem = "" if stops else self._bounds.problem(message)
+        if problem:
+            return self._refusals.add(f"the other controller: {problem}", step, now)
+        leadership = self._voice.leadership
+        if isinstance(message, Basis):
+            if message.source == Source.CONTROLLER and not leadership.leading:
+                self._adopt(message.step, message.begun)
+            return ()
+        leadership.hear(message.step, step)
+        if stops:
+            self._latch.stop(message.step)
+            return self._obey(message.step, now, step)
+        if message.mode == Mode.RESET:
+            self._latch.reset(message.step)
+        if not leadership.leading and message.step > self._peer_step:
+            self._peer_step = message.step
+            self._follow(message, now)
+        return ()
+
+    def _obey(self, stopped: int, now: int, step: int) -> Messages:
+        """Take over a STOP of the other controller, unless a reset was commanded since."""
+        mode, commanded = self._commanded or (Mode.STOP, -1)
+        if stopped >= commanded:
+            self._commanded = None  # the other controller has heard of it
+        elif mode is Mode.RESET:
+            return ()
+        if self._mode is Mode.STOP:
+            return ()
+        return self._voice.say(self._change(Mode.STOP, now, "stopped by the other controller"), now, step)
+
+    def _follow(self, asked: DesiredAbstractState, now: int) -> None:
+        """Take over RUN or RESET, once the latch is open; the command filter continues from what was asked."""
+        if self._latch.stopped:
+            self._mode, self._why = Mode.STOP, "stop commanded"
+            return
+        self._commanded = None
+        if asked.mode == Mode.RESET and self._mode is not Mode.RESET:
+            self._begin_reset(now)
+        self._mode, self._why = Mode(asked.mode), "as the other controller"
+        if asked.mode == Mode.RUN and asked.step == self._law_step:
+            self._asked = asked
+            self._generator.follow(asked)
+
+    def _adopt(self, step: int, begun: int) -> None:
+        """Continue the law that began in a step, of which the other controller has computed a step."""
+        if self._first_step != begun and self._mode is Mode.RUN:
+            self._restart()
+            answered = -1 if self._plane is None else self._plane.step
+            self._first_step, self._law_step = begun, max(step - 1, answered)
+
+    def _command(self, mode: Mode, step: int) -> None:
+        """Note an operator's command. A silent controller repeats a STOP until the leader has taken it over."""
+        self._commanded = mode, step
+        if mode is Mode.STOP:
+            self._latch.stop(step)
+
+    def _begin_reset(self, now: int) -> None:
+        self._reset_until = now + round(RESET_SECONDS * 1e9)
+        self._restart()
+
+    def _say_still(self, now: int, step: int) -> Messages:
+        """Return the desired state that stops all robots if this controller leads, or if only it was told to stop."""
+        still = self._keep_still(now, step)
+        said = self._voice.say((still,), now, self._config.schedule.step(now))
+        told = self._commanded is not None and self._commanded[0] is Mode.STOP
+        return said or ((still,) if told and self._mode is Mode.STOP else ())
 
     def _keep_still(self, now: int, step: int) -> DesiredAbstractState:
         """Return the desired state of a step that stops all robots."""
@@ -230,8 +331,10 @@ class RealtimeController:
             return (event,)
         return (event, self._keep_still(now, self._config.schedule.step(now)))
 
-    def _end_reset(self, now: int) -> Messages:
-        if self._mode is Mode.RESET and now >= self._reset_until:
+    def _end_reset(self, now: int, step: int) -> Messages:
+        leadership = self._voice.leadership
+        follows = not leadership.leading and leadership.hears_peer(step)
+        if self._mode is Mode.RESET and now >= self._reset_until and not follows:
             return self._change(Mode.RUN, now, "reset is over")
         return ()
 

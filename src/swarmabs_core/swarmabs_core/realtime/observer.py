@@ -18,13 +18,15 @@ from swarmabs_core.messages import (
     EventKind,
     Message,
     Messages,
+    Removal,
     Source,
     Status,
     SwarmEvent,
 )
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.plant import Plane
-from swarmabs_core.realtime.base import FEWEST, Health, Level, Realtime, Schedule, StepCounter
+from swarmabs_core.realtime.base import FEWEST, UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
+from swarmabs_core.realtime.leadership import Pair, Voice
 from swarmabs_core.realtime.validation import Bounds, HeardStates, Refusals
 from swarmabs_core.swarm_law import SwarmGains
 
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, MutableMapping
 
 CARRIED_AWAY = "carried away"
-"""`SwarmEvent.detail` with which an operator reports that a silent robot was removed from the plane."""
+"""`Removal.detail` of an operator."""
 
 
 class Role(Enum):
@@ -59,6 +61,7 @@ class RealtimeObserverConfig:
     start: str = same(Realtime, "start")
     quorum: int | None = same(Realtime, "quorum")
     clock_tolerance: float = same(Realtime, "clock_tolerance")
+    pair: Pair = part(Pair, name="")
 
     def __post_init__(self) -> None:
         """Reject a quorum that these robots cannot reach."""
@@ -147,6 +150,8 @@ class RealtimeObserver:
         self._counter = StepCounter(config.schedule)
         self._started = False
         self._under_way_since: int | None = None
+        leadership = config.pair.leadership(config.schedule, config.clock_tolerance)
+        self._voice = Voice("abstraction_observer", leadership, config.pair.rank)
 
     def tuned(self, config: RealtimeObserverConfig) -> Callable[[], None]:
         """Return a callable that installs the gain of a configuration between two steps."""
@@ -157,13 +162,17 @@ class RealtimeObserver:
 
         return install
 
-    def hear(self, message: Message, now: int) -> Messages:
+    def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:
         """Take an event, or a state of a member if it is valid and newer than the known one."""
         step = self._config.schedule.step(now)
+        if isinstance(message, Removal):
+            return self._remove(message, step, now)
         if isinstance(message, SwarmEvent):
             self._learn(message, step)
             return ()
-        problem = self._problem(message, step)
+        if isinstance(message, AbstractState) and not self._config.pair.single:
+            return self._hear_peer(message, step, now)
+        problem = self._problem(message, step, sender)
         if problem:
             return self._refusals.add(problem, step, now)
         assert isinstance(message, AgentState)  # noqa: S101 - `_problem` has checked it
@@ -174,30 +183,40 @@ class RealtimeObserver:
         return ()
 
     def tick(self, now: int) -> Messages:
-        """Return events for changed roles, and the sums."""
+        """Return events for changed roles, and the sums; one of a pair that stands by says nothing."""
         step = self._counter.next(now)
         if step is None:
             if self._counter.last is None and self._started:
                 self.halt()
             return ()
+        self._heard.writers.advance(step)
         events = self._update_roles(step, now)
         if not self._started and not self._may_start(step):
-            return events
+            return self._voice.say(events, now, step, able=False)
         self._started = True
         standing = [i for i, role in self.roles.items() if role is Role.SILENT]
-        return (*events, self._provenance(standing, step, now), *self._sums.sum_up(self._states, standing, step, now))
+        answer = (self._provenance(standing, step, now), *self._sums.sum_up(self._states, standing, step, now))
+        return self._voice.say((*events, *answer), now, step, able=self._hears_robots)
+
+    def release(self, now: int) -> Messages:
+        """Hand over to the other one of the pair."""
+        self._voice.leadership.release(self._config.schedule.step(now))
+        return ()
 
     def halt(self) -> None:
         """Assume that all robots rest in their last known positions until they are heard again."""
         self._states = {i: _long_ago(s) if s.status != Status.LEFT else s for i, s in self._states.items()}
         self._heard.forget()
 
-    def health(self, now: int) -> Health:  # noqa: ARG002 - roles are those of the last tick
-        """Return the number of robots in each role."""
+    def health(self, now: int) -> Health:
+        """Return the number of robots in each role, and the robots for which a second sender speaks."""
+        return self._heard.writers.warned(self._health(now))
+
+    def _health(self, now: int) -> Health:
         count = {role: sum(r is role for r in self.roles.values()) for role in Role}
         ids = {role: [i for i, r in self.roles.items() if r is role][:20] for role in Role}
         values = tuple((role.value, " ".join(map(str, ids[role]))) for role in Role)
-        values = (*values, *self._refusals.values())
+        values = (*values, *self._refusals.values(), *self._voice.leadership.values(self._config.schedule.step(now)))
         if not self._started:
             heard = self._known()
             return Health(Level.WARN, f"waiting for robots: {heard} heard, {self._needed} needed", values)
@@ -207,12 +226,24 @@ class RealtimeObserver:
         text = f"{count[Role.ACTIVE]} of {len(self.roles)} robots follow"
         return Health(Level.WARN if missing else Level.OK, text, values)
 
-    def _problem(self, message: Message, step: int) -> str:
+    @property
+    def _hears_robots(self) -> bool:
+        """Whether it heard any robot recently: one that is cut off from all must not lead."""
+        return any(role in (Role.ACTIVE, Role.STOPPED) for role in self.roles.values())
+
+    def _hear_peer(self, message: AbstractState, step: int, now: int) -> Messages:
+        if problem := self._bounds.problem(message):
+            return self._refusals.add(f"the other observer: {problem}", step, now)
+        self._voice.leadership.hear(message.step, step)
+        return ()
+
+    def _problem(self, message: Message, step: int, sender: Sender) -> str:
         if not isinstance(message, AgentState):
             return "not a robot's state"
         if message.agent_id not in self.roles:
             return f"robot {message.agent_id} is not a member of this swarm"
-        return self._heard.problem(message, step, self._bounds.problem(message) or self._overweight(message))
+        impossible = self._bounds.problem(message) or self._overweight(message)
+        return self._heard.problem(message, step, impossible, sender.writer)
 
     def _overweight(self, state: AgentState) -> str:
         """Return a problem if the robot's mass and those of the others on the plane exceed the mass of the swarm."""
@@ -225,14 +256,25 @@ class RealtimeObserver:
         return ""
 
     def _learn(self, event: SwarmEvent, step: int) -> None:
-        """Note an event that shows that the swarm is already moving, or that a silent robot was removed."""
-        if event.agent_id not in self.roles:
-            return
-        if event.kind == EventKind.RECOVERED and self._under_way_since is None:
+        """Note an event that shows that the swarm is already moving."""
+        if event.agent_id in self.roles and event.kind == EventKind.RECOVERED and self._under_way_since is None:
             self._under_way_since = step
-        silent = self.roles[event.agent_id] is Role.SILENT
-        if silent and event.kind == EventKind.LEFT and event.detail == CARRIED_AWAY:
-            self._states[event.agent_id] = self._states[event.agent_id]._replace(status=Status.LEFT)
+
+    def _remove(self, removal: Removal, step: int, now: int) -> Messages:
+        """Take a silent robot off the plane, unless it has been heard since; return the removal for observers to come.
+
+        Removals are kept for nodes that start later, so this one may be old.
+        """
+        state = self._states.get(removal.agent_id)
+        if state is None or self._sums.role(state, step) is not Role.SILENT:
+            return ()
+        if self._heard.from_future(removal, step):
+            problem = f"robot {removal.agent_id}: a removal from the future; the clocks differ"
+            return self._refusals.add(problem, step, now)
+        if removal.step < self._steps[removal.agent_id]:
+            return ()
+        self._states[removal.agent_id] = state._replace(status=Status.LEFT)
+        return (removal,)
 
     def _provenance(self, standing: Collection[int], step: int, now: int) -> Basis:
         """Return the provenance of the sums: the steps of the states, and the robots assumed at rest."""

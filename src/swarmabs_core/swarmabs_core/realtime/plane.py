@@ -31,7 +31,7 @@ from swarmabs_core.plant import (
     straight,
     swarm_load,
 )
-from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule, StepCounter
+from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
 from swarmabs_core.realtime.validation import Bounds, HeardStates, Refusals
 from swarmabs_core.sensing import measured_plane
 
@@ -154,12 +154,12 @@ class RealtimePlane:
         self._last_step: int | None = None
         self._refusals = Refusals()
 
-    def hear(self, message: Message, now: int) -> Messages:
+    def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:
         """Take a robot's state."""
         step = self._config.schedule.step(now)
         if not isinstance(message, AgentState) or message.agent_id not in self._members:
             return self._refusals.add("not a state of a robot of this swarm", step, now)
-        problem = self._heard.problem(message, step, self._bounds.problem(message))
+        problem = self._heard.problem(message, step, self._bounds.problem(message), sender.writer)
         if problem:
             return self._refusals.add(problem, step, now)
         known = self._newest.get(message.agent_id)
@@ -178,6 +178,7 @@ class RealtimePlane:
                 self._last_step = None
                 self._heard.forget()
             return ()
+        self._heard.writers.advance(step)
         since, robots = self._last_step, self._robots()
         events: Messages = ()
         if self._released is not None and since is not None:
@@ -196,7 +197,10 @@ class RealtimePlane:
         self._angular_velocity = self._config.plane.angular_velocity
 
     def health(self, now: int) -> Health:  # noqa: ARG002 - a simulation is never outdated
-        """Return the motion of the plane."""
+        """Return the motion of the plane, and the robots for which a second sender speaks."""
+        return self._heard.writers.warned(self._health())
+
+    def _health(self) -> Health:
         values = (
             ("angle, rad", f"{self._angle:.4f}"),
             ("angular velocity, rad/s", f"{self._angular_velocity:.4f}"),

@@ -25,6 +25,7 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
+from swarmabs_core.realtime.base import Health, Level
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -38,6 +39,11 @@ MOST_REASONS = 100
 """Number of reasons that are reported separately; messages rejected for other reasons are only counted."""
 SLACK = 1.05
 """Factor by which a bound may be exceeded, because measured positions are not exact."""
+_MOST_SHOWN = 20
+SHOWN_AGES = 100
+"""For how many age limits a health status shows that a robot had a second sender."""
+SECOND_SENDER = "a second sender, refused while the first is heard"
+"""Reason for which the states of a second writer with the id of a robot are rejected."""
 _ROUNDING = 1e-6
 LEAST_DAMPING_TIME = 1e-3
 """Shortest time constant of a robot's own damping that is credible, in periods."""
@@ -179,10 +185,6 @@ class Heard(Generic[Place]):
         since = self._contradicted.get(place)
         return since is not None and step - since <= self._age
 
-    def doubts_any(self, step: int) -> bool:
-        """Return whether any place is distrusted."""
-        return any(self.doubts(place, step) for place in self._contradicted)
-
     def of(self, step: int) -> Mapping[Place, Message]:
         """Return the messages of a step by place, in the order of arrival."""
         return self._steps.get(step, {})
@@ -191,21 +193,103 @@ class Heard(Generic[Place]):
         """Return the messages of each step that is kept."""
         return self._steps.values()
 
+    def _forget_place(self, place: Place) -> None:
+        """Discard the messages of a place, and whether it is distrusted: from now on another one sends them."""
+        for heard in self._steps.values():
+            heard.pop(place, None)
+        self._contradicted.pop(place, None)
+
     def forget(self) -> None:
-        """Discard everything."""
+        """Discard all messages."""
         self._steps.clear()
         self._contradicted.clear()
 
 
-class HeardStates(Heard[int]):
-    """Received states of the robots."""
+class Writers:
+    """Binds the id of each robot to a writer: the first one, until it has been silent for the age limit, in steps.
 
-    def problem(self, state: AgentState, step: int, impossible: str) -> str:
+    Silence is counted in the steps in which the receiver has run. After a pause of its own, whose messages still wait
+    to be heard, or after a change of its clock, a second writer therefore cannot take the place of the first. Memory is
+    bounded by the number of robots, however many writers there are.
+    """
+
+    def __init__(self, age: int) -> None:
+        self._age = age
+        self._bound: dict[int, tuple[bytes, int]] = {}
+        self._refused: dict[int, tuple[int, bytes, int]] = {}
+        self._ran = 0
+        self._step: int | None = None
+
+    def advance(self, step: int) -> None:
+        """Count the steps since the last call; those of a pause count for half the age limit at most."""
+        if step == self._step:
+            return
+        passed = 1 if self._step is None else step - self._step
+        self._ran += min(max(1, passed), max(1, self._age // 2))
+        self._step = step
+
+    def refuses(self, agent_id: int, writer: bytes) -> bool:
+        """Return whether a state is that of a second writer while the first one is alive; an unknown writer is none."""
+        bound = self._bound.get(agent_id)
+        if bound is None or not writer or writer == bound[0] or self._ran - bound[1] > self._age:
+            return False
+        count = self._refused[agent_id][0] if agent_id in self._refused else 0
+        self._refused[agent_id] = count + 1, writer, self._ran
+        return True
+
+    def hear(self, agent_id: int, writer: bytes) -> bool:
+        """Note that a writer that is not refused is alive; return whether it has taken the place of another one."""
+        before = self._bound.get(agent_id)
+        if writer:
+            self._bound[agent_id] = writer, self._ran
+        return bool(writer) and before is not None and before[0] != writer
+
+    def contested(self, ages: int = 1) -> tuple[int, ...]:
+        """Return the robots of which a second writer was refused within so many age limits."""
+        return tuple(i for i, (_, _, at) in sorted(self._refused.items()) if self._ran - at <= ages * self._age)
+
+    def warned(self, health: Health) -> Health:
+        """Return a health status with the robots that have a second writer, or had one recently, and the writers.
+
+        GIDs are written as by `ros2 topic info -v`, which names their nodes.
+        """
+        if not self._refused:
+            return health
+        found = tuple(
+            (f"second sender of robot {i}", f"{gid.hex('.')}: {count} refused; the first: {self._bound[i][0].hex('.')}")
+            for i, (count, gid, _) in sorted(self._refused.items())[:_MOST_SHOWN]
+        )
+        values, contested = (*health.values, *found), self.contested(SHOWN_AGES)[:_MOST_SHOWN]
+        if not contested:
+            return health._replace(values=values)
+        text = f"{health.text}; a second sender speaks for robots {' '.join(map(str, contested))}"
+        return Health(max(health.level, Level.WARN), text, values)
+
+
+class HeardStates(Heard[int]):
+    """Received states of the robots.
+
+    Attributes
+    ----------
+    writers : Writers
+        Who speaks for which robot.
+    """
+
+    def __init__(self, age: int, ahead: int) -> None:
+        super().__init__(age, ahead)
+        self.writers = Writers(age)
+
+    def problem(self, state: AgentState, step: int, impossible: str, writer: bytes = b"") -> str:
         """Return why a state is rejected, given why it is impossible, if it is; empty if it is valid."""
+        self.writers.advance(step)
         problem = impossible
-        if self.from_future(state, step):
+        if self.writers.refuses(state.agent_id, writer):
+            problem = SECOND_SENDER
+        elif self.from_future(state, step):
             problem = "a state from the future; the clocks differ, or it is of another swarm"
         elif not impossible:
+            if step - self._age <= state.step and self.writers.hear(state.agent_id, writer):
+                self._forget_place(state.agent_id)
             self.add(state.agent_id, state, step)
             problem = "two different states of a step" if self.doubts(state.agent_id, step) else ""
         return f"robot {state.agent_id}: {problem}" if problem else ""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import importlib
+import inspect
 import json
 import os
 import select
@@ -154,6 +155,8 @@ def main() -> int:
             importlib.import_module(name)
         for topic in TOPICS:
             ros_type(topic).__class__.__import_type_support__()
+        # To name the caller of a log message, rclpy looks up the paths of all modules; the nodes inherit what is found.
+        inspect.getmodule(inspect.currentframe())
         Launcher(int(os.environ[REPORT_FD])).run()
     return 0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure, realtime
@@ -13,6 +13,7 @@ from swarmabs_config.configure import options_for
 from swarmabs_config.graph import (
     CONTROLLER,
     COORDINATORS,
+    FIRST_SPARE,
     LOCKSTEP,
     NODES,
     OBSERVER,
@@ -25,11 +26,13 @@ from swarmabs_config.graph import (
     agent_name,
     endpoints,
     options_of,
+    standby_name,
 )
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import values_of
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import FAMILIES, Topic
+from swarmabs_core.realtime.leadership import PRIMARY, STANDBY
 from swarmabs_core.steering import STEERER
 from swarmabs_ros.lockstep import FIRST, WINDOW
 from swarmabs_run.run import DEFAULTS
@@ -40,6 +43,9 @@ if TYPE_CHECKING:
     from swarmabs_run.run import RunOptions
 
 Parameters = dict[str, object]
+
+PAIRED = (OBSERVER, CONTROLLER, RECORDER)
+"""The nodes that have a standby in a run with standbys."""
 
 PATIENCE = 1e-4
 """Shortest time, s, per robot that a node waits for an answer before it sends its message again."""
@@ -158,9 +164,26 @@ def _lockstep_plan(
     if options.steered:
         place = {"scenario_file": str(folder.scenario), "folder": str(folder.path)}
         coordinators[STEERER] = common | place | {"step_seconds": options.step_seconds}
+    for node in PAIRED if options.standby else ():
+        coordinators[node] |= {"pair": PRIMARY, "pair_window": window}
+    single = [_coordinator(node, LOCKSTEP, parameters, scenario, also) for node, parameters in coordinators.items()]
     return (
-        *(_coordinator(node, LOCKSTEP, parameters, scenario, also) for node, parameters in coordinators.items()),
+        *single,
+        *(_standby(process, folder, options) for process in single if options.standby and process.name in PAIRED),
         *_agent_processes(scenario, common | packed, folder, options),
+    )
+
+
+def _standby(primary: ProcessPlan, folder: RunFolder, options: RunOptions) -> ProcessPlan:
+    """Return the process of a coordinator's standby, with the spare participant id of its primary."""
+    parameters = primary.parameters | {"pair": STANDBY}
+    if primary.name == RECORDER and options.record:
+        parameters["bag"] = str(folder.standby.bag)
+    return replace(
+        primary,
+        name=standby_name(primary.name),
+        participant=FIRST_SPARE + primary.participant,
+        parameters=parameters,
     )
 
 

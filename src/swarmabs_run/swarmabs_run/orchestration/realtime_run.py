@@ -9,6 +9,7 @@ from swarmabs_config.graph import REALTIME, RECORDER
 from swarmabs_config.realtime import check_realtime
 from swarmabs_ros.status import epoch_records
 from swarmabs_run.orchestration.process_run import ProcessRun
+from swarmabs_run.orchestration.run_files import write_epoch
 from swarmabs_run.orchestration.supervision import Failure, how_it_ended
 from swarmabs_run.run import DEFAULTS, RunOptions
 
@@ -49,6 +50,7 @@ class RealtimeRun(ProcessRun):
         lead = LEAD + LEAD_PER_PROCESS * len(self._plan)
         epoch_ns = self._machine.time_ns() + round(lead * 1e9)
         self._note(f"all processes are ready: start, with step 0 at {epoch_ns} ns since 1970")
+        write_epoch(self._folder.logs, epoch_ns)
         self._machine.start_all(epoch_records(epoch_ns, len(self._plan)))
         return now + lead
 

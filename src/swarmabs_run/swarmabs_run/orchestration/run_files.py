@@ -59,6 +59,12 @@ def write_network(logs: Path, domain: int, participants: int, *, realtime: bool 
     (logs / NETWORK_FILE).write_text(json.dumps(network) + "\n", encoding="utf-8")
 
 
+def write_epoch(logs: Path, epoch_ns: int) -> None:
+    """Add the time of step 0 of a real-time run, ns since 1970, to its network file."""
+    file = logs / NETWORK_FILE
+    _replace(file, {**json.loads(file.read_text(encoding="utf-8")), "epoch": epoch_ns})
+
+
 class ProgressReport(NamedTuple):
     """Content of the progress file: the phase is that of `Progress`, or `OVER`.
 
@@ -158,6 +164,12 @@ def is_running(run: Path) -> bool:
 def is_realtime(run: Path) -> bool:
     """Return whether a run is in real time."""
     return bool(_network(run)["realtime"])
+
+
+def epoch_of(run: Path) -> int | None:
+    """Return the time of step 0 of a real-time run, ns since 1970; None while its processes are starting."""
+    epoch = json.loads((run / "logs" / NETWORK_FILE).read_text(encoding="utf-8")).get("epoch")
+    return None if epoch is None else int(epoch)
 
 
 def environment_of_run(run: Path) -> dict[str, str]:

@@ -15,6 +15,7 @@ from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from swarmabs_config.graph import Qos
+from swarmabs_core.cdr import SECOND
 from swarmabs_view.visualization.scene import (
     ARROW,
     CUBE,
@@ -74,7 +75,6 @@ _TYPES = {
     LINES: Marker.LINE_LIST,
     TEXT: Marker.TEXT_VIEW_FACING,
 }
-_SECOND = 1_000_000_000
 
 
 class Translator:
@@ -85,7 +85,7 @@ class Translator:
 
     def messages(self, frame: Frame, *, clock: bool) -> list[tuple[VisualTopic, Any]]:
         """Return the messages of a frame with their topics, on request with the clock of a simulation."""
-        stamp = Time(sec=frame.stamp // _SECOND, nanosec=frame.stamp % _SECOND)
+        stamp = Time(sec=frame.stamp // SECOND, nanosec=frame.stamp % SECOND)
         found = [(JOINT_STATES, _joint_state(frame, stamp)), (MARKERS, self._array(frame, stamp))]
         transforms = message_class(TF.ros_type)
         if transforms is not None:

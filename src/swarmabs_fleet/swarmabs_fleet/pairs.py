@@ -1,0 +1,132 @@
+"""Coordinators with a standby: which one leads, what both of them are told, and a planned failover."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmabs_config.graph import CONTROLLER, OBSERVER, RELEASE, SERVICES, standby_service
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.realtime.leadership import State
+from swarmabs_fleet.operate import HealthMonitor
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from swarmabs_core.realtime.base import Schedule
+    from swarmabs_fleet.operate import OperatorClient, Target
+
+STOP, RESET = SERVICES[CONTROLLER][:2]
+PAIRS = {"observer": OBSERVER, "controller": CONTROLLER}
+"""The coordinators of which one of a pair leads, by their names in the fleet file."""
+_ROLE, _SINCE = "role", "role since step"
+"""The values of a node's diagnostics that say what it does, and since when."""
+
+
+def stop(found: Target, client: OperatorClient, patience: float) -> list[str]:
+    """Tell the controller and its standby to stop the swarm; return what went wrong with one of them.
+
+    Raises
+    ------
+    RunError
+        If neither confirms it.
+    """
+    problems = client.call_each(_of_controllers(found, STOP), patience)
+    missed = [problem for problem in problems.values() if problem]
+    if len(missed) == len(problems):
+        raise RunError(missed[0])
+    return missed
+
+
+def reset(found: Target, client: OperatorClient, patience: float) -> list[str]:
+    """Tell the controller and its standby to resume; return what went wrong with the one that does not lead.
+
+    Raises
+    ------
+    RunError
+        If the one that leads does not confirm it.
+    """
+    services = _of_controllers(found, RESET)
+    problems = client.call_each(services, patience)
+    missed = [problem for problem in problems.values() if problem]
+    confirmed = [node for node, service in zip(found.pair(CONTROLLER), services, strict=True) if not problems[service]]
+    if not confirmed:
+        raise RunError(missed[0])
+    if missed:
+        (node,) = confirmed
+        monitor = HealthMonitor({node: found.hosts[node]})
+        client.listen(monitor, patience, lambda: monitor.value(node, _ROLE) == State.LEADING.value)
+        if monitor.value(node, _ROLE) != State.LEADING.value:
+            raise RunError(f"{missed[0]}; only {node} answered, which does not lead, so robots may not move")
+    return missed
+
+
+def failover(found: Target, client: OperatorClient, kind: str, patience: float) -> str:
+    """Let the standing-by one of a pair take over; return the name of the node that then leads.
+
+    Parameters
+    ----------
+    found : Target
+        The swarm.
+    client : OperatorClient
+        The connection to it.
+    kind : str
+        One of `paired`.
+    patience : float
+        Time limit, s, for hearing both, for the answer, and for the takeover.
+
+    Raises
+    ------
+    RunError
+        If not exactly one leads while the other stands by, or the takeover does not happen.
+    """
+    pair = found.pair(PAIRS[kind])
+    monitor = HealthMonitor({node: found.hosts[node] for node in pair})
+
+    def doing(state: State) -> list[str]:
+        return [node for node in pair if monitor.value(node, _ROLE) == state.value]
+
+    client.listen(monitor, patience, lambda: len(doing(State.LEADING)) == len(doing(State.FOLLOWING)) == 1)
+    if not (len(doing(State.LEADING)) == len(doing(State.FOLLOWING)) == 1):
+        said = ", ".join(f"{node} {monitor.value(node, _ROLE) or 'is silent'}" for node in pair)
+        raise RunError(f"{found.name}: {said}; a failover needs one that leads and one that stands by, so start both")
+    (leader,), (peer,) = doing(State.LEADING), doing(State.FOLLOWING)
+    client.call(RELEASE.replace("~", leader), patience)
+    client.listen(monitor, patience, lambda: doing(State.LEADING) == [peer])
+    if doing(State.LEADING) != [peer]:
+        leads = ", ".join(doing(State.LEADING)) or "none"
+        raise RunError(f"{found.name}: {peer} has not taken over, {leads} leads; see the node's journal and try again")
+    return peer
+
+
+def _of_controllers(found: Target, service: str) -> tuple[str, ...]:
+    """Return a service's name at the controller, and at its standby if there is one."""
+    return (service, standby_service(service))[: len(found.pair(CONTROLLER))]
+
+
+def role(values: Mapping[str, str], schedule: Schedule | None, now: int) -> str:
+    """Return what one of a pair does and for how long, empty for other nodes; `now` in ns since 1970."""
+    doing, since = values.get(_ROLE, ""), values.get(_SINCE, "")
+    if schedule is None or not since.isdecimal():
+        return doing
+    seconds = (schedule.step(now) - int(since)) * schedule.period
+    return f"{doing} for {max(0.0, seconds):.0f} s"
+
+
+def paired(found: Target) -> list[str]:
+    """Return the keys of `PAIRS` whose coordinator has a standby in this swarm."""
+    return [kind for kind, node in PAIRS.items() if len(found.pair(node)) > 1]
+
+
+def chosen(found: Target, kind: str | None) -> list[str]:
+    """Return the pairs of a failover: all, or the one that is named.
+
+    Raises
+    ------
+    InputError
+        If the swarm has none, or not this one.
+    """
+    pairs = [name for name in paired(found) if kind in {None, name}]
+    if not pairs:
+        what = f"the {kind} has no standby" if kind else "no coordinator has a standby"
+        raise InputError(f"{found.name}: {what}; add 'standby: HOST' to coordinators.{kind or 'controller'}")
+    return pairs

@@ -1,0 +1,111 @@
+"""Coordinators with a standby as an operator sees and commands them; their nodes are simulated."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import pytest
+from tests.swarmabs_fleet.fleets import EXAMPLES
+
+from swarmabs_cli import main
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.realtime.base import Schedule
+from swarmabs_fleet import pairs
+from swarmabs_fleet.operate import HealthMonitor, OperatorClient, target
+
+PRIMARY, STANDBY = "parent_controller", "parent_controller_standby"
+SERVICES = {
+    f"{prefix}swarm/{name}": node
+    for prefix, node in (("", PRIMARY), ("standby/", STANDBY))
+    for name in ("stop", "reset")
+}
+
+
+@dataclass
+class Nodes(OperatorClient):
+    """Two controllers by what they do; one that does nothing is dead."""
+
+    doing: dict[str, str]
+    takes_over: bool = True
+    called: list[str] = field(default_factory=list)
+
+    def call_each(self, services: Sequence[str], patience: float) -> dict[str, str]:
+        self.called += services
+        return {name: "" if self.doing[SERVICES[name]] else f"{name} was not found" for name in services}
+
+    def call(self, service: str, patience: float) -> None:
+        self.called.append(service)
+        node, _, name = service.partition("/")
+        assert (name, self.doing[node]) == ("release", "leads")
+        if self.takes_over:
+            (other,) = self.doing.keys() - {node}
+            self.doing |= {node: "stands by", other: "leads"}
+
+    def listen(self, monitor: HealthMonitor, patience: float, enough: Callable[[], bool]) -> None:
+        for node, role in self.doing.items():
+            if role and node in monitor.hosts:
+                monitor.hear(node, 0, "", {"role": role}, 0.0)
+        enough()
+
+
+@pytest.mark.parametrize(
+    ("primary", "standby", "work"),
+    [
+        ("leads", "stands by", "stop reset"),
+        ("stands by", "leads", "stop reset"),
+        ("leads", "", "stop reset"),
+        ("", "leads", "stop reset"),
+        ("stands by", "", "stop"),
+        ("", "listens", "stop"),
+        ("", "", ""),
+    ],
+)
+def test_a_stop_needs_either_controller_and_a_reset_the_one_that_leads(primary: str, standby: str, work: str) -> None:
+    dead = [name for name, role in (("swarm/", primary), ("standby/swarm/", standby)) if not role]
+    with target(EXAMPLES["standby"]) as found:
+        for command, name in ((pairs.stop, "stop"), (pairs.reset, "reset")):
+            nodes = Nodes({PRIMARY: primary, STANDBY: standby})
+            if name in work:
+                assert command(found, nodes, 0.0) == [f"{prefix}{name} was not found" for prefix in dead]
+            else:
+                with pytest.raises(RunError, match=f"{dead[0]}{name} was not found"):
+                    command(found, nodes, 0.0)
+            assert nodes.called == [f"swarm/{name}", f"standby/swarm/{name}"]
+    with target(EXAMPLES["lan"]) as found:
+        nodes = Nodes({PRIMARY: "alone"})
+        assert pairs.stop(found, nodes, 0.0) == []
+        assert nodes.called == ["swarm/stop"]
+
+
+def test_a_failover_swaps_those_that_are_ready_for_it() -> None:
+    with target(EXAMPLES["standby"]) as found:
+        nodes = Nodes({PRIMARY: "leads", STANDBY: "stands by"})
+        assert [pairs.failover(found, nodes, "controller", 0.0) for _ in range(3)] == [STANDBY, PRIMARY, STANDBY]
+        for primary, standby, words in (
+            ("leads", "", f"{PRIMARY} leads, {STANDBY} is silent"),
+            ("leads", "listens", f"{STANDBY} listens"),
+            ("leads", "leads", "a failover needs one that leads and one that stands by"),
+        ):
+            nodes = Nodes({PRIMARY: primary, STANDBY: standby})
+            with pytest.raises(RunError, match=words):
+                pairs.failover(found, nodes, "controller", 0.0)
+            assert nodes.called == []
+        alone = Nodes({PRIMARY: "leads", STANDBY: "stands by"}, takes_over=False)
+        with pytest.raises(RunError, match=f"{STANDBY} has not taken over, {PRIMARY} leads"):
+            pairs.failover(found, alone, "controller", 0.0)
+        assert pairs.chosen(found, None) == ["observer", "controller"]
+    with target(EXAMPLES["lan"]) as found, pytest.raises(InputError, match=r"add 'standby: HOST' to coordinators\.obs"):
+        pairs.chosen(found, "observer")
+
+
+def test_a_failover_of_a_fleet_without_standbys_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["failover", str(EXAMPLES["lan"])]) == 2
+    assert "no coordinator has a standby; add" in capsys.readouterr().err
+
+
+def test_a_role_is_shown_with_its_duration() -> None:
+    schedule = Schedule(period_ns=10_000_000, epoch_ns=10**18)
+    now = 10**18 + 90 * 10**9
+    assert pairs.role({"role": "leads", "role since step": "7000"}, schedule, now) == "leads for 20 s"
+    assert pairs.role({"role": "leads", "role since step": "9500"}, schedule, now) == "leads for 0 s"
+    assert pairs.role({"role": "leads"}, schedule, now) == pairs.role({"role": "leads"}, None, now) == "leads"
+    assert pairs.role({}, schedule, now) == ""
