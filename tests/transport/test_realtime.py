@@ -22,7 +22,7 @@ from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import NEVER, TOPIC_OF, AgentState, Status
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
-from swarmabs_core.realtime.controller import RESET_SECONDS
+from swarmabs_core.realtime.modes import RESET_SECONDS
 from swarmabs_core.record import Record
 
 BEGIN, AT_WORST, CALM = 0.26, 0.7, 0.54

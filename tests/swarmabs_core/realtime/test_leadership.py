@@ -220,6 +220,47 @@ def test_a_reset_of_the_leader_opens_the_latch_of_the_silent_controller() -> Non
     assert list(dict.fromkeys(modes)) == ["STOP", "RESET", "RUN"]
 
 
+def mode_of(node: RealtimeController, step: int) -> str:
+    return dict(node.health(at(step)).values)["mode"]
+
+
+def test_who_has_stopped_and_reset_the_swarm_does_not_stop_it_again_when_it_follows() -> None:
+    first, second = paired_controller(PRIMARY), paired_controller(STANDBY)
+    for step in range(10, 400):
+        awake = not 350 <= step < 380
+        said = turn(first, step) if awake else ()
+        if step == 150:
+            said += first.stop(at(step + 0.8))
+        if step == 200:
+            said += first.reset(at(step + 0.8))
+        answers = [answer for message in said for answer in second.hear(message, at(step + 0.85))]
+        answers += turn(second, step)
+        for message in answers if awake else ():
+            first.hear(message, at(step + 0.9))
+    assert dict(first.health(at(step)).values)["role"] == "stands by"
+    assert (mode_of(first, 400), mode_of(second, 400)) == ("RUN", "RUN")
+
+
+def test_a_clock_set_back_does_not_let_an_old_reset_overrule_a_new_stop() -> None:
+    node = paired_controller(PRIMARY)
+    for step in range(1000, 1250):
+        turn(node, step)
+        if step == 1020:
+            node.reset(at(step + 0.8))
+    for step in range(10, 60):
+        turn(node, step, broadcasts(step, msg.Mode.STOP)[2] if step == 50 else None)
+    assert mode_of(node, 60) == "STOP"
+    # The rest of a reset is as long by the new clock.
+    node.reset(at(60.9))
+    turn(node, 61)
+    modes = []
+    for step in range(10, 160):
+        turn(node, step)
+        modes.append(mode_of(node, step))
+    assert 95 <= modes.count("RESET") <= 105
+    assert modes[-1] == "RUN"
+
+
 def test_a_silent_observer_publishes_what_changed_while_nobody_spoke() -> None:
     config = configure.observer_config(scenario(), CLOCK)
     object.__setattr__(config, "pair", Pair(STANDBY, paired=True))

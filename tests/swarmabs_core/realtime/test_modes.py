@@ -4,13 +4,17 @@ from random import Random
 
 import pytest
 from hypothesis import given, strategies as st
-from tests.swarmabs_core.realtime.nodes import at, broadcasts, follow, kinds, robot, tell
+from tests.swarmabs_core.realtime.nodes import CLOCK, at, broadcasts, follow, kinds, robot, tell
 
 from swarmabs_core.messages import EventKind, Message, Mode, SwarmEvent
-from swarmabs_core.realtime.broadcasts import ModeLatch
+from swarmabs_core.realtime.modes import ModeLatch
 
 AGE, AHEAD = 10, 2
 GUARD = AGE + AHEAD
+
+
+def latch_of() -> ModeLatch:
+    return ModeLatch(CLOCK, AGE * CLOCK.period, AHEAD * CLOCK.period)
 
 
 def is_stopped(latch: ModeLatch, said: list[tuple[Mode, int]]) -> bool:
@@ -26,7 +30,7 @@ def is_stopped(latch: ModeLatch, said: list[tuple[Mode, int]]) -> bool:
 def test_order_and_repetition_make_no_difference(said: list[tuple[Mode, int]], draw: Random) -> None:
     again = said + said[:3]
     draw.shuffle(again)
-    assert is_stopped(ModeLatch(GUARD), said) == is_stopped(ModeLatch(GUARD), again)
+    assert is_stopped(latch_of(), said) == is_stopped(latch_of(), again)
 
 
 @given(
@@ -40,16 +44,16 @@ def test_the_operators_reset_opens_whatever_is_lost_or_late(stop: int, held: int
     said = [(Mode.STOP, stop + k) for k in range(held + 1)] + [(Mode.RESET, stop + held + k) for k in range(101)]
     arrived = [(mode, step) for mode, step in said if mode is Mode.STOP or step not in lost]
     draw.shuffle(arrived)
-    assert is_stopped(ModeLatch(GUARD), arrived) == all(stop + held + k in lost for k in range(GUARD + 1, 101))
+    assert is_stopped(latch_of(), arrived) == all(stop + held + k in lost for k in range(GUARD + 1, 101))
 
 
 def test_a_latch_closes_and_opens_in_the_order_of_steps_and_does_not_mind_the_clock() -> None:
-    latch = ModeLatch(GUARD)
+    latch = latch_of()
     assert is_stopped(latch, [(Mode.RESET, 20), (Mode.STOP, 21)])
     assert is_stopped(latch, [(Mode.RESET, 21 + GUARD)])
     assert not is_stopped(latch, [(Mode.RESET, 22 + GUARD), (Mode.STOP, 21)])
     for resets in ([], [(Mode.RESET, 1100)]):
-        latch = ModeLatch(GUARD)
+        latch = latch_of()
         stopped = is_stopped(latch, [(Mode.STOP, 1000), *resets])
         assert stopped == (not resets)
         latch.forget(50)

@@ -14,6 +14,7 @@ from swarmabs_core.messages import (
     Mode,
     Topic,
 )
+from swarmabs_core.realtime.modes import ModeLatch
 from swarmabs_core.realtime.validation import Heard
 
 if TYPE_CHECKING:
@@ -22,51 +23,11 @@ if TYPE_CHECKING:
     from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.realtime.validation import Bounds
 
-MOST_GUARD = 0.5
-"""Upper limit of the guard time between the last STOP and an effective RESET, s: half of the duration of RESET."""
 MOST_CHANGES = 2
 """Steps within the age limit in which one parent controller may change its mode; more indicate a second one."""
 _LONG_AGO = -(2**62)
 MOST_BEHIND = 3
 """Largest number of steps by which a robot's coordinators may be behind others without being left for them."""
-
-
-class ModeLatch:
-    """Whether the swarm is stopped: STOP sets the latch, RESET releases it.
-
-    Order and repetition of messages do not matter: only the newest step of each mode counts. A RESET is effective only
-    if it is more than `guard` steps newer than the newest STOP, so that a forged RESET from the allowed future cannot
-    override a controller that keeps publishing STOP. After a reset by the operator, a controller no longer publishes
-    STOP, and publishes RESET for longer than the guard.
-
-    Attributes
-    ----------
-    reset_step : int
-        Newest step of a RESET.
-    """
-
-    def __init__(self, guard: int) -> None:
-        self._guard = guard
-        self._stop_step: int | None = None
-        self.reset_step = _LONG_AGO
-
-    @property
-    def stopped(self) -> bool:
-        """Whether a STOP was received and no effective RESET."""
-        return self._stop_step is not None and self.reset_step - self._stop_step <= self._guard
-
-    def stop(self, step: int) -> None:
-        """Record a STOP of a step."""
-        self._stop_step = step if self._stop_step is None else max(self._stop_step, step)
-
-    def reset(self, step: int) -> None:
-        """Record a validated RESET of a step."""
-        self.reset_step = max(self.reset_step, step)
-
-    def forget(self, step: int) -> None:
-        """Discard steps of the old clock; if the latch is set, it is set as of `step`."""
-        self._stop_step = step if self.stopped else None
-        self.reset_step = _LONG_AGO
 
 
 _Place = tuple[Topic, int, bool]
@@ -107,10 +68,9 @@ class BroadcastInbox:
     def __init__(self, schedule: Schedule, age_limit: float, clock_tolerance: float, bounds: Bounds) -> None:
         self._schedule = schedule
         self._age = schedule.steps(age_limit)
-        ahead = schedule.ahead(clock_tolerance)
         self._bounds = bounds
-        self._heard: Heard[_Place] = Heard(self._age, ahead)
-        self._latch = ModeLatch(min(self._age + ahead, schedule.steps(MOST_GUARD)))
+        self._heard: Heard[_Place] = Heard(self._age, schedule.ahead(clock_tolerance))
+        self._latch = ModeLatch(schedule, age_limit, clock_tolerance)
         self._sets: dict[Coordinators, Broadcast] = {}
         self.followed = ANY[0]
 

@@ -25,8 +25,8 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedule, Sender
-from swarmabs_core.realtime.broadcasts import MOST_GUARD, ModeLatch
 from swarmabs_core.realtime.leadership import Pair, Voice
+from swarmabs_core.realtime.modes import ModeLatch, PublishedMode
 from swarmabs_core.realtime.validation import Bounds, Heard, Refusals
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
     from swarmabs_core.controllers import ParentController
 
-RESET_SECONDS = 1.0
-"""Time for which RESET is published before RUN, s, so that every robot hears it."""
 MOST_STEPS = 100
 """Largest number of missed steps that law and filter make up for; after more, they restart."""
 
@@ -80,9 +78,8 @@ class RealtimeController:
         self._age = config.schedule.steps(config.plane_age_limit)
         self._heard: Heard[None] = Heard(self._age, config.schedule.ahead(config.clock_tolerance))
         self._refusals = Refusals()
-        self._mode = config.start_mode
-        self._why = "waiting for a reset" if config.start_mode is Mode.STOP else ""
-        self._reset_until = 0
+        latch = ModeLatch(config.schedule, config.plane_age_limit, config.clock_tolerance)
+        self._mode = PublishedMode(config.start_mode, latch, config.schedule)
         self._swarm_heard = False
         self._plane: PlaneState | None = None
         self._asked: DesiredAbstractState | None = None
@@ -90,10 +87,6 @@ class RealtimeController:
         self._blind = False
         leadership = config.pair.leadership(config.schedule, config.clock_tolerance)
         self._voice = Voice("parent_controller", leadership, config.pair.rank)
-        guard = self._age + config.schedule.ahead(config.clock_tolerance)
-        self._latch = ModeLatch(min(guard, config.schedule.steps(MOST_GUARD)))
-        self._commanded: tuple[Mode, int] | None = None
-        self._peer_step = -1
         self._restart()
 
     def _restart(self) -> None:
@@ -133,12 +126,12 @@ class RealtimeController:
     def tick(self, now: int) -> Messages:
         """Repeat STOP and RESET even without states of the plane, and report if those are missing."""
         step = self._config.schedule.step(now)
-        events = self._voice.say(self._end_reset(now, step), now, step, able=self._mode is not Mode.RUN)
+        events = self._voice.say(self._end_reset(now, step), now, step, able=self._mode.now is not Mode.RUN)
         if self._plane is not None and self._plane.step > step + self._age:  # the clock was set back
-            self._plane, self._last_published, self._peer_step = None, -1, -1
+            self._plane, self._last_published = None, -1
             self._heard.forget()
-            self._latch.forget(step)
-        if self._mode is not Mode.RUN and self._last_published < step:
+            self._mode.forget(step)
+        if self._mode.now is not Mode.RUN and self._last_published < step:
             return (*events, *self._say_still(now, step))
         doubt, was_blind = self._doubt(step), self._blind
         self._blind = bool(doubt)
@@ -149,18 +142,16 @@ class RealtimeController:
 
     def stop(self, now: int) -> Messages:
         """Stop the swarm until `reset`; the message is published at once."""
-        step = self._config.schedule.step(now)
-        self._command(Mode.STOP, step)
-        if self._mode is Mode.STOP:
-            return (self._keep_still(now, step),)
-        return self._change(Mode.STOP, now, "stop commanded")
+        step, before = self._config.schedule.step(now), self._mode.now
+        self._mode.stop(step)
+        return (*(() if before is Mode.STOP else (self._changed(now),)), self._keep_still(now, step))
 
     def reset(self, now: int) -> Messages:
         """Resume after `stop`, also after a stop before this node started; law and reference restart."""
         step = self._config.schedule.step(now)
-        self._command(Mode.RESET, step)
-        self._begin_reset(now)
-        return self._voice.say(self._change(Mode.RESET, now, "reset commanded"), now, step)
+        self._mode.reset(step)
+        self._restart()
+        return self._voice.say((self._changed(now), self._keep_still(now, step)), now, step)
 
     def release(self, now: int) -> Messages:
         """Hand over to the other one of the pair."""
@@ -176,15 +167,15 @@ class RealtimeController:
         """Return the mode and the desired abstract state."""
         asked, plane = self._asked, self._plane
         values = (
-            ("mode", self._mode.name),
+            ("mode", self._mode.now.name),
             ("desired torque, N m", "none" if asked is None else f"{asked.torque:.4f}"),
             ("desired inertia, kg m^2", "none" if asked is None else f"{asked.inertia:.5f}"),
             ("angle, rad", "none" if plane is None else f"{plane.angle:.4f}"),
             *self._refusals.values(),
             *self._voice.leadership.values(self._config.schedule.step(now)),
         )
-        if self._mode is not Mode.RUN:
-            return Health(Level.WARN, f"{self._mode.name}: {self._why}", values)
+        if self._mode.now is not Mode.RUN:
+            return Health(Level.WARN, f"{self._mode.now.name}: {self._mode.why}", values)
         doubt = self._doubt(self._config.schedule.step(now))
         if doubt:
             return Health(Level.ERROR, doubt, values)
@@ -216,7 +207,7 @@ class RealtimeController:
 
     def _answer(self, plane: PlaneState, now: int) -> Messages:
         step = self._config.schedule.step(now)
-        if self._mode is not Mode.RUN:
+        if self._mode.now is not Mode.RUN:
             return () if plane.step <= self._last_published else self._say_still(now, plane.step)
         if not self._swarm_heard or self._doubt(step):
             return ()
@@ -235,7 +226,8 @@ class RealtimeController:
                 news, desired = self._generator.advance(time, plane)
                 events.extend(event._replace(stamp=now) for event in news)
         except RunError as error:
-            return self._voice.say(self._change(Mode.STOP, now, str(error)), now, step)
+            self._mode.publish_stop(str(error))
+            return self._voice.say((self._changed(now), self._keep_still(now, step)), now, step)
         self._asked, self._last_published = desired._replace(stamp=now), plane.step
         return self._voice.say((*events, provenance, self._asked), now, step)
 
@@ -259,84 +251,47 @@ class RealtimeController:
                 self._adopt(message.step, message.begun)
             return ()
         leadership.hear(message.step, step)
-        if stops:
-            self._latch.stop(message.step)
-            return self._obey(message.step, now, step)
-        if message.mode == Mode.RESET:
-            self._latch.reset(message.step)
-        if not leadership.leading and message.step > self._peer_step:
-            self._peer_step = message.step
-            self._follow(message, now)
+        before = self._mode.now
+        self._mode.hear(Mode(message.mode), message.step, leading=leadership.leading)
+        if self._mode.now is Mode.RESET and before is not Mode.RESET:
+            self._restart()
+        if stops and self._mode.now is not before:
+            return self._voice.say((self._changed(now), self._keep_still(now, step)), now, step)
+        if message.mode == self._mode.now == Mode.RUN and message.step == self._law_step and not leadership.leading:
+            self._asked = message
+            self._generator.follow(message)  # the command filter continues from what was asked
         return ()
-
-    def _obey(self, stopped: int, now: int, step: int) -> Messages:
-        """Take over a STOP of the other controller, unless a reset was commanded since."""
-        mode, commanded = self._commanded or (Mode.STOP, -1)
-        if stopped >= commanded:
-            self._commanded = None  # the other controller has heard of it
-        elif mode is Mode.RESET:
-            return ()
-        if self._mode is Mode.STOP:
-            return ()
-        return self._voice.say(self._change(Mode.STOP, now, "stopped by the other controller"), now, step)
-
-    def _follow(self, asked: DesiredAbstractState, now: int) -> None:
-        """Take over RUN or RESET, once the latch is open; the command filter continues from what was asked."""
-        if self._latch.stopped:
-            self._mode, self._why = Mode.STOP, "stop commanded"
-            return
-        self._commanded = None
-        if asked.mode == Mode.RESET and self._mode is not Mode.RESET:
-            self._begin_reset(now)
-        self._mode, self._why = Mode(asked.mode), "as the other controller"
-        if asked.mode == Mode.RUN and asked.step == self._law_step:
-            self._asked = asked
-            self._generator.follow(asked)
 
     def _adopt(self, step: int, begun: int) -> None:
         """Continue the law that began in a step, of which the other controller has computed a step."""
-        if self._first_step != begun and self._mode is Mode.RUN:
+        if self._first_step != begun and self._mode.now is Mode.RUN:
             self._restart()
             answered = -1 if self._plane is None else self._plane.step
             self._first_step, self._law_step = begun, max(step - 1, answered)
-
-    def _command(self, mode: Mode, step: int) -> None:
-        """Note an operator's command. A silent controller repeats a STOP until the leader has taken it over."""
-        self._commanded = mode, step
-        if mode is Mode.STOP:
-            self._latch.stop(step)
-
-    def _begin_reset(self, now: int) -> None:
-        self._reset_until = now + round(RESET_SECONDS * 1e9)
-        self._restart()
 
     def _say_still(self, now: int, step: int) -> Messages:
         """Return the desired state that stops all robots if this controller leads, or if only it was told to stop."""
         still = self._keep_still(now, step)
         said = self._voice.say((still,), now, self._config.schedule.step(now))
-        told = self._commanded is not None and self._commanded[0] is Mode.STOP
-        return said or ((still,) if told and self._mode is Mode.STOP else ())
+        return said or ((still,) if self._mode.told_to_stop else ())
 
     def _keep_still(self, now: int, step: int) -> DesiredAbstractState:
         """Return the desired state of a step that stops all robots."""
         self._last_published = max(self._last_published, step)
         asked = self._asked
         torque, inertia = (0.0, self._config.manifold.offset) if asked is None else (asked.torque, asked.inertia)
-        return DesiredAbstractState(now, max(0, step), self._mode, torque, inertia, *(0.0,) * 6)
+        return DesiredAbstractState(now, max(0, step), self._mode.now, torque, inertia, *(0.0,) * 6)
 
-    def _change(self, mode: Mode, now: int, why: str) -> Messages:
-        self._mode, self._why = mode, why
-        event = self._event(now, EventKind.MODE_CHANGED, float(mode), why)
-        if mode is Mode.RUN:
-            return (event,)
-        return (event, self._keep_still(now, self._config.schedule.step(now)))
+    def _changed(self, now: int) -> SwarmEvent:
+        return self._event(now, EventKind.MODE_CHANGED, float(self._mode.now), self._mode.why)
 
     def _end_reset(self, now: int, step: int) -> Messages:
         leadership = self._voice.leadership
         follows = not leadership.leading and leadership.hears_peer(step)
-        if self._mode is Mode.RESET and now >= self._reset_until and not follows:
-            return self._change(Mode.RUN, now, "reset is over")
-        return ()
+        if follows or not self._mode.is_over(step):
+            return ()
+        self._mode.run()
+        return (self._changed(now),)
 
     def _event(self, now: int, kind: EventKind, value: float, detail: str) -> SwarmEvent:
         step = max(0, self._config.schedule.step(now))
