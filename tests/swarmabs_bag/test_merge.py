@@ -3,6 +3,7 @@
 The pieces are cut from a whole bag, so the whole bag is what a merge must give back; the mcap library reads it.
 """
 
+import errno
 import json
 import os
 import random
@@ -15,18 +16,21 @@ from typing import Any, NamedTuple
 
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import CompressionType
 from tests.swarmabs_bag import sample_run
 from tests.swarmabs_bag.answers import command, read_everywhere
 from tests.swarmabs_bag.conftest import SCENARIO, STEPS
+from tests.swarmabs_bag.mcap_files import rewritten
 from tests.swarmabs_bag.realtime_bags import realtime_bag
 from tests.swarmabs_core.realtime.bags import world
 from tests.transport.fleet import EPOCH
 
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.completeness import RealtimeCompleteness
-from swarmabs_bag.errors import BagFolderError, DamagedBagError
+from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.merge import ContradictionError, MergeReport, merge_bags
+from swarmabs_bag.output import RecordFile
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import RealtimeWorld
 from swarmabs_bag.repair import CUT_OFF, repair_bag
@@ -54,7 +58,8 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.record import Record
 
-PROVENANCE = {"driver": "lockstep", "scenario": "sample", "seed": 5, "versions": {"numpy": "1.26"}, "machine": "x86_64"}
+OF_RECORDER = {"machine": "x86_64", "standby": "primary"}
+PROVENANCE = {"driver": "lockstep", "scenario": "sample", "seed": 5, "versions": {"numpy": "1.26"}, **OF_RECORDER}
 
 
 class Sent(NamedTuple):
@@ -256,6 +261,54 @@ def test_what_a_killed_recorder_has_left_is_repaired_first(whole: Path, tmp_path
     assert not (tmp_path / "again").exists()
 
 
+def test_events_that_came_late_are_merged_independently_of_the_order_of_the_bags(whole: Path, tmp_path: Path) -> None:
+    """Each recorder has written two events of earlier steps at one place that the other one does not have."""
+    messages = sent(whole)
+    place = next(n for n, message in enumerate(messages) if message.message.step == 20)
+
+    def late(step: int) -> Sent:
+        event = SwarmEvent(step * sample_run.PERIOD, step, 2, EventKind.LIMIT_HIT, 0.5, "late")
+        return Sent(EVENTS, event.stamp, event.stamp, encode(event))
+
+    added = ([late(12), late(10)], [late(13), late(11)])
+    pieces = [
+        piece(whole, tmp_path / str(n), [*messages[:place], *events, *messages[place:]])
+        for n, events in enumerate(added)
+    ]
+    merged(pieces, tmp_path / "new")
+    same(content(tmp_path / "new"), [("/" + m.topic.name, *m[1:]) for m in (*messages, *added[0], *added[1])])
+
+
+@pytest.mark.parametrize("options", [{"compression": CompressionType.LZ4}, {"use_chunking": False}], ids=str)
+def test_bags_of_other_writers_are_merged(options: dict[str, Any], whole: Path, tmp_path: Path) -> None:
+    other = rewritten(whole, tmp_path / "other.mcap", **options)
+    one = piece(whole, tmp_path / "one", sent(whole)[:100])
+    assert merged([one, other], tmp_path / "new").complete
+    same(content(tmp_path / "new"), content(whole))
+
+
+@pytest.mark.parametrize("damaged", [False, True], ids=["merging", "repairing"])
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt()], ids=type)
+def test_a_merge_that_fails_leaves_nothing_behind(
+    error: BaseException, *, damaged: bool, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = Path(shutil.copytree(whole, tmp_path / "copy"))
+    if damaged:
+        os.truncate(copy / "bag_0.mcap", 9000)
+    before = files(tmp_path)
+
+    def fail(self: RecordFile) -> None:
+        raise error
+
+    monkeypatch.setattr(RecordFile, "sync", fail)
+    with pytest.raises((BagWriteError, KeyboardInterrupt)) as caught:
+        merge_bags([whole, copy], tmp_path / "a" / "new")
+    if isinstance(error, OSError):
+        assert str(caught.value).startswith(f"cannot write {tmp_path}/a/new: full; free space on that disk")
+    assert [path.name for path in tmp_path.iterdir()] == ["copy"]
+    assert files(tmp_path) == before
+
+
 def provenance(folder: Path) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(open_bag(folder).attachment("provenance.json") or b"")
     return found
@@ -264,7 +317,8 @@ def provenance(folder: Path) -> dict[str, Any]:
 def test_a_merged_bag_says_of_what_it_is_made(whole: Path, tmp_path: Path) -> None:
     """It may be merged once more; of several logs none is lost."""
     messages = sent(whole)
-    elsewhere = json.dumps(PROVENANCE | {"machine": "aarch64"}).encode()
+    other = {"machine": "aarch64", "standby": "standby"}
+    elsewhere = json.dumps(PROVENANCE | other).encode()
     cuts = (slice(0, 100), slice(90, 150), slice(150, None))
     bags = [piece(whole, tmp_path / str(n), messages[cut]) for n, cut in enumerate(cuts[:2])]
     bags.append(piece(whole, tmp_path / "2", messages[cuts[2]], **{"provenance.json": elsewhere}))
@@ -275,8 +329,8 @@ def test_a_merged_bag_says_of_what_it_is_made(whole: Path, tmp_path: Path) -> No
     assert {name: first[name] for name in PROVENANCE} == PROVENANCE
     assert [entry["messages"] for entry in first["merged"]] == [100, 60]
     assert [entry["steps"] for entry in first["merged"]] == [[[0, 13]], [[12, 21]]]
-    assert "machine" not in new
-    assert [entry["machine"] for entry in new["merged"]] == ["x86_64", "aarch64"]
+    assert not new.keys() & other.keys()
+    assert [{name: entry[name] for name in other} for entry in new["merged"]] == [OF_RECORDER, other]
     assert new["merged"][0]["merged"] == first["merged"]
     info = bag_info(tmp_path / "new")
     assert info.merged[0].startswith("steps 0 to 21 of ")
@@ -289,12 +343,12 @@ def test_a_merged_bag_says_of_what_it_is_made(whole: Path, tmp_path: Path) -> No
 def test_attachments_of_all_bags_are_kept(whole: Path, tmp_path: Path) -> None:
     run = [message.message for message in sent(whole)]
     attachments = {"scenario.yaml": SCENARIO, "provenance.json": json.dumps(PROVENANCE).encode()}
-    for name, log in (("a", b"one"), ("b", b"other")):
-        sample_run.write_bag(tmp_path / name, run, attachments, at_end={"run.log": log, "note.txt": b"same"})
-    merged([tmp_path / "b", tmp_path / "a"], tmp_path / "new")
+    for name, logs in (("a", {"run.log": b"one"}), ("b", {"run.log": b"other"}), ("c", {"run-1.log": b"named"})):
+        sample_run.write_bag(tmp_path / name, run, attachments, at_end=logs | {"note.txt": b"same"})
+    merged([tmp_path / name for name in "bca"], tmp_path / "new")
     bag = open_bag(tmp_path / "new")
-    assert {bag.attachment("run-1.log"), bag.attachment("run-2.log")} == {b"one", b"other"}
-    assert bag.attachment("note.txt") == b"same"
+    assert {bag.attachment("run-2.log"), bag.attachment("run-3.log")} == {b"one", b"other"}
+    assert (bag.attachment("run-1.log"), bag.attachment("note.txt")) == (b"named", b"same")
 
 
 def another(message: Any) -> Any:
@@ -302,11 +356,15 @@ def another(message: Any) -> Any:
     return message._replace(**{field: getattr(message, field) + 1e-9})
 
 
-@pytest.mark.parametrize("topic", [AGENT_STATE, PLANE_STATE])
-def test_bags_in_lockstep_that_contradict_each_other_are_refused(topic: Topic, whole: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("topic", "later"), [(AGENT_STATE, 0), (PLANE_STATE, 0), (PLANE_STATE, 1)])
+def test_bags_in_lockstep_that_contradict_each_other_are_refused(
+    topic: Topic, later: int, whole: Path, tmp_path: Path
+) -> None:
     messages = sent(whole)
     (place,) = [n for n, m in enumerate(messages) if m.topic is topic and m.message.step == 20][:1]
-    changed = messages[place]._replace(payload=encode(another(messages[place].message)))
+    found = messages[place]
+    forged = another(found.message)._replace(stamp=found.time + later)
+    changed = found._replace(payload=encode(forged), time=found.time + later)
     one = piece(whole, tmp_path / "one", messages[:200])
     other = piece(whole, tmp_path / "other", [*messages[100:place], changed, *messages[place + 1 :]])
     robot = " of robot 1" if topic is AGENT_STATE else ""
@@ -325,7 +383,7 @@ def test_bags_in_lockstep_that_contradict_each_other_are_refused(topic: Topic, w
         ({"provenance.json": {"versions": {"numpy": "2.0"}}}, "versions.numpy is '1.26' and '2.0'"),
         ({"provenance.json": {"steered": True}}, "steered is None and True"),
         ({"namespace": "/lab"}, "namespaces are '/' and '/lab/'"),
-        ({"scenario.yaml": b""}, "cannot be merged: it lacks the scenario or the provenance"),
+        ({"scenario.yaml": b""}, "cannot be merged: it lacks a recorder's scenario or provenance"),
     ],
 )
 def test_bags_that_are_not_of_one_run_are_refused(
@@ -357,6 +415,7 @@ def test_the_command_says_what_is_missing_and_refuses_what_is_in_the_way(whole: 
         ("--merge", one, other),
         ("--merge", one, other, "-o", tmp_path / "x", "--in-place"),
         ("--merge", one, tmp_path / "nothing", "-o", tmp_path / "x"),
+        ("--merge", one, other, one / "bag_0.mcap", "-o", tmp_path / "x"),
     )
     for arguments in refused:
         assert command("repair", *arguments)[0] == 2

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from tests.system import helpers as runs
 
+from swarmabs_bag.merge import merge_bags
 from swarmabs_bag.reader import open_bag
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, standby_name
 
@@ -41,6 +42,8 @@ def test_a_coordinator_dies(folder: Path, scenario: str, node: str) -> None:
     else:
         assert list(open_bag(folder / "standby").messages()) == list(open_bag(folder).messages())
         assert outcome.standby["lead"][standby_name(node)] >= 150
+        assert merge_bags([folder, folder / "standby"], folder / "both" / "bag").complete
+        assert outcome.figures["digest"] == runs.bag_digest(runs.bag_messages(folder / "both"))
 
 
 def test_three_are_stopped_and_two_of_them_continue(folder: Path) -> None:

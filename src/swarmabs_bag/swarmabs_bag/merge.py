@@ -8,6 +8,8 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from heapq import merge
+from itertools import count
+from operator import itemgetter
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -27,7 +29,7 @@ from swarmabs_bag.metadata import REPAIRED_KEY, load_yaml
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import RealtimeCollector, realtime_world
 from swarmabs_bag.repair import CUT_OFF, refuse_taken, repair_bag, work_folder
-from swarmabs_bag.run_folder import ONE_FILE, Split
+from swarmabs_bag.run_folder import ONE_FILE, Split, find_bag
 from swarmabs_bag.spans import Spans
 from swarmabs_bag.steps import ORDER
 from swarmabs_bag.writer import BagWriter
@@ -47,8 +49,8 @@ if TYPE_CHECKING:
     from swarmabs_bag.repair import RepairReport
     from swarmabs_core.messages import Topic
 
-_OF_HOST = ("machine", "byte_order", "libm_fingerprint")
-"""What the provenance says of the recorder's host, which may differ."""
+_OF_RECORDER = ("machine", "byte_order", "libm_fingerprint", "standby")
+"""What the provenance says of the recorder and its host, which may differ."""
 _BLOCK = 2**20
 
 
@@ -134,11 +136,12 @@ def merge_bags(paths: Sequence[Path | str], output: Path) -> MergeReport:
         If the disk is full or fails; nothing is left behind.
     """
     refuse_taken(output)
+    _refuse_repeated(paths)
     with work_folder(output) as work:
-        sources = [_Source(Path(path), work / str(number)) for number, path in enumerate(paths)]
-        run = _Run(sources)
-        found = run.examined()
         try:
+            sources = [_Source(Path(path), work / str(number)) for number, path in enumerate(paths)]
+            run = _Run(sources)
+            found = run.examined()
             _write(run, found, work / "merged")
         except BagWriteError as error:
             raise BagWriteError(output, error.cause) from error
@@ -157,6 +160,16 @@ def merge_bags(paths: Sequence[Path | str], output: Path) -> MergeReport:
     )
 
 
+def _refuse_repeated(paths: Sequence[Path | str]) -> None:
+    """Raise `InputError` if a bag is named twice."""
+    named: dict[Path, Path | str] = {}
+    for path in paths:
+        bag = find_bag(Path(path)).resolve()
+        if bag in named:
+            raise InputError(f"{named[bag]} and {path} are the same bag: name every bag once")
+        named[bag] = path
+
+
 class _Received(NamedTuple):
     """A message in one of the bags, with its log and publish time, ns."""
 
@@ -167,10 +180,7 @@ class _Received(NamedTuple):
 
     @property
     def order(self) -> tuple[object, ...]:
-        """A key that differs for different messages, and ascends in each bag as far as its times do.
-
-        In lockstep it is the order of a bag, in real time that of receipt.
-        """
+        """A key that differs for different messages: in lockstep in the order of a bag, in real time of receipt."""
         topic, agent_id, message, payload, *_ = self.record
         return self.time, _rank(topic), agent_id, message.step, payload, self.published
 
@@ -199,9 +209,9 @@ class _Source:
     def _problem(self) -> str | None:
         """Return why this is not the bag of a recorder of the swarm, or None."""
         if len(self.bag.swarms) > 1:
-            return "it contains several swarms; name a bag as a recorder has written it"
+            return "it contains several swarms; name the bags that recorders wrote"
         if "driver" not in self.provenance or not self.scenario:
-            return "it lacks the scenario or the provenance that a recorder attaches"
+            return "it lacks a recorder's scenario or provenance; name the bag itself, not a conversion"
         recorded = OFFERED[REALTIME if is_realtime(self.bag) else LOCKSTEP]
         for channel in self.bag.channels:
             if channel.message_count and channel.topic not in recorded:
@@ -215,6 +225,15 @@ class _Source:
                 yield _Received(self, time, published, Record.read(topic, time, payload, published))
             except MalformedMessageError as error:
                 raise DamagedBagError(f"{self.named}: /{topic.name} at {time / 1e9:.9g} s: {error}") from error
+
+    def ordered(self) -> Iterator[tuple[tuple[object, ...], _Received]]:
+        """Yield its messages in file order with keys that ascend, also where a message is older than one before it."""
+        newest: tuple[object, ...] = ()
+        late = 0
+        for received in self.received():
+            order = received.order
+            newest, late = (order, 0) if order > newest else (newest, late + 1)
+            yield (newest, late, order), received
 
     def entry(self, differing: Iterable[str]) -> dict[str, Any]:
         """Return its entry in the provenance of the merged bag."""
@@ -256,12 +275,13 @@ class _Run:
     def union(self) -> _Collected | _Agreed:
         """Return what selects the messages of the merged bag."""
         if self.world is None:
-            return _Agreed(" and ".join(str(source.named) for source in self.sources), self.scenario.step_ns)
+            return _Agreed(" and ".join(str(source.named) for source in self.sources))
         return _Collected(RealtimeCollector(configure.members(self.scenario), self.world.schedule))
 
     def joined(self) -> Iterator[_Received]:
         """Yield the messages of all bags, in an order that does not depend on that of the bags."""
-        return merge(*(source.received() for source in self.sources), key=lambda received: received.order)
+        ordered = merge(*(source.ordered() for source in self.sources), key=itemgetter(0))
+        return (received for _, received in ordered)
 
     def examined(self) -> _Found:
         """Read all bags once, without writing anything."""
@@ -311,17 +331,16 @@ def _rank(topic: Topic) -> tuple[int, str]:
 class _Agreed:
     """Selects each message of a run in lockstep once; raises `ContradictionError` if there are different ones."""
 
-    def __init__(self, names: str, period_ns: int) -> None:
+    def __init__(self, names: str) -> None:
         self._names = names
-        self._memory = LOCKSTEP_MEMORY * period_ns
-        self._known: dict[int, dict[tuple[Topic, int, object], bytes]] = {}
+        self._known: dict[int, dict[tuple[Topic, object], bytes]] = {}
         self.contradictions: list[Contradiction] = []
 
     def add(self, received: _Received) -> tuple[Record, ...]:
         """Return the record if it is to be written."""
         topic, agent_id, message, payload, *_ = received.record
-        known = self._known.setdefault(received.time, {})
-        place = topic, message.step, payload if topic is EVENTS else agent_id
+        known = self._known.setdefault(message.step, {})
+        place = topic, payload if topic is EVENTS else agent_id
         if place not in known:
             known[place] = payload
             self._forget()
@@ -337,8 +356,8 @@ class _Agreed:
     def _forget(self) -> None:
         """Forget what is so old that no recorder takes it any more."""
         if len(self._known) > 2 * LOCKSTEP_MEMORY:
-            begin = max(self._known) - self._memory
-            self._known = {time: known for time, known in self._known.items() if time >= begin}
+            begin = max(self._known) - LOCKSTEP_MEMORY
+            self._known = {step: known for step, known in self._known.items() if step >= begin}
 
 
 class _Collected:
@@ -371,9 +390,9 @@ def _difference_between(one: _Source, other: _Source) -> str | None:
     if one.scenario != other.scenario:
         tree, its = (load_yaml(source.scenario.decode("utf-8", "replace")) for source in (one, other))
         return _difference(tree, its, "scenario") or "the texts of their scenarios differ"
-    of_host = {*_OF_HOST, MERGED}
+    of_recorder = {*_OF_RECORDER, MERGED}
     made, its = (
-        {name: value for name, value in source.provenance.items() if name not in of_host} for source in (one, other)
+        {name: value for name, value in source.provenance.items() if name not in of_recorder} for source in (one, other)
     )
     if (difference := _difference(made, its)) is not None:
         return difference
@@ -392,19 +411,12 @@ def _difference(one: object, other: object, place: str = "") -> str | None:
     return None if one == other else f"{place} is {show(one)} and {show(other)}"
 
 
-def _ended_early(bags: Iterable[BagReader]) -> str | None:
-    """Return why the recording ended early: what the bag says that ends last."""
-    ends = [(bag.end, bag.aborted()) for bag in bags]
-    reasons = {reason for end, reason in ends if end == max(ends, key=lambda each: each[0])[0]}
-    return None if None in reasons else min(filter(None, reasons))
-
-
 def _write(run: _Run, found: _Found, folder: Path) -> None:
     """Write the merged bag. No time of this machine enters it."""
     first = run.sources[0]
     differing = [
         name
-        for name in _OF_HOST
+        for name in _OF_RECORDER
         if any(source.provenance.get(name) != first.provenance.get(name) for source in run.sources)
     ]
     entries = [(source.entry(differing), source) for source in run.sources]
@@ -439,6 +451,7 @@ def _other_attachments(bags: Sequence[BagReader]) -> dict[str, bytes]:
     for name in sorted(names):
         contents = list(dict.fromkeys(data for bag in bags if (data := bag.attachment(name)) is not None))
         path = PurePath(name)
-        for number, data in enumerate(contents, start=1):
-            found[name if len(contents) == 1 else f"{path.stem}-{number}{path.suffix}"] = data
+        numbered = (f"{path.stem}-{number}{path.suffix}" for number in count(1))
+        free = (each for each in numbered if each not in names)
+        found |= zip([name] if len(contents) == 1 else free, contents, strict=False)
     return found
