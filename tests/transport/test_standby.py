@@ -14,7 +14,7 @@ from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, standby_name
 from swarmabs_core.behaviours import Request
 from swarmabs_core.messages import MAIN_TOPICS, Action
 from swarmabs_ros.lockstep import Lockstep
-from swarmabs_ros.pairs import Pair
+from swarmabs_ros.pairs import LockstepLeadership
 from swarmabs_run.run import RunOptions
 from swarmabs_run.simulation import Simulation
 
@@ -173,11 +173,11 @@ def test_a_standby_that_leads_is_as_fast_as_its_primary_and_falls_silent_when_th
     swarm.run_turns(300)
     swarm.freeze(name, 1.0)
     standby = swarm.nodes[standby_name(name)]
-    while standby.spec.pair is not None and not standby.spec.pair.leads:
+    while standby.spec.pair is not None and not standby.spec.pair.leading:
         swarm.step()
     assert swarm.now < 1.0
     check(swarm, 40)
-    assert standby.spec.pair is not None and not standby.spec.pair.leads
+    assert standby.spec.pair is not None and not standby.spec.pair.leading
     assert len(standby.reports.of("leads")) == 1
 
 

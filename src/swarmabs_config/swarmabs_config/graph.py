@@ -540,7 +540,7 @@ def options_of(parameters: Mapping[str, object]) -> frozenset[Option]:
         Option.SYSTEM: "system.type" in parameters,
         Option.OWN_TOPICS: parameters.get("own_topics"),
         Option.PAIRED: parameters.get("paired") or parameters.get("pair", "single") != "single",
-        Option.STANDBY: parameters.get("pair") == "standby",
+        Option.STANDBY: parameters.get("pair") == leadership.STANDBY,
     }
     return frozenset(option for option, given in asked.items() if given)
 

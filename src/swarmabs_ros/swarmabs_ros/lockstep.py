@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Messages, Topic
     from swarmabs_ros.endpoints import Receiver
-    from swarmabs_ros.pairs import Pair
+    from swarmabs_ros.pairs import LockstepLeadership
     from swarmabs_ros.status import StatusChannel
 
 SLICE = 0.1
@@ -72,7 +72,7 @@ class NodeSpec:
         Takes topic and bytes of a message, for a node that needs the bytes; by default the behaviour takes the message.
     hear_all : callable, optional
         Takes topic and bytes of all messages that have arrived on it, for a node that handles them in batches.
-    pair : Pair, optional
+    pair : LockstepLeadership, optional
         What one of a pair of observers or controllers knows of the other one.
     echoed : Topic, optional
         A topic that the node reads and publishes, and on which it handles only the messages of others.
@@ -91,7 +91,7 @@ class NodeSpec:
     on_idle: Callable[[], None] | None = None
     hear: Callable[[Topic, bytes], Messages] | None = None
     hear_all: Callable[[Topic, list[bytes]], Messages] | None = None
-    pair: Pair | None = None
+    pair: LockstepLeadership | None = None
     echoed: Topic | None = None
     on_silence: Callable[[float], Messages] | None = None
     on_peer_end: Callable[[], None] | None = None
@@ -254,7 +254,7 @@ class Lockstep:
                 self._check_stall(now)
             self._repeat(repeater.due(now))
 
-    def _waits_for_peer(self, pair: Pair) -> bool:
+    def _waits_for_peer(self, pair: LockstepLeadership) -> bool:
         """Take what the peer has published; return whether the run must not be further ahead of it."""
         while (data := self._taken(pair.topic)) is not None:
             pair.hear(step_of(data))

@@ -60,7 +60,7 @@ class OwnMessages:
             del self._expected[data]
 
 
-class Pair:
+class LockstepLeadership:
     """What one of a pair knows of the other one, and whether it publishes.
 
     The run is never ahead of a living peer by more than a window of steps: whatever one of the two has missed is
@@ -81,7 +81,7 @@ class Pair:
 
     Attributes
     ----------
-    leads : bool
+    leading : bool
         Whether it publishes all its messages.
     step : int
         The newest step that it has computed, -1 before the first.
@@ -92,7 +92,7 @@ class Pair:
     ) -> None:
         self.topic = topic
         self.current = current
-        self.leads = not standby
+        self.leading = not standby
         self.step = -1
         self._standby = standby
         self._window, self._every = window, max(1, window // SIGNS)
@@ -105,7 +105,7 @@ class Pair:
         """Return whether a new message is published; while silent, the standby only shows that it lives."""
         if topic is self.topic:
             self.step = max(self.step, step)
-        return self.leads or (topic is self.topic and step % self._every == 0)
+        return self.leading or (topic is self.topic and step % self._every == 0)
 
     def hear(self, step: int) -> None:
         """Take the step of a message of the peer; a standby falls silent when its primary is as far as itself."""
@@ -113,13 +113,13 @@ class Pair:
         if step >= self.step - self._window:
             self._lost = False
         if self._standby and self._peer >= self.step:
-            self.leads = False
+            self.leading = False
 
     def take_over(self) -> bool:
         """Lead from now on, if the swarm waits for a message that the primary has not published; return whether."""
-        if self.leads or self._peer >= self.step:
+        if self.leading or self._peer >= self.step:
             return False
-        self.leads = True
+        self.leading = True
         return True
 
     def waits(self, now: float) -> bool:

@@ -15,7 +15,7 @@ from swarmabs_core.parameters import Parameter, SettingError
 from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY
 from swarmabs_ros.endpoints import advertise, receiver
 from swarmabs_ros.lockstep import FIRST, INTERRUPTED, SLICE, WINDOW, Lockstep
-from swarmabs_ros.pairs import BehindError, Pair
+from swarmabs_ros.pairs import BehindError, LockstepLeadership
 from swarmabs_ros.parameters import BySystem, declare, given_values, table_of
 from swarmabs_ros.start import SwarmNode, run_program
 
@@ -130,12 +130,12 @@ class Settings:
         """Return the time, s, for which one of a pair waits for the other: less than a stall."""
         return 0.5 * (self.number("stall_timeout") or LONGEST_PATIENCE)
 
-    def pair(self, topic: Topic, current: Callable[[], int]) -> Pair | None:
-        """Return what one of a pair knows of the other one, None if the node is single; parameters as for `Pair`."""
+    def pair(self, topic: Topic, current: Callable[[], int]) -> LockstepLeadership | None:
+        """Return whether one of a pair leads, None if the node is single; parameters as for `LockstepLeadership`."""
         if not self.paired():
             return None
         standby, window = self.text("pair") == STANDBY, self.integer("pair_window")
-        return Pair(topic, current, standby=standby, window=window, patience=self.patience())
+        return LockstepLeadership(topic, current, standby=standby, window=window, patience=self.patience())
 
     def endpoints(
         self,
