@@ -194,12 +194,12 @@ def test_a_run_that_has_lost_both_of_a_pair_stalls(name: str) -> None:
 
 def test_pair_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     """The tests above find a standby that does not take over, and a primary that waits for ever."""
-    monkeypatch.setattr(Pair, "take_over", lambda _: False)
+    monkeypatch.setattr(LockstepLeadership, "take_over", lambda _: False)
     monkeypatch.setattr(Lockstep, "_repeat", lambda *_: None)
     with pytest.raises(AssertionError):
         assert_survives(OBSERVER, kill(OBSERVER), 30, packed=False)
     monkeypatch.undo()
-    monkeypatch.setattr(Pair, "waits", lambda self, _: self.step - self._peer > WINDOW)
+    monkeypatch.setattr(LockstepLeadership, "waits", lambda self, _: self.step - self._peer > WINDOW)
     swarm = Swarm(cast_of(40, packed=False))
     swarm.kill(standby_name(OBSERVER))
     with pytest.raises(AssertionError):
