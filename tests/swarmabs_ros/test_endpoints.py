@@ -13,6 +13,7 @@ from tests.swarmabs_ros.nodes import started_node
 from swarmabs_config.graph import LEASE, LOCKSTEP, OFFERED, REALTIME, STANDBY_TOPICS, Driver, Qos, requested
 from swarmabs_config.model.scenario import Realtime
 from swarmabs_core.cdr import canonical, encode
+from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
     AGENT_STATE,
     EVENTS,
@@ -84,6 +85,22 @@ def test_writers_of_messages_are_those_of_the_graph(node: SwarmNode, capfd: pyte
         assert [canonical(AgentState, arrived) for arrived in receive(inbox, AGENT_STATE, 1)] == [data]
         assert inbox.writer(AGENT_STATE) == b""
     assert capfd.readouterr().err.count("a second sender cannot be told from the first") == 1
+
+
+def test_messages_of_any_length_arrive_whole_with_their_writer_and_a_destroyed_subscription_is_refused(
+    node: SwarmNode,
+) -> None:
+    inbox = WaitSetReceiver(node, {EVENTS: SUBSCRIPTIONS[EVENTS]}, identified=(EVENTS,))
+    publisher = advertise(node, EVENTS)
+    matched({EVENTS: publisher}, inbox)
+    for length in (10, 5000, 10, 20_000, 7000):
+        event = encode(SwarmEvent(0, length, 3, EventKind.DEAD, 0.1, "abcdefghij" * (length // 10)))
+        publisher.publish(event)
+        assert [canonical(SwarmEvent, data) for data in receive(inbox, EVENTS, 1)] == [event]
+        assert len(inbox.writer(EVENTS)) == 16
+    node.destroy_subscription(inbox._subscriptions[EVENTS])  # noqa: SLF001 - what happens if a node is torn down
+    with pytest.raises(RunError, match="cannot be taken"):
+        inbox.take(EVENTS)
 
 
 def test_both_ways_deliver_the_same_bytes_in_order(node: SwarmNode) -> None:

@@ -245,7 +245,9 @@ class RealtimeFigures(Figures):
                 self._follow(message.step)
             return
         place = record.topic, record.agent_id
-        self._spans.setdefault(place, _Span(message.step)).add(message.step)
+        if place not in self._spans:
+            self._spans[place] = _Span(message.step)
+        self._spans[place].add(message.step)
         self.newest = max(self.newest, message.step)
         if isinstance(message, AgentState):
             self.reach(abs(message.position))

@@ -120,14 +120,15 @@ class RealtimeCollector:
         self.writers.advance(step)
         known = self._known.setdefault(message.step, {})
         place = (topic, payload if isinstance(message, SwarmEvent) else part(record))
-        if known.get(place) == payload:
+        first = known.get(place)
+        if first == payload:
             self.repeated += 1
             return ()
         second = isinstance(message, AgentState) and self._is_of_second(message, step, writer)
-        if place not in known and not second:
+        if first is None and not second:
             known[place] = payload
             # The observer may follow the other writer, whose state of this step need not arrive here.
-            doubtful = writer and agent_id in self.writers.contested()
+            doubtful = writer and self.writers.contested(agent_id)
             return (record, *self._mark(known, place, record, now)) if doubtful else (record,)
         self.different += 1
         return self._mark(known, place, record, now)

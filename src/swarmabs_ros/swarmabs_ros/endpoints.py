@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import struct
 import weakref
 from collections import deque
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -105,20 +106,10 @@ class _Bytes(ctypes.Structure):
     ]
 
 
-class _Info(ctypes.Structure):
-    """``rmw_message_info_t`` of Jazzy, and room for another layout."""
-
-    _fields_ = [
-        ("source_timestamp", ctypes.c_int64),
-        ("received_timestamp", ctypes.c_int64),
-        ("publication_sequence_number", ctypes.c_uint64),
-        ("reception_sequence_number", ctypes.c_uint64),
-        ("implementation", ctypes.c_void_p),
-        ("gid", ctypes.c_uint8 * 16),
-        ("room", ctypes.c_uint8 * 192),
-    ]
-
-
+_WRITER = struct.Struct("32xP16s")
+"""Where ``rmw_message_info_t`` of Jazzy has the address of the middleware's name and the GID of the writer."""
+_INFO_SIZE = 256
+"""Bytes for it, with room for another layout."""
 _OK, _TAKE_FAILED = 0, 401
 _FIRST_CAPACITY = 1024
 """Bytes of the buffer for a message at first; the middleware enlarges it if necessary."""
@@ -141,7 +132,7 @@ class IdentifyingTake:
         self._handle: Any = subscription.handle
         self._note: Callable[[str], object] | None = note
         self.writer = b""
-        message, self._info = _Bytes(), _Info()
+        message, self._info = _Bytes(), ctypes.create_string_buffer(_INFO_SIZE)
         try:
             # Holds the GIL, as rclpy's own call does: taking never waits.
             library = ctypes.PyDLL(rclpy_implementation.__file__)
@@ -162,25 +153,32 @@ class IdentifyingTake:
         if make(ctypes.byref(message), _FIRST_CAPACITY, ctypes.byref(allocator())) != _OK:
             raise MemoryError("no memory for a message")
         weakref.finalize(self, end, ctypes.byref(message))
-        self._message, self._implementation = message, implementation()
+        self._message, self._content, self._implementation = message, memoryview(b""), implementation()
         self._arguments = ctypes.addressof(message), ctypes.addressof(self._info), None
 
     def __call__(self, _type: object, _raw: bool) -> tuple[bytes] | None:  # noqa: FBT001 - the interface of rclpy
         """Return the oldest message that has not been taken yet, None if there is none."""
-        with self._handle:
-            code = self._take(self._handle.pointer, *self._arguments)
+        # A destroyed subscription has no address, which rcl refuses.
+        code = self._take(self._handle.pointer, *self._arguments)
         if code == _TAKE_FAILED:
             return None
         if code != _OK:
             self._forget_error()
             raise RunError(f"a message cannot be taken: rcl_take_serialized_message returned {code}")
-        if self._info.implementation == self._implementation:
-            self.writer = bytes(self._info.gid)
-        elif self._note is not None:
-            self.writer = b""
+        implementation, self.writer = _WRITER.unpack_from(self._info)
+        if implementation != self._implementation:
+            self._doubt()
+        message = self._message
+        if message.capacity != len(self._content):
+            self._content = memoryview((ctypes.c_char * message.capacity).from_address(message.buffer))
+        return (self._content[: message.length].tobytes(),)
+
+    def _doubt(self) -> None:
+        """Forget the writer, which is elsewhere."""
+        self.writer = b""
+        if self._note is not None:
             self._note("this rcl does not tell the writers of messages where Jazzy does")
             self._note = None
-        return (ctypes.string_at(self._message.buffer, self._message.length),)
 
 
 class WaitSetReceiver:

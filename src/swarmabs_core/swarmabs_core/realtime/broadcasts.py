@@ -48,6 +48,8 @@ class Coordinators(NamedTuple):
 
 ANY = tuple(Coordinators(observer, controller) for observer in (False, True) for controller in (False, True))
 """All combinations of instances, first those of the primaries."""
+_SENDERS = {of: tuple(zip(BROADCASTS, (of.observer, of.observer, of.controller), strict=True)) for of in ANY}
+"""For each combination, the topics of a set, and whether a standby sends it."""
 
 
 class BroadcastInbox:
@@ -135,20 +137,17 @@ class BroadcastInbox:
 
     def _complete(self, step: int) -> None:
         """Make the broadcasts of a step the newest set of the coordinators that have sent all of them."""
-        first: dict[tuple[Topic, bool], Message] = {}
-        for (topic, _, standby), message in self._heard.of(step).items():
-            first.setdefault((topic, standby), message)
-        if len(first) < len(BROADCASTS):
+        heard = self._heard.of(step)
+        if len(heard) < len(BROADCASTS):
             return
-        for of in ANY:
+        first: dict[tuple[Topic, bool], Message] = {}
+        for (topic, _, standby), message in heard.items():
+            first.setdefault((topic, standby), message)
+        for of, senders in _SENDERS.items():
             known = self._sets.get(of)
-            if known is not None and step <= known.step:
-                continue
-            senders = (of.observer, of.observer, of.controller)
-            found = [first.get(place) for place in zip(BROADCASTS, senders, strict=True)]
-            if None not in found:
-                abstract, sums, desired = found
-                self._sets[of] = Broadcast(desired.stamp, step, abstract, sums, desired)  # type: ignore[arg-type,union-attr]  # by topic
+            if all(map(first.__contains__, senders)) and (known is None or step > known.step):
+                abstract, sums, desired = map(first.__getitem__, senders)
+                self._sets[of] = Broadcast(desired.stamp, step, abstract, sums, desired)  # type: ignore[arg-type]  # by topic
 
     def _choose(self, step: int) -> None:
         """Leave the coordinators that the robot follows if their set is doubted, missing, or far behind others."""
@@ -167,9 +166,10 @@ class BroadcastInbox:
 
     def _doubts(self, of: Coordinators, step: int) -> bool:
         """Return whether any broadcasts of these coordinators contradict each other."""
-        abstract, sums, desired = BROADCASTS
-        observed = any(self._heard.doubts((topic, 0, of.observer), step) for topic in (abstract, sums))
-        return observed or any(self._heard.doubts((desired, mode, of.controller), step) for mode in Mode)
+        return any(
+            standby is (of.controller if topic is DESIRED_ABSTRACT_STATE else of.observer)
+            for topic, _, standby in self._heard.doubted(step)
+        )
 
     def problem(self, now: int) -> str:
         """Return why the newest set must not be followed; empty if it may be."""
@@ -191,4 +191,4 @@ class BroadcastInbox:
 
 def _has_changed(places: Iterable[_Place], standby: bool) -> bool:  # noqa: FBT001 - it identifies the controller
     """Return whether the messages of a step contain more than one mode of a controller."""
-    return sum(topic is DESIRED_ABSTRACT_STATE and sender is standby for topic, _, sender in places) > 1
+    return [(topic, sender) for topic, _, sender in places].count((DESIRED_ABSTRACT_STATE, standby)) > 1

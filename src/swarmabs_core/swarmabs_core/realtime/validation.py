@@ -28,7 +28,7 @@ from swarmabs_core.messages import (
 from swarmabs_core.realtime.base import Health, Level
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Iterator, Mapping
 
 Place = TypeVar("Place")
 """Hashable key of a message within its step; two different messages in one place contradict each other."""
@@ -49,6 +49,9 @@ LEAST_DAMPING_TIME = 1e-3
 """Shortest time constant of a robot's own damping that is credible, in periods."""
 FASTEST_TURN = 100.0
 """Largest credible angular velocity of the plane, rad/s: from one end stop to the other within three periods."""
+_NUMERIC = (AbstractState, AuxiliaryState, DesiredAbstractState, AgentState, PlaneState)
+"""Messages that consist of numbers."""
+_KINDS, _STATUSES, _MODES = frozenset(Kind), frozenset(Status), frozenset(Mode)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +84,14 @@ class Bounds:
 
     def problem(self, message: Message) -> str:
         """Return why a message cannot be true; empty if it can."""
-        if not all(isfinite(value) for value in message if isinstance(value, float)):
+        if isinstance(message, _NUMERIC) and not all(map(isfinite, message)):
             return "not all of its numbers are finite"
         if isinstance(message, AbstractState):
             return self._abstract(message)
         if isinstance(message, AuxiliaryState):
             return self._sums(message)
         if isinstance(message, DesiredAbstractState):
-            return "" if message.mode in tuple(Mode) else f"there is no mode {message.mode}"
+            return "" if message.mode in _MODES else f"there is no mode {message.mode}"
         if isinstance(message, AgentState):
             return self._robot(message)
         if isinstance(message, PlaneState):
@@ -128,7 +131,7 @@ class Bounds:
         return ""
 
     def _robot(self, state: AgentState) -> str:
-        if state.kind not in tuple(Kind) or state.status not in tuple(Status):
+        if state.kind not in _KINDS or state.status not in _STATUSES:
             return f"there is no kind {state.kind} or no status {state.status}"
         if not state.mass > 0.0 or state.damping < 0.0:
             return f"a mass of {state.mass:.4g} kg and a damping of {state.damping:.4g} N s/m"
@@ -184,6 +187,10 @@ class Heard(Generic[Place]):
         """Return whether a place is distrusted: two messages differed, and it is unknown which one is genuine."""
         since = self._contradicted.get(place)
         return since is not None and step - since <= self._age
+
+    def doubted(self, step: int) -> Iterator[Place]:
+        """Return the places that are distrusted."""
+        return (place for place in self._contradicted if self.doubts(place, step))
 
     def of(self, step: int) -> Mapping[Place, Message]:
         """Return the messages of a step by place, in the order of arrival."""
@@ -244,9 +251,9 @@ class Writers:
             self._bound[agent_id] = writer, self._ran
         return bool(writer) and before is not None and before[0] != writer
 
-    def contested(self, ages: int = 1) -> tuple[int, ...]:
-        """Return the robots of which a second writer was refused within so many age limits."""
-        return tuple(i for i, (_, _, at) in sorted(self._refused.items()) if self._ran - at <= ages * self._age)
+    def contested(self, agent_id: int, ages: int = 1) -> bool:
+        """Return whether a second writer of a robot was refused within so many age limits."""
+        return agent_id in self._refused and self._ran - self._refused[agent_id][2] <= ages * self._age
 
     def warned(self, health: Health) -> Health:
         """Return a health status with the robots that have a second writer, or had one recently, and the writers.
@@ -259,7 +266,8 @@ class Writers:
             (f"second sender of robot {i}", f"{gid.hex('.')}: {count} refused; the first: {self._bound[i][0].hex('.')}")
             for i, (count, gid, _) in sorted(self._refused.items())[:_MOST_SHOWN]
         )
-        values, contested = (*health.values, *found), self.contested(SHOWN_AGES)[:_MOST_SHOWN]
+        values = (*health.values, *found)
+        contested = [i for i in sorted(self._refused) if self.contested(i, SHOWN_AGES)][:_MOST_SHOWN]
         if not contested:
             return health._replace(values=values)
         text = f"{health.text}; a second sender speaks for robots {' '.join(map(str, contested))}"
