@@ -1,5 +1,6 @@
 """Publishers, both ways of receiving over real DDS in one process, and the contract's qualities of service."""
 
+import _ctypes
 import time
 from collections.abc import Iterator
 
@@ -101,6 +102,23 @@ def test_messages_of_any_length_arrive_whole_with_their_writer_and_a_destroyed_s
     node.destroy_subscription(inbox._subscriptions[EVENTS])  # noqa: SLF001 - what happens if a node is torn down
     with pytest.raises(RunError, match="cannot be taken"):
         inbox.take(EVENTS)
+
+
+@pytest.mark.parametrize("missing", ["library", "handle"])
+def test_without_access_to_rcl_messages_are_taken_and_their_writers_unknown(
+    missing: str, node: SwarmNode, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    if missing == "library":
+        monkeypatch.setattr("swarmabs_ros.endpoints.rclpy_implementation.__file__", _ctypes.__file__)
+    else:
+        monkeypatch.delattr("swarmabs_ros.endpoints.rclpy_implementation.Subscription.pointer")
+    inbox = WaitSetReceiver(node, {PLANE_STATE: SUBSCRIPTIONS[PLANE_STATE]}, identified=(PLANE_STATE,))
+    assert "a second sender cannot be told from the first" in capfd.readouterr().err
+    publisher = advertise(node, PLANE_STATE)
+    matched({PLANE_STATE: publisher}, inbox)
+    publisher.publish(MESSAGES[0])
+    assert receive(inbox, PLANE_STATE, 1) == [MESSAGES[0]]
+    assert inbox.writer(PLANE_STATE) == b""
 
 
 def test_both_ways_deliver_the_same_bytes_in_order(node: SwarmNode) -> None:

@@ -140,16 +140,17 @@ class IdentifyingTake:
             make, end = library.rcutils_uint8_array_init, library.rcutils_uint8_array_fini
             implementation, self._forget_error = library.rmw_get_implementation_identifier, library.rcutils_reset_error
             self._take = library.rcl_take_serialized_message
+            topic_name.argtypes, topic_name.restype = (ctypes.c_void_p,), ctypes.c_char_p
+            with self._handle:
+                known = topic_name(self._handle.pointer)
         except (AttributeError, OSError) as error:
             raise ImportError(f"this rclpy does not give access to rcl: {error}") from error
-        topic_name.argtypes, topic_name.restype = (ctypes.c_void_p,), ctypes.c_char_p
+        if known != subscription.topic_name.encode():
+            raise ImportError("this rclpy does not give access to rcl: a subscription is not what rcl knows")
         allocator.restype = _Allocator
         make.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
         implementation.restype = ctypes.c_void_p
         self._take.argtypes = (ctypes.c_void_p,) * 4
-        with self._handle:
-            if (topic_name(self._handle.pointer) or b"").decode() != subscription.topic_name:
-                raise ImportError("this rclpy does not give access to rcl: a subscription is not what rcl knows")
         if make(ctypes.byref(message), _FIRST_CAPACITY, ctypes.byref(allocator())) != _OK:
             raise MemoryError("no memory for a message")
         weakref.finalize(self, end, ctypes.byref(message))
