@@ -34,14 +34,18 @@ def test_a_coordinator_dies(folder: Path, scenario: str, node: str) -> None:
     assert outcome.figures["digest"] == runs.bag_digest(runs.bag_messages(folder))
     assert outcome.standby is not None
     assert outcome.standby["lost"] == {node: KILLED}
-    assert set(outcome.standby["lead"]) <= {standby_name(node)}
+    roles = outcome.standby["roles"]
+    assert (node, "is lost") in {(role["node"], role["role"]) for role in roles}
     assert (folder / "bag_incomplete").exists() == (node == RECORDER)
     if node == RECORDER:
         assert outcome.standby["recorder"] == standby_name(RECORDER)
         assert not (folder / "standby").exists()
     else:
         assert list(open_bag(folder / "standby").messages()) == list(open_bag(folder).messages())
-        assert outcome.standby["lead"][standby_name(node)] >= 150
+        leads = next(role for role in reversed(roles) if role["node"] == standby_name(node))
+        assert leads["role"] == "leads"
+        assert leads["step"] >= 150
+        assert f"{standby_name(node)} leads from step {leads['step']}: {node} " in runs.run_log(folder)
         assert merge_bags([folder, folder / "standby"], folder / "both" / "bag").complete
         assert outcome.figures["digest"] == runs.bag_digest(runs.bag_messages(folder / "both"))
 

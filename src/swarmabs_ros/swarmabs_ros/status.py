@@ -24,7 +24,18 @@ EPOCH_RECORD = 20
 """Length, in bytes, of the decimal number that sends the epoch to a process."""
 
 Report = Literal[
-    "ready", "stalled", "recovered", "failed", "progress", "written", "done", "timing", "steered", "leads", "behind"
+    "ready",
+    "stalled",
+    "recovered",
+    "failed",
+    "progress",
+    "written",
+    "done",
+    "timing",
+    "steered",
+    "leads",
+    "yields",
+    "behind",
 ]
 
 

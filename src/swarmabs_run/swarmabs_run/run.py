@@ -113,8 +113,8 @@ class Outcome:
     packed : bool
         Whether messages were packed.
     standby : dict, optional
-        Of a run with standby coordinators: those that were ``lost`` and how, those that ``lead`` in their place and
-        from which step on, and the ``recorder`` of the bag.
+        Of a run with standby coordinators: those that were ``lost`` and how, what changed in their ``roles`` (as
+        `swarmabs_run.roles.Role`), and the ``recorder`` of the bag.
     """
 
     status: Literal["ok", "failed", "interrupted"]

@@ -36,13 +36,17 @@ BOTH = (*A_SECOND, second_done(1.1))
 
 
 class Lost(NamedTuple):
-    """What happens after the first step, what is lost, whose bag it is, and why the run failed if it has."""
+    """What happens after the first step, what is lost, whose bag it is, and why the run failed if it has.
+
+    `told` are the steps, nodes and roles of the changes that the summary lists; by default no standby leads.
+    """
 
     happens: tuple[Happening, ...]
     lost: dict[str, str]
     recorder: str = RECORDER
     reason: str | None = None
     stopped: tuple[str, ...] = ()
+    told: tuple[tuple[int, str, str], ...] | None = None
 
 
 ENDINGS = {
@@ -51,10 +55,24 @@ ENDINGS = {
         (
             exited(0.3, OBSERVER, -9),
             report(0.4, standby_name(OBSERVER), "leads", step=31),
-            report(0.5, standby_name(CONTROLLER), "leads", step=40),
             *BOTH,
         ),
         {OBSERVER: KILLED},
+        told=((30, OBSERVER, "is lost"), (31, standby_name(OBSERVER), "leads")),
+    ),
+    "a controller that is only late": Lost(
+        (
+            report(0.4, standby_name(CONTROLLER), "leads", step=40),
+            report(0.5, standby_name(CONTROLLER), "yields", step=43),
+            *BOTH,
+        ),
+        {},
+    ),
+    "one that is stopped and replaced": Lost(
+        (report(0.4, standby_name(CONTROLLER), "leads", step=40), *BOTH),
+        {CONTROLLER: "was stopped"},
+        stopped=(CONTROLLER,),
+        told=((40, standby_name(CONTROLLER), "leads"), (40, CONTROLLER, "is silent")),
     ),
     "a standby": Lost((exited(0.3, standby_name(CONTROLLER), -9), *BOTH), {standby_name(CONTROLLER): KILLED}),
     "one that fell behind": Lost(
@@ -62,6 +80,22 @@ ENDINGS = {
         {CONTROLLER: "fell behind"},
     ),
     "one that is stopped": Lost(BOTH, {CONTROLLER: "was stopped"}, stopped=(CONTROLLER,)),
+    "one that continues": Lost(
+        (
+            report(0.4, standby_name(CONTROLLER), "leads", step=40),
+            (0.7, lambda machine: setattr(machine, "stopped", ())),
+            report(0.8, standby_name(CONTROLLER), "yields", step=43),
+            *BOTH,
+        ),
+        {},
+        stopped=(CONTROLLER,),
+        told=(
+            (40, standby_name(CONTROLLER), "leads"),
+            (40, CONTROLLER, "is silent"),
+            (43, CONTROLLER, "leads"),
+            (43, standby_name(CONTROLLER), "stands by"),
+        ),
+    ),
     "the recorder": Lost((exited(0.3, RECORDER, -9), *A_SECOND[:-1], second_done(1.1)), {RECORDER: KILLED}, SECOND),
     "the recorder's disk": Lost(
         (
@@ -97,13 +131,19 @@ def drive_with_standbys(machine: FakeMachine, path: Path, *overrides: str) -> Ou
 
 @pytest.mark.parametrize("name", ENDINGS)
 def test_what_a_run_with_standbys_survives(tmp_path: Path, name: str) -> None:
-    happens, lost, recorder, reason, stopped = ENDINGS[name]
+    happens_to = ENDINGS[name]
+    happens, lost, recorder, reason, stopped, _ = happens_to
     machine = FakeMachine(happens, stopped=stopped)
     outcome = drive_with_standbys(machine, tmp_path)
     assert tuple(machine.spawned) == ALL
     assert (outcome.status, (outcome.reason or "").split("\n")[0]) == ("failed" if reason else "ok", reason or "")
-    leads = {standby_name(OBSERVER): 31} if name == "the observer" else {}
-    assert outcome.standby == {"lost": lost, "lead": leads, "recorder": recorder}
+    assert outcome.standby is not None
+    assert (outcome.standby["lost"], outcome.standby["recorder"]) == (lost, recorder)
+    told = [(role["step"], role["node"], role["role"]) for role in outcome.standby["roles"]]
+    gone = [] if reason else [(30, node, "is lost") for node in lost if node not in stopped]
+    assert reason or told == [*(happens_to.told if happens_to.told is not None else gone)]
+    news = [role["node"] for role in outcome.standby["roles"] if role["role"] == "leads"]
+    assert all(f"{node} leads from step" in noted(tmp_path) for node in news)
     assert outcome.figures.get("digest") == (None if reason and "differ" not in reason else "abc")
     peers = {name: standby_name(name) for name in NAMES[1:4]} | {standby_name(name): name for name in NAMES[1:4]}
     warnings = tuple(f"{name} {how}; the run continued with {peers[name]}" for name, how in lost.items())
@@ -137,7 +177,7 @@ def test_faults_hit_coordinators_once_their_steps_are_recorded(tmp_path: Path) -
     )
     machine = FakeMachine(A_SECOND)
     outcome = drive_with_standbys(machine, tmp_path, f"faults=[{', '.join(faults)}]")
-    assert (outcome.status, outcome.standby) == ("ok", {"lost": {SECOND: KILLED}, "lead": {}, "recorder": RECORDER})
+    assert (outcome.status, outcome.standby and outcome.standby["lost"]) == ("ok", {SECOND: KILLED})
     hits = [(OBSERVER, SIGSTOP), (SECOND, SIGKILL), (RECORDER, SIGUSR1), (OBSERVER, SIGCONT)]
     assert machine.signals == [*hits, (RECORDER, SIGTERM), (SECOND, SIGTERM)]
     assert f"fault: SIGKILL to {SECOND} (process 107)" in noted(tmp_path)

@@ -55,6 +55,10 @@ class Pair:
         return Leadership(self.rank, takeover, schedule.ahead(clock_tolerance), listening)
 
 
+RECORDS = "records"
+"""What both of a pair of recorders do; `State` tells what one of any other pair does."""
+
+
 class State(Enum):
     """What one of a pair does."""
 

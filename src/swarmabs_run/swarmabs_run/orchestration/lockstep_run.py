@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,14 +14,18 @@ from swarmabs_core.faults import NodeFault, NodeFreezeFault
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_run.orchestration.process_run import ProcessRun
 from swarmabs_run.orchestration.supervision import Failure
+from swarmabs_run.roles import LEADS, SILENT, STANDS_BY, Roles, write_roles
 from swarmabs_run.run import DEFAULTS, RunOptions
 from swarmabs_run.steering.client import SOCKET
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_run.orchestration.machine import Machine
     from swarmabs_run.orchestration.plan import Arrange
+    from swarmabs_run.roles import Role
     from swarmabs_run.run import Outcome
 
 STALL_GRACE = 1.0
@@ -79,6 +84,7 @@ class LockstepRun(ProcessRun):
         self._own_process = {process.agents[0]: process.name for process in self._plan if len(process.agents) == 1}
         self._faults: list[Change] = [c for c in configure.schedule(scenario) if c.kind in _SIGNALS]
         self._node_signals = node_signals(scenario) if options.standby else []
+        self._roles = Roles(self._supervision.pairs)
         self._stalled_since: float | None = None
         self._stalled_at = -1
 
@@ -93,14 +99,19 @@ class LockstepRun(ProcessRun):
 
     def _start(self, now: float) -> float:
         self._note("all processes have met their counterparts: start")
+        if self._options.standby:
+            self._write_roles()
         self._machine.start_all()
         return now
 
     def _watch(self, now: float) -> Failure | None:
         for name in self._supervision.left_alone():
             peer = self._supervision.pairs[name]
-            self._note(f"{peer} {self._supervision.gone.get(peer, 'has ended')}; {name} is told")
+            how = self._supervision.gone.get(peer, "has ended")
+            self._note(f"{peer} {how}; {name} is told")
             self._machine.signal(name, signal.SIGUSR1)
+            self._tell(self._roles.lose(peer, max(0, self._recorded()), how))
+        self._follow_roles()
         self._inject_faults()
         self._signal_nodes()
         return self._check_stalls(now)
@@ -134,6 +145,33 @@ class LockstepRun(ProcessRun):
             self._note(f"fault: {number.name} to {name} (process {self._supervision.pids[name]})")
             self._machine.signal(name, number)
 
+    def _follow_roles(self) -> None:
+        """Tell which standbys lead in place of a lost or stopped primary, and which primaries lead again.
+
+        On a busy machine a standby also leads for moments in which its primary is only late; these are not told.
+        """
+        state, lost = self._supervision, self._lost() if self._supervision.leading else {}
+        for node, step in state.leading.items():
+            peer = state.pairs[node]
+            if peer in lost:
+                self._tell(self._roles.lead(node, step, f"{peer} {lost[peer]}", peer=SILENT))
+        for node, step in state.yielded.items():
+            if self._roles.now[node] == LEADS:
+                self._tell(self._roles.lead(state.pairs[node], step, "publishes again", peer=STANDS_BY))
+        state.yielded.clear()
+
+    def _tell(self, changes: Iterable[Role]) -> None:
+        """Log takeovers and losses, and let others know the roles."""
+        if changes := list(changes):
+            for role in changes:
+                if role.is_news:
+                    self._note(role.text)
+            self._write_roles()
+
+    def _write_roles(self) -> None:
+        with suppress(OSError):  # the recorder reports a full disk
+            write_roles(self._folder.logs, self._roles.all)
+
     def _lost(self) -> dict[str, str]:
         """Return the coordinators that have ended or are stopped, and how."""
         state = self._supervision
@@ -142,10 +180,10 @@ class LockstepRun(ProcessRun):
 
     def _standby(self) -> dict[str, Any]:
         """Return `Outcome.standby`."""
-        state, lost = self._supervision, self._lost()
-        leading = {name: step for name, step in state.leading.items() if state.pairs.get(name) in lost}
+        self._follow_roles()
+        state, changes = self._supervision, [role._asdict() for role in self._roles.changes]
         recorder = standby_name(RECORDER) if [*state.whole] == [standby_name(RECORDER)] else RECORDER
-        return {"lost": lost, "lead": leading, "recorder": recorder}
+        return {"lost": self._lost(), "roles": changes, "recorder": recorder}
 
     def _end(self) -> Failure | None:
         """Compare what two recorders have recorded."""

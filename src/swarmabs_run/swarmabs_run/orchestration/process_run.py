@@ -296,6 +296,6 @@ class ProcessRun:
 
 def _pairs(names: Iterable[str]) -> dict[str, str]:
     """Return the other one of each process of a pair."""
-    known = set(names)
+    known = dict.fromkeys(names)
     primaries = {name: standby_name(name) for name in known if standby_name(name) in known}
     return primaries | {standby: primary for primary, standby in primaries.items()}

@@ -66,7 +66,8 @@ class Supervision:
     done: Mapping[str, Any] | None = None
     reported: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     gone: dict[str, str] = field(default_factory=dict)  # how one of a pair was lost
-    leading: dict[str, int] = field(default_factory=dict)
+    leading: dict[str, int] = field(default_factory=dict)  # the standbys that lead, and since which step
+    yielded: dict[str, int] = field(default_factory=dict)
     alone: list[str] = field(default_factory=list)
     failure: Failure | None = None
     timing: dict[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -89,6 +90,9 @@ class Supervision:
             self._fail(Failure(f"{node}: {report['reason']}"))
         elif event == "leads":
             self.leading[node] = report["step"]
+        elif event == "yields":
+            self.leading.pop(node, None)
+            self.yielded[node] = report["step"]
         elif event == "behind":
             self.gone[node] = report["reason"]
         elif event == "progress":
