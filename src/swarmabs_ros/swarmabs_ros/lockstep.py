@@ -256,10 +256,10 @@ class Lockstep:
 
     def _waits_for_peer(self, pair: LockstepLeadership) -> bool:
         """Take what the peer has published; return whether the run must not be further ahead of it."""
-        led = pair.leads
+        led = pair.leading
         while (data := self._taken(pair.topic)) is not None:
             pair.hear(step_of(data))
-        if led and not pair.leads:
+        if led and not pair.leading:
             self._status.send("yields", step=pair.step)
         return pair.waits(self._clock())
 
