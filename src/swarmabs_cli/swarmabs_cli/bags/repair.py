@@ -1,4 +1,4 @@
-"""``swarm info`` and ``swarm repair``: the contents of bags, and the repair of damaged ones."""
+"""``swarm repair``: the repair of damaged bags, and the merge of several."""
 
 from __future__ import annotations
 
@@ -8,30 +8,14 @@ from pathlib import Path
 
 import click
 
-from swarmabs_bag.info import bag_info, render, said_steps
+from swarmabs_bag.info import said_steps
 from swarmabs_bag.merge import MergeReport, merge_bags
 from swarmabs_bag.repair import RepairReport, repair_bag
 from swarmabs_cli.options import bags_argument, examples, json_option, output_option
-from swarmabs_cli.output import print_documents, print_json, print_tables, printable
+from swarmabs_cli.output import print_json, printable
 
 _MOST_SHOWN = 20
 """Most gaps, contradictions and robots in a text; the JSON document has all."""
-
-
-@click.command(epilog=examples("info runs/pd_het_4-001"))
-@bags_argument
-@json_option
-def info(bags: tuple[Path, ...], *, as_json: bool) -> int:
-    """Show what bags contain and whether they are complete.
-
-    A BAG is the folder of a run, its bag folder, or an .mcap file.
-    """
-    found = [bag_info(path) for path in bags]
-    if as_json:
-        print_documents([asdict(one) for one in found])
-    else:
-        print_tables(*map(render, found))
-    return 0 if all(one.complete for one in found) else 1
 
 
 @click.command(
