@@ -145,7 +145,10 @@ class Agent:
             return (STEERING,)
         if self._ended:
             return ()
-        return next(((topic,) for topic in self._topics if topic not in self._heard), ())
+        for topic in self._topics:
+            if topic not in self._heard:
+                return (topic,)
+        return ()
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and the missing topics; none while the robot is absent."""
