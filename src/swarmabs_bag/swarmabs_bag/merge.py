@@ -404,7 +404,7 @@ def _difference_between(one: _Source, other: _Source) -> str | None:
 def _difference(one: object, other: object, place: str = "") -> str | None:
     """Return the first difference between two documents, or None."""
     if isinstance(one, dict) and isinstance(other, dict):
-        for key in sorted({*one, *other}, key=str):
+        for key in dict.fromkeys((*one, *other)):
             if one.get(key) != other.get(key):
                 return _difference(one.get(key), other.get(key), f"{place}.{key}" if place else str(key))
         return None

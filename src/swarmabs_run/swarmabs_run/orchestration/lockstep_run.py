@@ -191,8 +191,13 @@ class LockstepRun(ProcessRun):
         return Failure("the two recorders have recorded different runs") if len(digests) > 1 else None
 
     def _warnings(self) -> tuple[str, ...]:
-        pairs = self._supervision.pairs
-        return tuple(f"{name} {how}; the run continued with {pairs[name]}" for name, how in self._lost().items())
+        pairs, lost = self._supervision.pairs, self._lost()
+        order = [*lost]
+        return tuple(
+            f"{name} {how}; the run continued with {pairs[name]}"
+            for number, (name, how) in enumerate(lost.items())
+            if pairs[name] not in order[:number]
+        )
 
     def _recorded(self) -> int:
         """Return the last step known to be recorded, -1 for none."""
