@@ -117,7 +117,7 @@ class PublishedMode:
         """
         commanded, since = self._commanded or (mode, _LONG_AGO)
         if mode is Mode.STOP:
-            if commanded is Mode.RESET and step < since:
+            if commanded is Mode.RESET and step <= since:
                 return
             self._latch.stop(step)
             if step >= since:  # the peer has heard of what was commanded here
