@@ -22,7 +22,14 @@ from swarmabs_config.fleet.robots import PluginDrive
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER
 from swarmabs_config.ports import metatraffic_port
 from swarmabs_core.realtime.leadership import STANDBY
-from swarmabs_run.orchestration.network import PARTICIPANT_VARIABLE, Discovery, dds_environment, network_profile_xml
+from swarmabs_run.orchestration.network import (
+    PARTICIPANT_VARIABLE,
+    REALTIME_LEASE,
+    SECURE_LEASE,
+    Discovery,
+    dds_environment,
+    network_profile_xml,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -76,7 +83,9 @@ def profile(host: HostPlan, role: str) -> str:
         port = metatraffic_port(network.domain, DISCOVERY_SERVER)
         server = (host.fleet.address(network.server), port)
         discovery = Discovery("SERVER" if role == "server" else "CLIENT", server=server)
-    return network_profile_xml(host.address, discovery)
+    # The discovery server has the same GUID after a restart, which others notice only once they have forgotten it.
+    secure = host.fleet.security.level == "sros2" and role != "server"
+    return network_profile_xml(host.address, discovery, lease=SECURE_LEASE if secure else REALTIME_LEASE)
 
 
 def _peers(host: HostPlan, role: str) -> list[tuple[str, int]]:

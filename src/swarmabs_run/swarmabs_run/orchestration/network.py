@@ -43,8 +43,15 @@ FROM_ENVIRONMENT = PARTICIPANT_VARIABLE
 FIRST_FREE = ""
 """The process takes the first free participant id."""
 
+_LOCKSTEP_LEASE = 60
 REALTIME_LEASE = 5
 """Silence, s, after which a real-time participant is forgotten: it may have restarted as a new one."""
+SECURE_LEASE = 100
+"""The same with DDS Security, beyond the time that a start under overload may take.
+
+If only one of two participants has forgotten the other, they never authenticate again: Fast DDS does not answer a new
+handshake of a participant that it takes for authenticated, and gives up after ten requests.
+"""
 
 _LOOPBACK = "127.0.0.1"
 _SERVER_PREFIX = "44.53.00.5f.45.50.52.4f.53.49.4d.41"
@@ -178,23 +185,30 @@ def profile_xml(
         participant=participant,
         discovery=Discovery(peers=announced),
         realtime=realtime,
+        lease=REALTIME_LEASE if realtime else _LOCKSTEP_LEASE,
         group={"variable": GROUP_VARIABLE, "port": ports.multicast_port(domain)} if multicast else None,
     )
 
 
-def network_profile_xml(address: str, discovery: Discovery, participant: str = FROM_ENVIRONMENT) -> str:
-    """Return the profile of real-time nodes on one address of a network; for a single machine see `profile_xml`."""
+def network_profile_xml(
+    address: str, discovery: Discovery, participant: str = FROM_ENVIRONMENT, *, lease: int = REALTIME_LEASE
+) -> str:
+    """Return the profile of real-time nodes on one address of a network; for a single machine see `profile_xml`.
+
+    A participant is forgotten after a silence of `lease` seconds.
+    """
     return _template().render(
         transport="swarm",
         address=address,
         participant=participant,
         discovery=discovery,
         realtime=True,
+        lease=lease,
         group=None,
     )
 
 
 @cache
 def _template() -> Template:
-    known = {"ports": vars(ports), "prefix": _SERVER_PREFIX, "lease": REALTIME_LEASE}
+    known = {"ports": vars(ports), "prefix": _SERVER_PREFIX}
     return templates("swarmabs_run").get_template("fastdds.xml.j2", globals=known)
