@@ -83,9 +83,8 @@ def profile(host: HostPlan, role: str) -> str:
         port = metatraffic_port(network.domain, DISCOVERY_SERVER)
         server = (host.fleet.address(network.server), port)
         discovery = Discovery("SERVER" if role == "server" else "CLIENT", server=server)
-    # The discovery server has the same GUID after a restart, which others notice only once they have forgotten it.
-    secure = host.fleet.security.level == "sros2" and role != "server"
-    return network_profile_xml(host.address, discovery, lease=SECURE_LEASE if secure else REALTIME_LEASE)
+    lease = SECURE_LEASE if host.fleet.security.level == "sros2" else REALTIME_LEASE
+    return network_profile_xml(host.address, discovery, lease=lease)
 
 
 def _peers(host: HostPlan, role: str) -> list[tuple[str, int]]:
