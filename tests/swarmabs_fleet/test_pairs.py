@@ -102,6 +102,15 @@ def test_a_failover_of_a_fleet_without_standbys_is_refused(capsys: pytest.Captur
     assert "no coordinator has a standby; add" in capsys.readouterr().err
 
 
+def test_an_operator_on_another_host_is_told_where_to_work(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("swarmabs_fleet.operate.problem_of", lambda _: "no such address")
+    for command in ("status", "stop", "failover"):
+        assert main([command, str(EXAMPLES["standby"])]) == 2
+        assert "run this on base (192.168.50.1) or spare (192.168.50.2)\n" in capsys.readouterr().err
+
+
 def test_a_role_is_shown_with_its_duration() -> None:
     schedule = Schedule(period_ns=10_000_000, epoch_ns=10**18)
     now = 10**18 + 90 * 10**9

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import time
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple
@@ -74,6 +74,8 @@ class Target:
         The steps of its messages; None while a run is starting.
     warnings : tuple of str
         What will need attention, such as certificates that expire soon.
+    elsewhere : str
+        Why this host cannot join its network, empty if it can.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Target:
     run: Path | None = None
     schedule: Schedule | None = None
     warnings: tuple[str, ...] = ()
+    elsewhere: str = ""
 
     def robot(self, agent_id: int) -> str:
         """Return the name of a robot's node.
@@ -123,8 +126,10 @@ def target(path: Path) -> Iterator[Target]:
     loaded = load_fleet(path)
     fleet = loaded.fleet
     places = operator_hosts(fleet)
-    here = next((name for name in places if problem_of(fleet.address(name)) == ""), places[0])
-    host = HostPlan(fleet, here)
+    here = [name for name in places if problem_of(fleet.address(name)) == ""]
+    host = HostPlan(fleet, (here or places)[0])
+    named = " or ".join(f"{name} ({fleet.address(name)})" for name in places)
+    elsewhere = "" if here else f"{fleet.name}: this host does not have the address; run this on {named}"
     hosts = {node.name: node.host for node in node_plans(fleet) if node.name != DISCOVERY}
     robots = tuple(robot.id for robot in fleet.members)
     with TemporaryDirectory(prefix="swarmabs-operator-") as folder:
@@ -134,7 +139,8 @@ def target(path: Path) -> Iterator[Target]:
         environment = tool_environment(host, "operator") | dds_environment(fleet.network.domain, str(file))
         schedule = realtime.schedule(loaded.scenario, fleet.epoch_ns)
         warnings = tuple(expiring(fleet, path))
-        yield Target(fleet.name, fleet.namespace, hosts, robots, environment, schedule=schedule, warnings=warnings)
+        swarm = Target(fleet.name, fleet.namespace, hosts, robots, environment, schedule=schedule, warnings=warnings)
+        yield replace(swarm, elsewhere=elsewhere)
 
 
 def _run(folder: Path) -> Target:
@@ -291,9 +297,13 @@ def joined(target: Target) -> Iterator[OperatorClient]:
 
     Raises
     ------
+    InputError
+        If this host does not have the address of an operator's host.
     RunError
-        If the middleware cannot join, for example because the host does not have the address.
+        If the middleware cannot join.
     """
+    if target.elsewhere:
+        raise InputError(target.elsewhere)
     os.environ.update(target.environment)
     with tracing_files_removed():
         try:
