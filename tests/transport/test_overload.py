@@ -9,7 +9,7 @@ from tests.transport.test_fleet import active
 from tests.transport.test_leadership import PRIMARIES, STANDBYS, longest_stop, speakers
 
 from swarmabs_config.graph import CONTROLLER, PLANE, agent_name, standby_name
-from swarmabs_core.messages import AbstractState, DesiredAbstractState, Mode
+from swarmabs_core.messages import NEVER, AbstractState, AgentState, DesiredAbstractState, Mode
 
 LONGEST_LOAD = 6.0
 WITHIN, CALM = 1.5, 0.5
@@ -108,4 +108,25 @@ def test_a_reset_of_both_controllers_holds_although_a_stop_of_that_step_is_under
     for name in controllers:
         fleet.call(name, "reset")
     fleet.run(1.5)
+    assert active(fleet) == {*ROBOTS}
+
+
+def test_a_reset_that_robots_hear_late_opens_their_latches_unless_a_stop_came_after_it() -> None:
+    late = {agent_name(robot): 0.5 for robot in ROBOTS}
+    fleet = VirtualFleet(builtin("pd_het_4"), start_mode=Mode.STOP)
+    fleet.run(1.0)
+    fleet.network.slow.update(late)
+    fleet.call(CONTROLLER, "reset")
+    fleet.later(0.7, lambda: fleet.call(CONTROLLER, "stop"))
+    fleet.run(1.5)
+    fleet.network.slow.clear()
+    fleet.run(1.0)
+    assert active(fleet) == set()
+    fleet.network.slow.update(late)
+    fleet.call(CONTROLLER, "reset")
+    fleet.run(1.2)
+    states = [message for _, _, message in fleet.published if isinstance(message, AgentState)]
+    assert {state.broadcast_step for state in states} == {NEVER}, "nobody follows what is outdated"
+    fleet.network.slow.clear()
+    fleet.run(0.7)
     assert active(fleet) == {*ROBOTS}

@@ -14,7 +14,7 @@ from swarmabs_core.messages import (
     Mode,
     Topic,
 )
-from swarmabs_core.realtime.modes import ModeLatch
+from swarmabs_core.realtime.modes import MOST_LATE, ModeLatch
 from swarmabs_core.realtime.validation import Heard
 
 if TYPE_CHECKING:
@@ -73,6 +73,7 @@ class BroadcastInbox:
         self._bounds = bounds
         self._heard: Heard[_Place] = Heard(self._age, schedule.ahead(clock_tolerance))
         self._latch = ModeLatch(schedule, age_limit, clock_tolerance)
+        self._latest = max(self._age, schedule.steps(MOST_LATE))
         self._sets: dict[Coordinators, Broadcast] = {}
         self.followed = ANY[0]
 
@@ -99,16 +100,23 @@ class BroadcastInbox:
             return f"{topic.name}: from the future; the clocks differ, or it is of another swarm"
         if isinstance(message, DesiredAbstractState) and message.mode == Mode.STOP:
             self._latch.stop(message.step)  # even if it is otherwise invalid
-        if message.step < step - self._age:
+        problem, outdated = self._bounds.problem(message), message.step < step - self._age
+        if not problem and not outdated:
+            problem = self._contradiction(topic, message, step, standby=standby)
+        if isinstance(message, DesiredAbstractState) and message.mode == Mode.RESET and not problem:
+            self._reset(message.step, step)
+        if outdated:
             return f"{topic.name}: outdated"
-        problem = self._bounds.problem(message) or self._contradiction(topic, message, step, standby=standby)
         if problem:
             return f"{topic.name}: {problem}"
-        if isinstance(message, DesiredAbstractState) and message.mode == Mode.RESET:
-            self._latch.reset(message.step)
         self._complete(message.step)
         self._choose(step)
         return ""
+
+    def _reset(self, of: int, step: int) -> None:
+        """Note a RESET of a step, which may be outdated, but not by much."""
+        if step - of <= self._latest:
+            self._latch.reset(of)
 
     def forget(self, now: int) -> None:
         """Discard everything but the latch, because the clock was set."""

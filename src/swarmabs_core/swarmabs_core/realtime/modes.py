@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 RESET_SECONDS = 1.0
 """Time for which RESET is published before RUN, s, so that every robot hears it."""
+MOST_LATE = 3.0
+"""Age, s, up to which a robot obeys an outdated RESET: at an overload it may reach all robots late."""
 MOST_GUARD = 0.5
 """Upper limit of the guard time between the last STOP and an effective RESET, s: half of the duration of RESET."""
 _LONG_AGO = -(2**62)
