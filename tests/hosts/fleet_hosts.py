@@ -3,7 +3,7 @@
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -41,18 +41,19 @@ set:
 hosts:
 {hosts}
 robots:
-{robots}coordinators: {{plane: {{host: base}}, observer: {{host: base}}, controller: {{host: base}}{recorder}}}
+{robots}coordinators: {{plane: {plane}, observer: {central}, controller: {central}{recorder}}}
 network: {{domain: {domain}, interface: eth0, discovery: {discovery}}}
-security: {{level: none}}
-installation: {{checkout: {checkout}}}
+security: {security}
+installation: {{checkout: {checkout}{ros}}}
 """
 _ROBOT = """\
   - id: {id}
     host: {host}
     {kind}
     limits: {{lane: {lane}}}
-    drive: {{type: plugin, name: black_box, settings: {{file: {file}, position: {position}}}}}
+    drive: {drive}
 """
+_BLACK_BOX = "{{type: plugin, name: black_box, settings: {{file: {file}, position: {position}}}}}"
 _KINDS = (
     "kind: single_integrator\n    mass: 0.3552",
     "kind: double_integrator\n    mass: 0.4596\n    damping: 1.3258",
@@ -65,7 +66,9 @@ class FleetOnHosts:
     """A fleet whose first host, the base, has the coordinators, and of which each other host is a robot.
 
     Its disks and files are in a folder of its own. `quorum` robots must be there before the swarm moves; ids count
-    from `first_id`. A discovery server, and a recorder if there is one, are on the base.
+    from `first_id`. A discovery server, and a recorder if there is one, are on the base. With the prefix of a `secured`
+    Fast DDS it enforces sros2. With `standby` the second host, the spare, has the standbys of all coordinators but the
+    plane. `plane` and `drives` replace the simulated plane, and the plug-in drives of some robots, in the fleet file.
     """
 
     def __init__(
@@ -80,17 +83,25 @@ class FleetOnHosts:
         quorum: int = 3,
         first_id: int = 1,
         recorder: bool = False,
+        secured: Path | None = None,
+        valid_days: int = 3650,
+        standby: bool = False,
+        plane: str = "{host: base}",
+        drives: Mapping[int, str] = {},
     ) -> None:
         folder.mkdir(exist_ok=True)
         packages = folder / "packages"
         install_package(packages, "drive", black_box.NAME, "", target="tests.hosts.black_box:PART")
-        self.checkout = Checkout(folder, str(packages))
+        self.checkout = Checkout(folder, str(packages), secured / "lib" if secured else None)
         self.name = name
-        self.ids = tuple(range(first_id, first_id + len(hosts) - 1))
+        central = ["base", *(["spare"] if standby else [])]
+        self.ids = tuple(range(first_id, first_id + len(hosts) - len(central)))
         self._boxes = folder / "bodies"
         self._boxes.mkdir()
         server = ", server: base" if discovery == "server" else ""
-        names = ["base", *(f"robot-{number}" for number in self.ids)]
+        names = [*central, *(f"robot-{number}" for number in self.ids)]
+        pair = "{host: base, standby: spare}" if standby else "{host: base}"
+        self._drives = drives
         listed = [f"  - {{name: {n}, address: {host.address}}}" for n, host in zip(names, hosts, strict=True)]
         self.file = folder / f"{name}.yaml"
         self.file.write_text(
@@ -103,32 +114,37 @@ class FleetOnHosts:
                 quorum=quorum,
                 hosts="\n".join(listed),
                 robots="".join(map(self._robot, self.ids)),
-                recorder=", recorder: {host: base}" if recorder else "",
+                plane=plane,
+                central=pair,
+                recorder=f", recorder: {pair}" if recorder else "",
                 domain=domain,
                 discovery=f"{discovery}{server}",
+                security=f"{{level: sros2, valid_days: {valid_days}}}" if secured else "{level: none}",
                 checkout=self.checkout.folder,
+                ros=f", ros: sourced, setup: {self.checkout.setup}" if secured else "",
             ),
             encoding="utf-8",
         )
         self.loaded: LoadedFleet = load_fleet(self.file)
         self.bundles = folder / "bundles"
-        deploy(self.loaded, self.bundles, None)
+        self.keys = folder / "keys" if secured else None
+        deploy(self.loaded, self.bundles, self.keys)
         self.stations = [
             Station(host, station, folder / "disks", self.checkout) for station, host in zip(names, hosts, strict=True)
         ]
-        self.base, *robots = self.stations
-        self.robots = dict(zip(self.ids, robots, strict=True))
+        self.base, self.spare = self.stations[0], self.stations[len(central) - 1]
+        self.robots = dict(zip(self.ids, self.stations[len(central) :], strict=True))
         self.target = f"swarmabs-{name}.target"
 
     def _robot(self, number: int) -> str:
         index = number - self.ids[0]
+        position = 0.125 * (-1) ** index
         return _ROBOT.format(
             id=number,
             host=f"robot-{number}",
             kind=_KINDS[index % len(_KINDS)],
             lane=LANE,
-            file=self._boxes / str(number),
-            position=0.125 * (-1) ** index,
+            drive=self._drives.get(number) or _BLACK_BOX.format(file=self._boxes / str(number), position=position),
         )
 
     def install(self) -> None:
@@ -156,14 +172,20 @@ class FleetOnHosts:
             for note in noted:
                 assert abs(note.position) <= LANE + 1e-9 and abs(note.command) <= limit, (robot.id, note)
 
-    @contextmanager
-    def operator(self) -> Iterator["Operator"]:
-        """Have an operator on the base. There is one place for such tools: meanwhile no other can be started."""
-        words = [sys.executable, ROOT / "tests" / "system" / "realtime_client.py", self.loaded.fleet.namespace]
-        files = [self.base.etc / "swarmabs" / self.name / file for file in ("workspace.env", "nodes/operator.env")]
+    def environment(self, station: Station, role: str) -> dict[str, str]:
+        """Return the variables of tools of a role, or of a node, on a host where the bundle is installed."""
+        files = [station.etc / "swarmabs" / self.name / file for file in ("workspace.env", f"nodes/{role}.env")]
         variables = [variable for file in files for variable in shlex.split(file.read_text())]
-        environment = {**dict(variable.split("=", 1) for variable in variables), "ROS_LOG_DIR": "/run"}
-        with self.base.host.start(words, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        return {**dict(variable.split("=", 1) for variable in variables), "ROS_LOG_DIR": "/run"}
+
+    @contextmanager
+    def operator(self, station: Station | None = None) -> Iterator["Operator"]:
+        """Have an operator on the base, or on the spare. Meanwhile no other tool can be started there."""
+        words = [sys.executable, ROOT / "tests" / "system" / "realtime_client.py", self.loaded.fleet.namespace]
+        words += self.ids if self.loaded.fleet.own_topics else ()
+        station = station or self.base
+        environment = self.environment(station, "operator")
+        with station.host.start(words, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
             try:
                 yield Operator(process)
             finally:

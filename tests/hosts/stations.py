@@ -23,19 +23,30 @@ _BOOT_WITHIN = 60.0
 class Checkout:
     """What stands for a prepared checkout: `scripts/swarm` and `.venv/bin/python` that start these sources.
 
-    Further Python packages may be in a `search_path`.
+    Further Python packages may be in a `search_path`, and libraries that are preferred to those of ROS in a folder.
+    With such libraries it also stands for an installed ROS: `setup` is its setup script, `python` its interpreter.
     """
 
-    def __init__(self, folder: Path, search_path: str = "") -> None:
+    def __init__(self, folder: Path, search_path: str = "", libraries: Path | None = None) -> None:
         own = os.pathsep.join(filter(None, [str(ROOT), search_path, os.environ.get("PYTHONPATH")]))
         self.folder, self.programs = folder / "checkout", folder / "programs"
         self.swarm = self.folder / "scripts" / "swarm"
+        self.setup, self.sourced = folder / "setup.sh", libraries is not None
+        self.python = self.folder / ".venv" / "bin" / "python"
         environment = {**os.environ, "PYTHONPATH": own, "PATH": f"{self.programs}:{os.environ['PATH']}"}
+        if libraries is not None:
+            environment |= preferring(libraries)
         lines = [f"export {name}={shlex.quote(value)}" for name, value in sorted(environment.items()) if name != "_"]
         python = shlex.quote(sys.executable)
-        _program(self.folder / ".venv" / "bin" / "python", f'exec {python} "$@"')
+        _program(self.setup)
+        _program(self.python, f'exec {python} "$@"')
         _program(self.swarm, *lines, f'exec {python} -m swarmabs_cli "$@"')
         _program(self.programs / "systemctl", *lines, f'exec {python} -m {_MANAGER} systemctl "$@"')
+
+
+def preferring(libraries: Path) -> dict[str, str]:
+    """Return the variable with which a process finds its libraries in a folder first."""
+    return {"LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(libraries), os.environ.get("LD_LIBRARY_PATH")]))}
 
 
 def _program(path: Path, *lines: str) -> None:
@@ -71,6 +82,8 @@ class Station:
             self.host.revive()
         for own, place in ((self.etc, "/etc"), (self.state, "/var/lib")):
             self.host.run(["mount", "--bind", own, place])
+        if self._checkout.sourced:
+            self.host.run(["mount", "--bind", self._checkout.python, "/usr/bin/python3"])
         until_ready(self.host.python(_MANAGER, stdout=subprocess.PIPE))
 
     def run(self, *words: object, **options: Any) -> str:

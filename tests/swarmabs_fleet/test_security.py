@@ -18,13 +18,12 @@ from tests.swarmabs_fleet.fleets import EXAMPLES, ONE_HOST, contents, deployed, 
 from tests.system.realtime import Client, started_client
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
-from swarmabs_config.fleet.participants import DISCOVERY, DISCOVERY_SERVER, NodePlan, node_plans
+from swarmabs_config.fleet.participants import node_plans
 from swarmabs_core.errors import InputError
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_fleet.bundle import deploy
 from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.operate import HealthMonitor, OperatorClient, Target
-from swarmabs_fleet.parameters import parameter_file
 from swarmabs_fleet.permissions import Rights, host_rights, node_rights
 from swarmabs_run.orchestration.network import claimed_domain
 
@@ -333,7 +332,7 @@ Endpoints = dict[str, list[str]]
 
 
 def fleet_of(plane: str, domain: int, folder: Path) -> LoadedFleet:
-    """Return a fleet in a namespace with all kinds of nodes, but for a discovery server, and rights for each."""
+    """Return a fleet in a namespace with all kinds of nodes that have rights."""
     changes = [("domain: 7", f"domain: {domain}"), ("/etc/swarmabs", f"{folder}/etc"), ("level: none", "level: sros2")]
     changes.append(("installation: {", "installation: {ros: sourced, "))
     changes.append(("scenario:", "namespace: /hall\nscenario:"))
@@ -346,10 +345,9 @@ def fleet_of(plane: str, domain: int, folder: Path) -> LoadedFleet:
 
 
 def used_by_nodes(loaded: LoadedFleet, folder: Path) -> dict[str, Endpoints]:
-    """Start all nodes of the fleet's one host, and a discovery server, and return their endpoints."""
+    """Start all nodes of the fleet's one host, and return their endpoints."""
     bundle = installed(loaded, folder)
-    add_server(bundle)
-    names = [node.name for node in node_plans(loaded.fleet)] + [DISCOVERY]
+    names = [node.name for node in node_plans(loaded.fleet)]
     with running(bundle, folder) as units:
         for name, unit in units.items():
             assert unit.said(b"READY=1", b"WATCHDOG=1"), f"{name}: {unit.complaint()}"
@@ -376,21 +374,8 @@ def settled(client: Client, names: Collection[str]) -> dict[str, Endpoints]:
     return found
 
 
-def add_server(bundle: Path) -> None:
-    """Add the node of a discovery server, here with a profile by which it meets others like any coordinator."""
-    nodes = bundle / "nodes"
-    text = (nodes / "abstraction_observer.env").read_text()
-    changed = text.replace("SWARMABS_PARTICIPANT=1\n", f"SWARMABS_PARTICIPANT={DISCOVERY_SERVER}\n")
-    (nodes / f"{DISCOVERY}.env").write_text(changed)
-    (nodes / f"{DISCOVERY}.yaml").write_text(parameter_file({}))
-    unit = bundle / "systemd" / "swarmabs-one-abstraction_observer.service"
-    text = unit.read_text().replace("abstraction_observer.realtime", "swarmabs_fleet.discovery_server")
-    unit.with_name(f"swarmabs-one-{DISCOVERY}.service").write_text(text.replace("abstraction_observer", DISCOVERY))
-
-
 def rights_of(loaded: LoadedFleet) -> dict[str, Rights]:
-    server = NodePlan(DISCOVERY, "swarmabs_fleet.discovery_server", "base", DISCOVERY_SERVER, "server")
-    return {node.name: node_rights(loaded.fleet, node) for node in (*node_plans(loaded.fleet), server)}
+    return {node.name: node_rights(loaded.fleet, node) for node in node_plans(loaded.fleet)}
 
 
 def differences(used: dict[str, Endpoints], rights: dict[str, Rights]) -> dict[str, list[str]]:

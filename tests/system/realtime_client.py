@@ -1,6 +1,7 @@
 """A stock ROS node that looks at a swarm in real time and operates it, told what to do.
 
-Usage: python realtime_client.py [NAMESPACE], see `stock_node`.
+Usage: python realtime_client.py [NAMESPACE [ID...]], see `stock_node`. It hears the own topics of the robots with
+these ids; without ids, the topics that robots share.
 """
 
 import sys
@@ -23,8 +24,9 @@ from tests.system.stock_node import StockNode, serve
 
 from swarmabs_msgs.msg import AbstractState, AgentState, DesiredAbstractState, PlaneState, SwarmEvent
 
+STATES, EVENTS = "swarm/agent_state", "swarm/events"
+"""What robots say, on whatever topic."""
 TOPICS = {
-    "swarm/agent_state": AgentState,
     "swarm/abstract_state": AbstractState,
     "swarm/desired_abstract_state": DesiredAbstractState,
     "plane/state": PlaneState,
@@ -35,7 +37,7 @@ WAIT = 60.0
 class Client(StockNode):
     """Answers requests."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, *own_topics: str) -> None:
         super().__init__(node)
         self.diagnostics: dict[str, dict[str, Any]] = {}
         self.newest: dict[str, dict[str, Any]] = {}
@@ -47,16 +49,20 @@ class Client(StockNode):
         self.fallen_silent: Counter[str] = Counter()
         self.come_alive: Counter[str] = Counter()
         self.angles: deque[float] = deque(maxlen=10_000)
-        for topic, kind in TOPICS.items():
+        robots = [f"agent_{int(number):03d}" for number in own_topics]
+        states = {f"{robot}/state": STATES for robot in robots} or {STATES: STATES}
+        topics = [(topic, known_as, AgentState) for topic, known_as in states.items()]
+        for topic, known_as, kind in topics + [(topic, topic, kind) for topic, kind in TOPICS.items()]:
             qos = QoSProfile(
                 depth=100,
                 reliability=QoSReliabilityPolicy.BEST_EFFORT,
                 liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC,
                 liveliness_lease_duration=Duration(seconds=0.5),
             )
-            changed = SubscriptionEventCallbacks(liveliness=self._liveliness(topic), use_default_callbacks=False)
-            self.node.create_subscription(kind, topic, self._hear(topic), qos, event_callbacks=changed)
-        self.node.create_subscription(SwarmEvent, "swarm/events", self._event, 100)
+            changed = SubscriptionEventCallbacks(liveliness=self._liveliness(known_as), use_default_callbacks=False)
+            self.node.create_subscription(kind, topic, self._hear(known_as), qos, event_callbacks=changed)
+        for topic in (EVENTS, *(f"{robot}/events" for robot in robots)):
+            self.node.create_subscription(SwarmEvent, topic, self._event, 100)
         self.node.create_subscription(DiagnosticArray, "diagnostics", self._diagnose, 100)
         self.node.create_subscription(Log, "/rosout", lambda log: self.logged.append([log.name, log.msg]), 100)
 
@@ -160,4 +166,4 @@ class Client(StockNode):
 
 
 if __name__ == "__main__":
-    sys.exit(serve(Client, *sys.argv[1:]))
+    sys.exit(serve(Client, *sys.argv[1:2], arguments=sys.argv[2:]))

@@ -4,15 +4,17 @@ It knows nothing of this project but the types of messages.
 """
 
 import json
+import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
 
 import rclpy
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
 DEPTH = 1000
@@ -78,20 +80,24 @@ class StockNode:
         return {topic: kept.offered for topic, kept in self._heard.items()}
 
 
-def serve(make: Callable[[Node], object], namespace: str = "/") -> int:
+def serve(make: Callable[..., object], namespace: str = "/", arguments: Sequence[str] = ()) -> int:
     """Answer requests: each line on standard input is a list of its name and arguments, each on standard output JSON.
 
-    The node spins in a thread of its own.
+    The node spins in a thread of its own. `make` gets it, and the arguments.
     """
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # Fast DDS prints its errors on standard output
     rclpy.init(args=["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={namespace}"])
-    node = Node("client", enable_rosout=False, start_parameter_services=False)
-    asked: Any = make(node)
+    # The service that describes types needs a right that a stock node does not have under DDS Security.
+    lean = [Parameter("start_type_description_service", value=False)]
+    node = Node("client", enable_rosout=False, start_parameter_services=False, parameter_overrides=lean)
+    asked: Any = make(node, *arguments)
     thread = threading.Thread(target=_spin, args=(node,), daemon=True)
     thread.start()
     for line in sys.stdin:
         name, *arguments = json.loads(line)
-        sys.stdout.write(json.dumps(getattr(asked, name)(*arguments)) + "\n")
-        sys.stdout.flush()
+        answers.write(json.dumps(getattr(asked, name)(*arguments)) + "\n")
+        answers.flush()
     rclpy.shutdown()
     thread.join()
     return 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swarmabs_config.fleet.participants import DISCOVERY
 from swarmabs_config.fleet.parts import MeasuredPlane, path_of
 from swarmabs_config.graph import (
     DIAGNOSTICS,
@@ -33,8 +32,6 @@ _DISCOVERY_INFO = "ros_discovery_info"
 _PARAMETER_EVENTS, _LOG = "rt/parameter_events", "rt/rosout"
 _DRIVERS_DIAGNOSTICS = "rt/diagnostics"
 """The diagnostics topic of nodes outside the swarm."""
-_PLAIN = (RECORDER, DISCOVERY)
-"""Nodes without lifecycle and ``/rosout``."""
 _COMMAND_LINE = "_ros2cli"
 """Prefix of the names of the nodes that the ``ros2`` command line creates; they offer services, too."""
 _MEASURED = {"odometry": "odom", "joint_state": "joint_states", "imu": "imu"}
@@ -67,13 +64,10 @@ def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
     rights, and robots share the topics of states and events.
     """
     ns, own = fleet.namespace, path_of(fleet.namespace, node.name)
-    managed = node.kind not in _PLAIN
-    publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS]
+    publish = [_DISCOVERY_INFO, _PARAMETER_EVENTS, _topic(ns, DIAGNOSTICS)]
     subscribe = [_DISCOVERY_INFO]
-    if managed:  # has /rosout, and lifecycle topics below its name
+    if node.kind != RECORDER:  # has /rosout, and lifecycle topics below its name
         publish += [_LOG, f"rt{own}/*"]
-    if node.kind != DISCOVERY:
-        publish.append(_topic(ns, DIAGNOSTICS))
     options = options_of({"pair": node.pair, "paired": fleet.paired, "own_topics": fleet.own_topics})
     members = [node.robot.id] if node.robot else [robot.id for robot in fleet.members]
     ends = endpoints(node.kind, REALTIME, options, members=members)

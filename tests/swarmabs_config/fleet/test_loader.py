@@ -245,12 +245,17 @@ IDLE = "  - {name: idle, address: 192.168.10.99, interface: eth0}\nrobots:"
         (LAN, ("robots:", IDLE), ["idle", "security is none"]),
         (TUNNEL, ("controller: {host", "controller: {host"), []),
         (TUNNEL, ("controller: {host", "controller: {start_mode: run, host"), ["start_mode is run"]),
-        (CERTIFICATES, ("discovery: static", "discovery: server, server: base"), ["discovery server"]),
     ],
 )
 def test_what_is_doubtful_is_said(fleet: str, change: tuple[str, str], warnings: list[str], tmp_path: Path) -> None:
     found = load_fleet(edited(tmp_path / "fleet.yaml", fleet, change)).fleet.warnings()
     assert [words in text for text, words in zip(found, warnings, strict=True)] == [True] * len(warnings)
+
+
+def test_certificates_exclude_a_discovery_server(tmp_path: Path) -> None:
+    path = edited(tmp_path / "fleet.yaml", CERTIFICATES, ("discovery: static", "discovery: server, server: base"))
+    with pytest.raises(InputError, match=r"network\.discovery.*: with 'level: sros2' .*; use 'discovery: static'"):
+        load_fleet(path)
 
 
 def test_a_standby_is_a_node_of_its_own_with_the_participant_of_its_primary() -> None:

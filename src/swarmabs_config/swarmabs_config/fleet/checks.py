@@ -46,11 +46,6 @@ def warnings(fleet: UncheckedFleet) -> tuple[str, ...]:
         found.append(
             "security is none: anyone on the network can read all traffic and command the swarm within its limits"
         )
-    if fleet.security.level == "sros2" and fleet.network.discovery == "server":
-        found.append(
-            "a discovery server has not been tested with security sros2; "
-            "use 'discovery: static', or test the fleet before robots move"
-        )
     if fleet.coordinators.controller.start_mode == "run":
         found.append(
             "coordinators.controller.start_mode is run: robots move as soon as all nodes are present, without a reset"
@@ -141,6 +136,14 @@ def _network(fleet: UncheckedFleet) -> Iterator[Finding]:
             ("network", "discovery"),
             "a tunnel carries no multicast",
             "use 'discovery: static' or 'discovery: server'",
+            see=_TUNNEL,
+        )
+    if network.discovery == "server" and fleet.security.level == "sros2":
+        # Security changes the GUID prefix of the server; Fast DDS 2.14 compares the old one when it forgets a server.
+        yield Finding.of(
+            ("network", "discovery"),
+            "with 'level: sros2' nodes do not return to a discovery server that has restarted",
+            "use 'discovery: static' or 'discovery: multicast'",
             see=_TUNNEL,
         )
     if len(fleet.hosts) > 1:

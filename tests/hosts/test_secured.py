@@ -1,0 +1,147 @@
+"""Fleets whose permissions are enforced. They need a Fast DDS with DDS Security, and skip without.
+
+Attackers use a library without its own checks: what is refused is refused by the others.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+from tests.hosts.cluster import Host, hosts
+from tests.hosts.driver import PLACE
+from tests.hosts.fleet_hosts import PATIENCE, FleetOnHosts, Operator
+from tests.hosts.intruder import MARK, POSITION
+from tests.hosts.stations import Station, preferring
+from tests.processes import ROOT, until
+from tests.system.realtime import Client
+
+from swarmabs_config.fleet.participants import OPERATOR, node_plans, ports
+from swarmabs_config.ports import metatraffic_port
+from swarmabs_core.messages import EventKind, Mode
+from swarmabs_core.realtime.validation import SECOND_SENDER
+from swarmabs_run.orchestration.network import FIRST_FREE, Discovery, network_profile_xml
+
+pytestmark = [pytest.mark.full, pytest.mark.timeout(600), pytest.mark.usefixtures("possible")]
+
+
+@pytest.mark.parametrize("discovery", ["static", "multicast"])
+def test_a_fleet_comes_up_and_its_hosts_return(discovery: str, secured: Path, tmp_path: Path) -> None:
+    with hosts(4) as machines:
+        fleet = FleetOnHosts(machines, tmp_path / "fleet", discovery=discovery, secured=secured)
+        fleet.install()
+        fleet.start()
+        for victim in (None, fleet.robots[2], fleet.base):
+            if victim is not None:
+                victim.host.kill()
+                victim.power_on()
+                victim.until_active(fleet.target)
+            with fleet.operator() as operator:
+                operator.reset_until_calm(*fleet.ids)
+        fleet.check_bodies()
+
+
+@contextmanager
+def intruder(host: Host, fleet: FleetOnHosts, unchecked: Path, stolen: Path, enclave: str) -> Iterator[Client]:
+    """Have an attacker on a host of his own, with a key from the keystore of another."""
+    profile = fleet.bundles.parent / f"{host.name}.xml"
+    plan = fleet.loaded.fleet
+    peers = [(plan.address(node.host), ports(plan, node)[0]) for node in node_plans(plan)]
+    peers.append((fleet.base.host.address, metatraffic_port(plan.network.domain, OPERATOR)))
+    profile.write_text(network_profile_xml(host.address, Discovery(peers=tuple(peers)), FIRST_FREE), encoding="utf-8")
+    files = {f"FAST{name}_DEFAULT_PROFILES_FILE": str(profile) for name in ("RTPS", "DDS")}
+    environment = fleet.environment(fleet.robots[1], "agent_001") | preferring(unchecked / "lib") | files
+    environment["ROS_SECURITY_KEYSTORE"] = str(stolen)
+    environment["ROS_SECURITY_ENCLAVE_OVERRIDE"] = f"/{fleet.name}/{enclave}"
+    environment["PYTHONPATH"] = f"{ROOT}:{environment['PYTHONPATH']}"
+    words = [sys.executable, ROOT / "tests" / "hosts" / "intruder.py", fleet.loaded.fleet.namespace]
+    with host.start(words, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        try:
+            yield Client(process)
+        finally:
+            process.kill()
+
+
+def forged(operator: Operator) -> list[object]:
+    """Return what an honest node, which may read everything, has believed of an attacker."""
+    look = operator.look()
+    events = [event for event in look["events"] if MARK in event[2]]
+    states = [key for key, state in look["newest"].items() if state.get("position") == POSITION]
+    second = [event for event in look["events"] if SECOND_SENDER in event[2]]
+    return [*events, *states, *second, *(["STOP"] if Mode.STOP in look["modes"][1:] else [])]
+
+
+def test_the_key_of_a_robot_speaks_for_that_robot_only(secured: Path, unchecked: Path, tmp_path: Path) -> None:
+    with hosts(5) as machines:
+        *ours, foreign = machines
+        fleet = FleetOnHosts(ours, tmp_path / "fleet", secured=secured)
+        fleet.install()
+        fleet.start()
+        stolen = fleet.bundles / "robot-1" / "keystore"
+        with fleet.operator() as operator, intruder(foreign, fleet, unchecked, stolen, "agent_001") as attacker:
+            operator.reset_until_calm(*fleet.ids)
+            attacker.forge_robot(2, True)
+            attacker.forge_coordinators("")
+            attacker.forge_coordinators("standby/")
+
+            def attacked(count: int) -> None:
+                before = min(attacker.sent().values(), default=0)
+                until(
+                    lambda: min(attacker.sent().values(), default=0) > before + count, "the attacker speaks", PATIENCE
+                )
+
+            attacked(300)
+            operator.until_following(*fleet.ids)
+            operator.until_calm()
+            assert forged(operator) == []
+            assert set(attacker.read()) == {"swarm/desired_abstract_state"}
+            assert not any(attacker.called(service) for service in ("swarm/stop", "agent_002/leave"))
+
+            machines.partition([0, 1, 3, 4], [2])  # robot 2 is silent
+            until(lambda: [2, EventKind.DEAD, "silent"] in operator.look()["events"], "robot 2 is missed", PATIENCE)
+            attacked(300)
+            operator.until_following(1, 3)
+            operator.until_calm()
+            assert forged(operator) == []
+            machines.partition()
+            operator.until_following(*fleet.ids)
+            operator.until_calm()
+            assert forged(operator) == []
+
+            # The same forgeries are heard where the key permits them, so it is the permissions that refuse those above.
+            attacker.forge_robot(1, False)
+            until(lambda: [1, EventKind.LEFT, MARK] in operator.look()["events"], "robot 1 is spoken for", PATIENCE)
+            until(lambda: operator.state(1)["position"] == POSITION, "its state is forged", PATIENCE)
+
+
+def test_a_robot_with_a_topic_drive_and_a_measured_plane(secured: Path, tmp_path: Path) -> None:
+    with hosts(4) as machines, ExitStack() as stack:
+        encoder = "{type: driver, host: base, source: joint_state}"
+        drives = {1: "{type: topic, offset: 0.0}"}
+        fleet = FleetOnHosts(machines, tmp_path / "fleet", secured=secured, plane=encoder, drives=drives)
+        fleet.install()
+
+        def driver(station: Station, what: str, served: str) -> Client:
+            namespace = f"/driver_{station.name.replace('-', '_')}"
+            words = [sys.executable, ROOT / "tests" / "hosts" / "driver.py", namespace, what, served]
+            environment = fleet.environment(station, "driver") | {"PYTHONPATH": os.environ["PYTHONPATH"]}
+            environment["PYTHONPATH"] = f"{ROOT}:{environment['PYTHONPATH']}"
+            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+            process = stack.enter_context(station.host.start(words, env=environment, **pipes))
+            stack.callback(process.kill)
+            return Client(process)
+
+        base = driver(fleet.robots[1], "base", "agent_001")
+        driver(fleet.base, "encoder", "plane_driver")
+        fleet.start()
+        with fleet.operator() as operator:
+            operator.reset()
+            operator.until_following(*fleet.ids)
+            before, _ = base.body()
+            until(lambda: base.body()[0] > before + 100, "commands come", PATIENCE)
+            until(lambda: abs(base.body()[1] - PLACE) > 1e-3, "the base moves", PATIENCE)
+            heard = lambda: abs(operator.state(1)["position"] - base.body()[1]) < 0.01  # noqa: E731
+            until(heard, "the robot says where its base is", PATIENCE)
