@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 from tests.system.stock_node import StockNode, serve
 
 from swarmabs_config.graph import OFFERED, REALTIME
-from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE
+from swarmabs_core.messages import ABSTRACT_STATE, AGENT_STATE, DESIRED_ABSTRACT_STATE, EVENTS, PLANE_STATE, REMOVALS
 from swarmabs_msgs.msg import AbstractState, AgentState, DesiredAbstractState, PlaneState, SwarmEvent
 from swarmabs_ros.endpoints import profile
 
@@ -23,8 +23,8 @@ ANGLE = 0.25
 """Angle of a forged plane, rad."""
 
 
-def _event(robot: int) -> SwarmEvent:
-    return SwarmEvent(agent_id=robot, kind=SwarmEvent.LEFT, value=POSITION, detail=MARK)
+def _event(robot: int, kind: int) -> SwarmEvent:
+    return SwarmEvent(agent_id=robot, kind=kind, value=POSITION, detail=MARK)
 
 
 def _state(robot: int, step: int) -> AgentState:
@@ -60,17 +60,17 @@ class Intruder(StockNode):
         qos = profile(OFFERED[REALTIME][topic])
         self.node.create_subscription(kind, name or topic.name, take, qos)
 
-    def forge_robot(self, robot: int, shared: bool) -> None:  # noqa: FBT001 - a request has positions only
-        """Speak for a robot from now on, also on the topics that robots share on other levels; try to read it."""
+    def forge_events(self, topic: str, robot: int, kind: int) -> None:
+        """Report events of a robot on a topic from now on."""
+        self._publish(EVENTS, topic, SwarmEvent, lambda _: _event(robot, kind))
+
+    def forge_robot(self, robot: int) -> None:
+        """Speak for a robot from now on, on its own topics and on those that robots share on other levels; read it."""
         own = f"agent_{robot:03d}"
-        states, events = [f"{own}/state"], [f"{own}/events"]
-        if shared:
-            states.append(AGENT_STATE.name)
-            events += [EVENTS.name, "swarm/removals"]
-        for name in states:
+        for name in (f"{own}/state", AGENT_STATE.name):
             self._publish(AGENT_STATE, name, AgentState, lambda step: _state(robot, step))
-        for name in events:
-            self._publish(EVENTS, name, SwarmEvent, lambda _: _event(robot))
+        for name in (f"{own}/events", EVENTS.name, REMOVALS.name):
+            self.forge_events(name, robot, SwarmEvent.LEFT)
         self._listen(AgentState, AGENT_STATE, f"{own}/state")
 
     def forge_coordinators(self, prefix: str) -> None:
