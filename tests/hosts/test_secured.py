@@ -4,10 +4,12 @@ Attackers use a library without its own checks: what is refused is refused by th
 """
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
@@ -23,9 +25,15 @@ from swarmabs_config.fleet.participants import OPERATOR, node_plans, ports
 from swarmabs_config.ports import metatraffic_port
 from swarmabs_core.messages import EventKind, Mode
 from swarmabs_core.realtime.validation import SECOND_SENDER
+from swarmabs_fleet import keys
+from swarmabs_fleet.bundle import deploy
 from swarmabs_run.orchestration.network import FIRST_FREE, Discovery, network_profile_xml
 
 pytestmark = [pytest.mark.full, pytest.mark.timeout(600), pytest.mark.usefixtures("possible")]
+
+
+LIFETIME = timedelta(seconds=150)
+"""How long certificates are valid that expire in a test; a fleet comes up within it."""
 
 
 @pytest.mark.parametrize("discovery", ["static", "multicast"])
@@ -141,3 +149,51 @@ def test_a_robot_with_a_topic_drive_and_a_measured_plane(secured: Path, tmp_path
             until(lambda: abs(base.body()[1] - PLACE) > 1e-3, "the base moves", PATIENCE)
             heard = lambda: abs(operator.state(1)["position"] - base.body()[1]) < 0.01  # noqa: E731
             until(heard, "the robot says where its base is", PATIENCE)
+
+
+def test_a_revoked_key_is_refused_by_nodes_that_have_restarted(secured: Path, unchecked: Path, tmp_path: Path) -> None:
+    with hosts(5) as machines:
+        *ours, foreign = machines
+        fleet = FleetOnHosts(ours, tmp_path / "fleet", secured=secured)
+        fleet.install()
+        fleet.start()
+        stolen = tmp_path / "stolen"
+        shutil.copytree(fleet.bundles / "robot-1" / "keystore", stolen)
+
+        def reads(*accepted: int) -> bool:
+            """Tell whether one who comes with the stolen key hears broadcasts within 500 steps of accepted robots."""
+            with fleet.operator() as operator, intruder(foreign, fleet, unchecked, stolen, "agent_001") as attacker:
+                operator.reset_until_calm(*accepted)
+                last = operator.state(2)["step"] + 500
+                until(lambda: attacker.read() or operator.state(2)["step"] > last, "steps pass", PATIENCE)
+                return bool(attacker.read())
+
+        assert reads(*fleet.ids)
+        shutil.rmtree(fleet.bundles)
+        deploy(fleet.loaded, fleet.bundles, fleet.keys, ["robot-1"])
+        fleet.install()
+        # Running nodes accept it still. The operator is a new process: it refuses it, also of robot 1 itself.
+        assert reads(2, 3)
+        for station in fleet.stations:
+            station.run(f"/etc/swarmabs/{fleet.name}/restart.sh")
+        assert not reads(*fleet.ids)
+
+
+def test_certificates_expire_while_a_fleet_runs(secured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with hosts(4) as machines:
+        monkeypatch.setattr(keys, "_today", lambda: datetime.now(timezone.utc) - timedelta(days=1) + LIFETIME)
+        fleet = FleetOnHosts(machines, tmp_path / "fleet", secured=secured, valid_days=1)
+        last = datetime.now(timezone.utc) + LIFETIME
+        fleet.install()
+        fleet.start()
+        assert "valid until" in (told := fleet.base.swarm("status", fleet.file)).stderr, told
+        with fleet.operator() as operator:
+            operator.reset_until_calm(*fleet.ids)
+            assert datetime.now(timezone.utc) < last, "the machine is too busy for this test"
+            until(lambda: datetime.now(timezone.utc) > last, "certificates expire", LIFETIME.total_seconds())
+            operator.until_following(*fleet.ids)
+            operator.until_calm()
+            unit = f"swarmabs-{fleet.name}-agent_002.service"
+            assert fleet.robots[2].start("systemctl", "restart", "--", unit).wait(PATIENCE) == 1
+            operator.until_following(1, 3)
+            operator.until_calm()
