@@ -82,6 +82,8 @@ class RealtimeController:
         self._mode = PublishedMode(config.start_mode, latch, config.schedule)
         self._swarm_heard = False
         self._plane: PlaneState | None = None
+        # Steps by which the clock is so far ahead of the plane's that robots would refuse a STOP of its time.
+        self._fast = 0
         self._asked: DesiredAbstractState | None = None
         self._last_published = -1
         self._blind = False
@@ -121,6 +123,7 @@ class RealtimeController:
         if self._plane is not None and message.step <= self._plane.step:
             return ()
         self._plane = message
+        self._fast = max(0, step - message.step - self._config.schedule.ahead(self._config.clock_tolerance))
         return self._answer(message, now)
 
     def tick(self, now: int) -> Messages:
@@ -128,11 +131,11 @@ class RealtimeController:
         step = self._config.schedule.step(now)
         events = self._voice.say(self._end_reset(now, step), now, step, able=self._mode.now is not Mode.RUN)
         if self._plane is not None and self._plane.step > step + self._age:  # the clock was set back
-            self._plane, self._last_published = None, -1
+            self._plane, self._last_published, self._fast = None, -1, 0
             self._heard.forget()
             self._mode.forget(step)
-        if self._mode.now is not Mode.RUN and self._last_published < step:
-            return (*events, *self._say_still(now, step))
+        if self._mode.now is not Mode.RUN and self._last_published < step - self._fast:
+            return (*events, *self._say_still(now, step - self._fast))
         doubt, was_blind = self._doubt(step), self._blind
         self._blind = bool(doubt)
         if doubt and not was_blind and self._plane is not None:
@@ -144,14 +147,15 @@ class RealtimeController:
         """Stop the swarm until `reset`; the message is published at once."""
         step, before = self._config.schedule.step(now), self._mode.now
         self._mode.stop(step)
-        return (*(() if before is Mode.STOP else (self._changed(now),)), self._keep_still(now, step))
+        announced = self._announced(now, step)
+        return announced[1:] if before is Mode.STOP else announced
 
     def reset(self, now: int) -> Messages:
         """Resume after `stop`, also after a stop before this node started; law and reference restart."""
         step = self._config.schedule.step(now)
         self._mode.reset(step)
         self._restart()
-        return self._voice.say((self._changed(now), self._keep_still(now, step)), now, step)
+        return self._voice.say(self._announced(now, step), now, step)
 
     def release(self, now: int) -> Messages:
         """Hand over to the other one of the pair."""
@@ -227,7 +231,7 @@ class RealtimeController:
                 events.extend(event._replace(stamp=now) for event in news)
         except RunError as error:
             self._mode.publish_stop(str(error))
-            return self._voice.say((self._changed(now), self._keep_still(now, step)), now, step)
+            return self._voice.say(self._announced(now, step), now, step)
         self._asked, self._last_published = desired._replace(stamp=now), plane.step
         return self._voice.say((*events, provenance, self._asked), now, step)
 
@@ -256,7 +260,7 @@ class RealtimeController:
         if self._mode.now is Mode.RESET and before is not Mode.RESET:
             self._restart()
         if stops and self._mode.now is not before:
-            return self._voice.say((self._changed(now), self._keep_still(now, step)), now, step)
+            return self._voice.say(self._announced(now, step), now, step)
         if message.mode == self._mode.now == Mode.RUN and message.step == self._law_step and not leadership.leading:
             self._asked = message
             self._generator.follow(message)  # the command filter continues from what was asked
@@ -281,6 +285,10 @@ class RealtimeController:
         asked = self._asked
         torque, inertia = (0.0, self._config.manifold.offset) if asked is None else (asked.torque, asked.inertia)
         return DesiredAbstractState(now, max(0, step), self._mode.now, torque, inertia, *(0.0,) * 6)
+
+    def _announced(self, now: int, step: int) -> Messages:
+        """Return what tells of STOP or RESET in a step."""
+        return self._changed(now), self._keep_still(now, step - self._fast)
 
     def _changed(self, now: int) -> SwarmEvent:
         return self._event(now, EventKind.MODE_CHANGED, float(self._mode.now), self._mode.why)
