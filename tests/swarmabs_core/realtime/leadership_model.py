@@ -82,6 +82,7 @@ FEWER = tuple(
     for fault in (*CRASHES[4:], *PAUSES[4:], *CUTS, *CLOCKS, *SLOW, *UNHEARD)
     if fault.steps in {"clock": (-6, -1, 2, 6), "slow": (5, 12)}.get(fault.kind, (0,)) and fault.hosts != (3,)
 )
+FEWEST = (*CRASHES[4:], *PAUSES[4:], *CUTS[:2])
 CROSSED = (*CRASHES[:4], *PAUSES[:4], *UNHEARD)
 
 
@@ -588,8 +589,9 @@ SEARCHES: dict[str, Callable[[], int]] = {
     "two faults of controllers": partial(search, FEWER, granted=2, paired="c", said=((Mode.RESET, 80),)),
     "two faults of observers": partial(search, FEWER, granted=2, paired="o"),
     "two faults, one of each kind": partial(search, CROSSED, granted=2, crossed=True),
-    "one fault and STOP": partial(
-        search, FEWER, paired="c", orders=(Mode.STOP,), said=((Mode.RUN, 0), (Mode.RESET, 3), (Mode.RESET, 16))
+    "one fault and STOP": partial(search, FEWER, paired="c", orders=(Mode.STOP,)),
+    "one fault and STOP during RESET": partial(
+        search, FEWEST, paired="c", orders=(Mode.STOP,), said=((Mode.RESET, 3), (Mode.RESET, 16))
     ),
     "one fault and RESET": partial(search, FEWER, paired="c", orders=(Mode.RESET,), said=((Mode.STOP, 60),)),
 }
