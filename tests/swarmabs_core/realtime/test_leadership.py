@@ -10,7 +10,7 @@ from swarmabs_core.realtime import broadcasts as inbox
 from swarmabs_core.realtime.base import Sender
 from swarmabs_core.realtime.broadcasts import BroadcastInbox, Coordinators
 from swarmabs_core.realtime.controller import RealtimeController
-from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY, Leadership, Pair
+from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY, Leadership, Pair, Voice
 from swarmabs_core.realtime.modes import ModeLatch, PublishedMode
 from swarmabs_core.realtime.observer import RealtimeObserver
 from swarmabs_core.realtime.validation import Bounds
@@ -273,6 +273,44 @@ def test_robots_obey_a_stop_of_a_controller_whose_clock_is_ahead() -> None:
                 if isinstance(message, msg.DesiredAbstractState):
                     assert box.add(message, at(step + 0.8)) == ""
         assert box.stopped
+
+
+def test_a_message_that_is_two_steps_old_was_heard_without_delay() -> None:
+    for late in (2, 3):
+        standby = leadership(STANDBY, listening=0)
+        for k in range(100, 140):
+            if k > 110:
+                standby.hear(k - late, k)
+            standby.tick(k)
+        assert standby.leading == (late > 2)
+
+
+def test_events_from_the_time_in_which_neither_spoke_are_published_by_the_next_leader() -> None:
+    def event(step: int) -> msg.SwarmEvent:
+        return msg.SwarmEvent(0, step, 1, msg.EventKind.DEAD, 0.0, "")
+
+    voice = Voice("observer", following(step=100), STANDBY)
+    for k in range(101, 115):
+        if k == 108:  # until step 111 the peer spoke
+            voice.leadership.hear(107, 108)
+        assert voice.say((event(k),), at(k), k, able=k > 110) == ()
+    leads = msg.SwarmEvent(at(115), 115, 0, msg.EventKind.LEADING, 0.0, "observer_standby: peer silent")
+    assert voice.say((event(115),), at(115), 115) == (leads, *map(event, range(112, 116)))
+    assert voice.say((event(116),), at(116), 116) == (event(116),)
+
+
+def test_a_single_controller_obeys_no_other_one() -> None:
+    single = controller()
+    said = single.hear(broadcasts(20, msg.Mode.STOP)[2], at(20.5))
+    assert kinds(said) == [msg.EventKind.REFUSED]
+    assert mode_of(single, 21) == "RUN"
+
+
+def test_an_older_mode_of_the_leader_changes_nothing() -> None:
+    standby = paired_controller(STANDBY, msg.Mode.STOP)
+    for step, mode in ((100, msg.Mode.RUN), (102, msg.Mode.RESET), (101, msg.Mode.RUN)):
+        standby.hear(broadcasts(step, mode)[2], at(103))
+    assert mode_of(standby, 103) == "RESET"
 
 
 def test_a_silent_observer_publishes_what_changed_while_nobody_spoke() -> None:
