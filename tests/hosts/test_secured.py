@@ -32,6 +32,8 @@ from swarmabs_run.orchestration.network import FIRST_FREE, Discovery, network_pr
 pytestmark = [pytest.mark.full, pytest.mark.timeout(600), pytest.mark.usefixtures("possible")]
 
 
+TRIALS = 20
+"""After so many failures in a row a command of the operator fails."""
 LIFETIME = timedelta(seconds=150)
 """How long certificates are valid that expire in a test; a fleet comes up within it."""
 
@@ -119,6 +121,66 @@ def test_the_key_of_a_robot_speaks_for_that_robot_only(secured: Path, unchecked:
             operator.until_following(*fleet.ids)
             operator.until_calm()
             assert forged(operator) == []
+
+
+def test_operators_and_standbys(secured: Path, tmp_path: Path) -> None:
+    with hosts(5) as machines:
+        fleet = FleetOnHosts(
+            machines, tmp_path / "fleet", secured=secured, standby=True, recorder=True, plane="{host: robot-1}"
+        )
+        fleet.install()
+        fleet.start()
+
+        def operate(station: Station, *words: object) -> None:
+            """Run a command of the operator until it succeeds: a busy machine may answer late."""
+            for _ in range(TRIALS):
+                done = station.swarm(words[0], fleet.file, *words[1:])
+                if done.returncode == 0:
+                    return
+            raise AssertionError(f"{words} fails: {done.stdout}{done.stderr}")
+
+        def in_order(station: Station) -> None:
+            operate(station, "status")
+            with fleet.operator(station) as operator:
+                operator.until_following(*fleet.ids)
+                operator.until_calm()
+
+        def moves() -> bool:
+            return all(fleet.base.swarm(word, fleet.file).returncode == 0 for word in ("reset", "status"))
+
+        until(moves, "the fleet moves", PATIENCE)
+        in_order(fleet.base)
+        operate(fleet.base, "failover")
+        in_order(fleet.base)
+        operate(fleet.base, "drain", 2)
+        operate(fleet.base, "join", 2)
+        in_order(fleet.base)
+        for station, node in (
+            (fleet.robots[2], "agent_002"),
+            (fleet.base, "abstraction_observer"),
+            (fleet.spare, "parent_controller_standby"),
+        ):
+            station.run("systemctl", "restart", "--", f"swarmabs-{fleet.name}-{node}.service")
+            in_order(fleet.base)
+        fleet.robots[3].host.kill()
+        operate(fleet.base, "remove", 3)
+        fleet.robots[3].power_on()
+        in_order(fleet.base)
+
+        fleet.base.host.kill()
+        with fleet.operator(fleet.spare) as operator:
+            operator.until_following(*fleet.ids)
+            operator.until_calm()
+        fleet.base.power_on()
+        fleet.base.until_active(fleet.target)
+        in_order(fleet.spare)
+        fleet.check_bodies()
+        for station in (fleet.base, fleet.spare):
+            station.run("systemctl", "stop", "--", fleet.target)
+        (whole,) = (fleet.spare.state / f"swarmabs-{fleet.name}").glob(f"{fleet.name}-*")
+        for command in ("verify", "info"):
+            told = fleet.spare.swarm(command, whole)
+            assert told.returncode == 0, told.stdout + told.stderr
 
 
 def test_a_robot_with_a_topic_drive_and_a_measured_plane(secured: Path, tmp_path: Path) -> None:
