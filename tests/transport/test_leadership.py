@@ -18,13 +18,16 @@ from swarmabs_core.messages import (
     NEVER,
     AbstractState,
     AgentState,
+    Broadcast,
     DesiredAbstractState,
     EventKind,
     Message,
+    Mode,
     PlaneState,
     Status,
     SwarmEvent,
 )
+from swarmabs_core.realtime.broadcasts import BroadcastInbox
 from swarmabs_core.record import Record
 
 BEGIN, CALM = 1.5, 1.5
@@ -125,6 +128,21 @@ def verified(fleet: VirtualFleet) -> None:
     assert verification.found.difference is None
 
 
+def test_a_robot_that_mixes_two_observers_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def mixed(inbox: BroadcastInbox) -> Broadcast | None:
+        own, other = (
+            inbox._sets.get(inbox.followed._replace(observer=observer))  # noqa: SLF001 - what it holds is to be mixed
+            for observer in (inbox.followed.observer, not inbox.followed.observer)
+        )
+        return own if own is None or other is None else own._replace(auxiliary=other.auxiliary)
+
+    late = Trouble("delay", (OBSERVER,), 0.5, 0.06)
+    verified(ran(partial(trouble, what=late)))
+    monkeypatch.setattr(BroadcastInbox, "newest", property(mixed))
+    with pytest.raises(AssertionError):
+        verified(ran(partial(trouble, what=late)))
+
+
 def check(seed: int) -> None:
     what = drawn(seed)
     fleet = ran(partial(trouble, what=what), seed)
@@ -183,3 +201,24 @@ def test_a_planned_takeover() -> None:
     assert speakers(fleet, AbstractState) | speakers(fleet, DesiredAbstractState) == {*STANDBYS}
     leading = [m.detail for _, _, m in fleet.published if isinstance(m, SwarmEvent) and m.kind == EventKind.LEADING]
     assert leading[2:] == [f"{name}: peer silent" for name in STANDBYS]
+
+
+def test_a_controller_that_starts_before_it_hears_the_other_one_stops_nobody() -> None:
+    fleet = VirtualFleet(builtin("pd_het_4"), paired=True, start_mode=Mode.STOP)
+    fleet.run(BEGIN)
+    assert not speakers(fleet, DesiredAbstractState, 100)
+    both = (CONTROLLER, STANDBYS[1])
+    for name in both:
+        fleet.call(name, "reset")
+    fleet.run(BEGIN)
+    begin = fleet.time
+    for name in both:
+        fleet.kill(name)
+        fleet.network.cut.add(name)
+        fleet.revive(name)
+        fleet.run(2.5)
+        fleet.network.cut.clear()
+        fleet.run(CALM)
+        assert len(speakers(fleet, DesiredAbstractState)) == 1
+    assert longest_stop(fleet, begin) == 0
+    verified(fleet)

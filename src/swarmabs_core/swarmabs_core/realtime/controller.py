@@ -129,7 +129,7 @@ class RealtimeController:
     def tick(self, now: int) -> Messages:
         """Repeat STOP and RESET even without states of the plane, and report if those are missing."""
         step = self._config.schedule.step(now)
-        events = self._voice.say(self._end_reset(now, step), now, step, able=self._mode.now is not Mode.RUN)
+        events = self._voice.say(self._end_reset(now, step), now, step, able=self._keeps_still)
         if self._plane is not None and self._plane.step > step + self._age:  # the clock was set back
             self._plane, self._last_published, self._fast = None, -1, 0
             self._heard.forget()
@@ -273,8 +273,19 @@ class RealtimeController:
             answered = -1 if self._plane is None else self._plane.step
             self._first_step, self._law_step = begun, max(step - 1, answered)
 
+    @property
+    def _keeps_still(self) -> bool:
+        """Whether it has to tell the robots to keep still.
+
+        One of a pair that starts in STOP may not have discovered the other one yet, which leads a moving swarm. Until
+        it has been told the mode it says nothing; robots without a controller stand still anyway.
+        """
+        return self._mode.now is not Mode.RUN and (self._mode.told or self._config.pair.single)
+
     def _say_still(self, now: int, step: int) -> Messages:
         """Return the desired state that stops all robots if this controller leads, or if only it was told to stop."""
+        if not self._keeps_still:
+            return ()
         still = self._keep_still(now, step)
         said = self._voice.say((still,), now, self._config.schedule.step(now))
         return said or ((still,) if self._mode.told_to_stop else ())

@@ -70,10 +70,13 @@ class PublishedMode:
         The mode.
     why : str
         Why it is this one.
+    told : bool
+        Whether operator or peer have told the mode since a start in STOP.
     """
 
     def __init__(self, start: Mode, latch: ModeLatch, schedule: Schedule) -> None:
         self.now = start
+        self.told = start is not Mode.STOP
         self.why = "waiting for a reset" if start is Mode.STOP else ""
         self._latch = latch
         self._lasting = schedule.steps(RESET_SECONDS)
@@ -88,6 +91,7 @@ class PublishedMode:
 
     def stop(self, step: int) -> None:
         """Stop the swarm until `reset`: the operator asks for it in a step."""
+        self.told = True
         self._commanded = Mode.STOP, step
         self._latch.stop(step)
         self.publish_stop("stop commanded")
@@ -99,6 +103,7 @@ class PublishedMode:
 
     def reset(self, step: int) -> None:
         """Publish RESET for a while, then RUN: the operator asks for it in a step."""
+        self.told = True
         self._commanded = Mode.RESET, step
         self._latch.open()
         self._begin_reset(step, "reset commanded")
@@ -117,6 +122,7 @@ class PublishedMode:
         A STOP counts whoever leads, unless a later RESET was commanded here or heard; RUN and RESET count only while
         this controller does not lead, and once the latch is open.
         """
+        self.told = True
         commanded, since = self._commanded or (mode, _LONG_AGO)
         if mode is Mode.STOP:
             if commanded is Mode.RESET and step <= since:
