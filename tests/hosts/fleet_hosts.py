@@ -50,7 +50,7 @@ _ROBOT = """\
   - id: {id}
     host: {host}
     {kind}
-    limits: {{lane: {lane}}}
+    limits: {limits}
     drive: {drive}
 """
 _BLACK_BOX = "{{type: plugin, name: black_box, settings: {{file: {file}, position: {position}}}}}"
@@ -68,7 +68,8 @@ class FleetOnHosts:
     Its disks and files are in a folder of its own. `quorum` robots must be there before the swarm moves; ids count
     from `first_id`. A discovery server, and a recorder if there is one, are on the base. With the prefix of a `secured`
     Fast DDS it enforces sros2. With `standby` the second host, the spare, has the standbys of all coordinators but the
-    plane. `plane` and `drives` replace the simulated plane, and the plug-in drives of some robots, in the fleet file.
+    plane. `plane` and `drives` replace the simulated plane, and the plug-in drives of some robots, in the fleet file; those that are not
+    `limited` have no limits of their own.
     """
 
     def __init__(
@@ -88,6 +89,7 @@ class FleetOnHosts:
         standby: bool = False,
         plane: str = "{host: base}",
         drives: Mapping[int, str] = {},
+        limited: bool = True,
     ) -> None:
         folder.mkdir(exist_ok=True)
         packages = folder / "packages"
@@ -101,7 +103,7 @@ class FleetOnHosts:
         server = ", server: base" if discovery == "server" else ""
         names = [*central, *(f"robot-{number}" for number in self.ids)]
         pair = "{host: base, standby: spare}" if standby else "{host: base}"
-        self._drives = drives
+        self._drives, self._limited = drives, limited
         listed = [f"  - {{name: {n}, address: {host.address}}}" for n, host in zip(names, hosts, strict=True)]
         self.file = folder / f"{name}.yaml"
         self.file.write_text(
@@ -143,7 +145,7 @@ class FleetOnHosts:
             id=number,
             host=f"robot-{number}",
             kind=_KINDS[index % len(_KINDS)],
-            lane=LANE,
+            limits=f"{{lane: {LANE}}}" if self._limited else "{}",
             drive=self._drives.get(number) or _BLACK_BOX.format(file=self._boxes / str(number), position=position),
         )
 
@@ -159,6 +161,10 @@ class FleetOnHosts:
         started = [station.start("systemctl", "start", "--", self.target) for station in stations]
         for station, process in zip(stations, started, strict=True):
             assert process.wait(PATIENCE) == 0, station.log()
+
+    def bags(self, station: Station) -> list[Path]:
+        """Return the bags that a recorder on a host has written, in the order of its starts."""
+        return sorted((station.state / f"swarmabs-{self.name}").glob(f"{self.name}-*"))
 
     def notes(self, number: int) -> list[Note]:
         return black_box.notes(self._boxes / str(number))
@@ -179,9 +185,12 @@ class FleetOnHosts:
         return {**dict(variable.split("=", 1) for variable in variables), "ROS_LOG_DIR": "/run"}
 
     @contextmanager
-    def operator(self, station: Station | None = None) -> Iterator["Operator"]:
-        """Have an operator on the base, or on the spare. Meanwhile no other tool can be started there."""
-        words = [sys.executable, ROOT / "tests" / "system" / "realtime_client.py", self.loaded.fleet.namespace]
+    def operator(self, station: Station | None = None, client: str = "realtime_client") -> Iterator["Operator"]:
+        """Have an operator on the base, or on the spare. Meanwhile no other tool can be started there.
+
+        `client` is the module of `tests.system` that it is.
+        """
+        words = [sys.executable, ROOT / "tests" / "system" / f"{client}.py", self.loaded.fleet.namespace]
         words += self.ids if self.loaded.fleet.own_topics else ()
         station = station or self.base
         environment = self.environment(station, "operator")

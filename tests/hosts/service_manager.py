@@ -127,6 +127,7 @@ class Service:
                     heard = time.monotonic()
                 if time.monotonic() - heard > patience:
                     process.send_signal(signal.SIGABRT)
+                    process.send_signal(signal.SIGCONT)  # as systemd does: a stopped process ends, too
                     process.wait()
             return int(process.returncode)
 

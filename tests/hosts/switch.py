@@ -77,6 +77,10 @@ class Switch:
             words, stdin=pipe, stdout=pipe, env=environment, text=True, start_new_session=True
         )
 
+    @property
+    def process(self) -> int:
+        return self._process.pid
+
     def __getattr__(self, name: str) -> Callable[..., Any]:
         def command(*words: object) -> Any:
             assert self._process.stdin is not None and self._process.stdout is not None

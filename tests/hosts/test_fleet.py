@@ -89,7 +89,7 @@ def test_a_fleet_survives_what_networks_and_hosts_do(tmp_path: Path) -> None:
             operator.reset_until_calm(*fleet.ids)
         fleet.base.run("systemctl", "stop", "--", fleet.target)
         fleet.check_bodies()
-        _, bag = sorted((fleet.base.state / f"swarmabs-{fleet.name}").glob(f"{fleet.name}-*"))
+        _, bag = fleet.bags(fleet.base)
         verified = fleet.base.swarm("verify", bag)
         assert verified.returncode == 0, verified.stdout + verified.stderr
         angles = [

@@ -5,22 +5,17 @@ these ids; without ids, the topics that robots share.
 """
 
 import sys
-import threading
 from collections import Counter, deque
 from math import nan
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Log
-from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
-from std_srvs.srv import Trigger
-from tests.system.stock_node import StockNode, serve
+from tests.system.health_client import HealthClient
+from tests.system.stock_node import serve
 
 from swarmabs_msgs.msg import AbstractState, AgentState, DesiredAbstractState, PlaneState, SwarmEvent
 
@@ -31,15 +26,13 @@ TOPICS = {
     "swarm/desired_abstract_state": DesiredAbstractState,
     "plane/state": PlaneState,
 }
-WAIT = 60.0
 
 
-class Client(StockNode):
-    """Answers requests."""
+class Client(HealthClient):
+    """Hears everything, besides."""
 
     def __init__(self, node: Node, *own_topics: str) -> None:
         super().__init__(node)
-        self.diagnostics: dict[str, dict[str, Any]] = {}
         self.newest: dict[str, dict[str, Any]] = {}
         self.heard: Counter[str] = Counter()
         self.repeated = 0
@@ -63,7 +56,6 @@ class Client(StockNode):
             self.node.create_subscription(kind, topic, self._hear(known_as), qos, event_callbacks=changed)
         for topic in (EVENTS, *(f"{robot}/events" for robot in robots)):
             self.node.create_subscription(SwarmEvent, topic, self._event, 100)
-        self.node.create_subscription(DiagnosticArray, "diagnostics", self._diagnose, 100)
         self.node.create_subscription(Log, "/rosout", lambda log: self.logged.append([log.name, log.msg]), 100)
 
     def _liveliness(self, topic: str) -> Any:
@@ -94,54 +86,6 @@ class Client(StockNode):
 
     def _event(self, event: SwarmEvent) -> None:
         self.events.append([event.agent_id, event.kind, event.detail])
-
-    def _diagnose(self, array: DiagnosticArray) -> None:
-        for status in array.status:
-            self.diagnostics[status.hardware_id] = {
-                "name": status.name,
-                "level": int.from_bytes(status.level, "little"),
-                "message": status.message,
-                "values": {value.key: value.value for value in status.values},
-                "count": self.diagnostics.get(status.hardware_id, {"count": 0})["count"] + 1,
-            }
-
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self.node.create_client(kind, name)
-        try:
-            if not client.wait_for_service(WAIT):
-                return None
-            answered = threading.Event()
-            future = client.call_async(request)
-            future.add_done_callback(lambda _: answered.set())
-            return future.result() if answered.wait(WAIT) else None
-        finally:
-            self.node.destroy_client(client)
-
-    # Requests
-
-    def change(self, node: str, transition: str) -> bool | None:
-        request = ChangeState.Request()
-        request.transition.label = transition
-        answer = self.call(ChangeState, f"{node}/change_state", request)
-        return None if answer is None else answer.success
-
-    def state(self, node: str) -> str | None:
-        answer = self.call(GetState, f"{node}/get_state", GetState.Request())
-        return None if answer is None else answer.current_state.label
-
-    def trigger(self, service: str) -> list[Any] | None:
-        answer = self.call(Trigger, service, Trigger.Request())
-        return None if answer is None else [answer.success, answer.message]
-
-    def set_parameter(self, node: str, name: str, value: Any) -> str | None:
-        """Set a parameter; return why that was refused, "" if it was not."""
-        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        answer = self.call(SetParameters, f"{node}/set_parameters", request)
-        return None if answer is None else answer.results[0].reason
-
-    def parameter(self, node: str, name: str) -> Any:
-        answer = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name]))
-        return None if answer is None else parameter_value_to_python(answer.values[0])
 
     def look(self) -> dict[str, Any]:
         """Return all that was heard so far."""
