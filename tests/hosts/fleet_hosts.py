@@ -68,8 +68,8 @@ class FleetOnHosts:
     Its disks and files are in a folder of its own. `quorum` robots must be there before the swarm moves; ids count
     from `first_id`. A discovery server, and a recorder if there is one, are on the base. With the prefix of a `secured`
     Fast DDS it enforces sros2. With `standby` the second host, the spare, has the standbys of all coordinators but the
-    plane. `plane` and `drives` replace the simulated plane, and the plug-in drives of some robots, in the fleet file; those that are not
-    `limited` have no limits of their own.
+    plane. `plane` and `drives` replace the simulated plane, and the plug-in drives of some robots, in the fleet file;
+    those that are not `limited` have no limits of their own.
     """
 
     def __init__(
