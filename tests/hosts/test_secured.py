@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import datetime, timedelta, timezone
@@ -18,6 +19,7 @@ from tests.hosts.driver import PLACE
 from tests.hosts.fleet_hosts import PATIENCE, FleetOnHosts, Operator
 from tests.hosts.intruder import MARK, POSITION
 from tests.hosts.stations import Station, preferring
+from tests.hosts.switch import Impairment
 from tests.processes import ROOT, until
 from tests.system.realtime import Client
 
@@ -259,3 +261,25 @@ def test_certificates_expire_while_a_fleet_runs(secured: Path, tmp_path: Path, m
             assert fleet.robots[2].start("systemctl", "restart", "--", unit).wait(PATIENCE) == 1
             operator.until_following(1, 3)
             operator.until_calm()
+
+
+DEAF = 8.0
+"""Time, s, for which a host hears nothing: longer than the lease of a fleet without security."""
+
+
+@pytest.mark.parametrize("victim", ["robot", "base"])
+def test_nodes_that_lose_each_other_one_sidedly_meet_again(victim: str, secured: Path, tmp_path: Path) -> None:
+    """As after an overload: who has forgotten another that has not forgotten it, cannot authenticate again."""
+    with hosts(4) as machines:
+        fleet = FleetOnHosts(machines, tmp_path / "fleet", secured=secured)
+        fleet.install()
+        fleet.start()
+        host = (fleet.base if victim == "base" else fleet.robots[2]).host
+        with fleet.operator() as operator:
+            operator.reset()
+            operator.until_following(*fleet.ids)
+            host.impair(Impairment(loss=1.0), directions=("to",))
+            time.sleep(DEAF)
+            host.impair(Impairment(), directions=("to",))
+            operator.reset()
+            operator.until_following(*fleet.ids)
