@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_config.graph import CONTROLLER, OBSERVER, RELEASE, SERVICES, standby_service
+from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, RELEASE, SERVICES, standby_service
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.realtime.leadership import State
+from swarmabs_core.realtime.leadership import ROLE, ROLE_FOR, State
 from swarmabs_fleet.operate import HealthMonitor
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from swarmabs_core.realtime.base import Schedule
     from swarmabs_fleet.operate import OperatorClient, Target
 
 STOP, RESET = SERVICES[CONTROLLER][:2]
 PAIRS = {"observer": OBSERVER, "controller": CONTROLLER}
 """The coordinators of which one of a pair leads, by their names in the fleet file."""
-_ROLE, _SINCE = "role", "role since step"
-"""The values of a node's diagnostics that say what it does, and since when."""
 
 
 def stop(found: Target, client: OperatorClient, patience: float) -> list[str]:
@@ -54,8 +51,8 @@ def reset(found: Target, client: OperatorClient, patience: float) -> list[str]:
     if missed:
         (node,) = confirmed
         monitor = HealthMonitor({node: found.hosts[node]})
-        client.listen(monitor, patience, lambda: monitor.value(node, _ROLE) == State.LEADING.value)
-        if monitor.value(node, _ROLE) != State.LEADING.value:
+        client.listen(monitor, patience, lambda: monitor.value(node, ROLE) == State.LEADING.value)
+        if monitor.value(node, ROLE) != State.LEADING.value:
             raise RunError(f"{missed[0]}; only {node} answered, which does not lead, so robots may not move")
     return missed
 
@@ -83,11 +80,11 @@ def failover(found: Target, client: OperatorClient, kind: str, patience: float) 
     monitor = HealthMonitor({node: found.hosts[node] for node in pair})
 
     def doing(state: State) -> list[str]:
-        return [node for node in pair if monitor.value(node, _ROLE) == state.value]
+        return [node for node in pair if monitor.value(node, ROLE) == state.value]
 
     client.listen(monitor, patience, lambda: len(doing(State.LEADING)) == len(doing(State.FOLLOWING)) == 1)
     if not (len(doing(State.LEADING)) == len(doing(State.FOLLOWING)) == 1):
-        said = ", ".join(f"{node} {monitor.value(node, _ROLE) or 'is silent'}" for node in pair)
+        said = ", ".join(f"{node} {monitor.value(node, ROLE) or 'is silent'}" for node in pair)
         raise RunError(f"{found.name}: {said}; a failover needs one that leads and one that stands by, so start both")
     (leader,), (peer,) = doing(State.LEADING), doing(State.FOLLOWING)
     client.call(RELEASE.replace("~", leader), patience)
@@ -103,13 +100,14 @@ def _of_controllers(found: Target, service: str) -> tuple[str, ...]:
     return (service, standby_service(service))[: len(found.pair(CONTROLLER))]
 
 
-def role(values: Mapping[str, str], schedule: Schedule | None, now: int) -> str:
-    """Return what one of a pair does and for how long, empty for other nodes; `now` in ns since 1970."""
-    doing, since = values.get(_ROLE, ""), values.get(_SINCE, "")
-    if schedule is None or not since.isdecimal():
-        return doing
-    seconds = (schedule.step(now) - int(since)) * schedule.period
-    return f"{doing} for {max(0.0, seconds):.0f} s"
+def role(values: Mapping[str, str]) -> str:
+    """Return what one of a pair does and for how long, empty for other nodes."""
+    return f"{values[ROLE]} for {values[ROLE_FOR]} s" if ROLE in values and ROLE_FOR in values else ""
+
+
+def has_standbys(found: Target) -> bool:
+    """Return whether any coordinator of this swarm has a standby, the recorder included."""
+    return any(len(found.pair(node)) > 1 for node in (*PAIRS.values(), RECORDER))
 
 
 def paired(found: Target) -> list[str]:

@@ -51,7 +51,15 @@ def _parameters(loaded: LoadedFleet, node: NodePlan) -> Parameters:
     schedule = realtime.schedule(scenario, fleet.epoch_ns)
     if node.kind == RECORDER:
         common = {**values_of(schedule), "clock_tolerance": scenario.realtime.clock_tolerance}
-        return common | {"scenario_file": f"{host.installed}/{SCENARIO_FILE}", "bags": host.state} | _recorder(fleet)
+        return (
+            common
+            | _recorder(fleet)
+            | {
+                "scenario_file": f"{host.installed}/{SCENARIO_FILE}",
+                "bags": host.state,
+                "pair": node.pair,
+            }
+        )
     mass = fleet.swarm_mass or math.fsum(robot.mass for robot in fleet.members)
     if node.robot is not None:
         robots = realtime.agent_configs(scenario, schedule)

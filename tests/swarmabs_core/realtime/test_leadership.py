@@ -34,7 +34,7 @@ def following(rank: str = STANDBY, step: int = 100) -> Leadership:
 def test_one_without_a_peer_always_speaks_and_says_nothing_about_it() -> None:
     single = leadership(SINGLE)
     assert [single.tick(k) for k in (5, 4, 1000)] == [True] * 3
-    assert single.values(5) == ()
+    assert single.values(5, 0.01) == ()
 
 
 def test_one_that_starts_listens_and_leads_if_it_hears_nobody() -> None:
@@ -52,6 +52,8 @@ def test_the_other_takes_over_once_it_was_silent_for_longer_than_the_limit() -> 
     standby = following(step=100)
     assert [standby.tick(k) for k in range(101, 106)] == [False, False, False, True, True]
     assert (standby.since, standby.why) == (104, "peer silent")
+    said = dict(standby.values(304, 0.01))
+    assert (said["pair"], said["role"], said["role for, s"]) == (STANDBY, "leads", "2")
     # Not because of a silence in which it could not have spoken either, such as one of the plane.
     standby = following(step=100)
     assert not any(standby.tick(k, able=False) for k in range(101, 150))

@@ -20,8 +20,8 @@ from swarmabs_core.declaration import parameters_of
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
 from swarmabs_core.messages import NEVER
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.realtime.base import Schedule
-from swarmabs_core.realtime.leadership import Pair
+from swarmabs_core.realtime.base import Health, Schedule
+from swarmabs_core.realtime.leadership import RECORDS, SINGLE, Pair, role_values
 from swarmabs_core.record import Record
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.lockstep import INTERRUPTED
@@ -53,7 +53,7 @@ PARAMETERS = (
     ),
     Parameter("driven", (), "ids of the robots whose bodies are not simulated", minimum=1, maximum=65535, item=0),
     Parameter("simulated_plane", default=True, description="whether the plane is simulated"),
-    *choose(parameters_of(Pair), "paired"),
+    *choose(parameters_of(Pair), "pair", "paired"),
     OWN_TOPICS,
 )
 
@@ -67,13 +67,17 @@ LINGER = 0.5
 
 
 class RealtimeRecorder:
-    """The loop of the node: waits for messages, lets them accumulate, and records them."""
+    """The loop of the node: waits for messages, lets them accumulate, and records them.
 
-    def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos], status: StatusChannel) -> None:
+    `rank` tells whether it is one of a pair.
+    """
+
+    def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos], status: StatusChannel, rank: str) -> None:
         self._depths = {topic: qos.depth for topic, qos in subscriptions.items()}
         self._receiver = WaitSetReceiver(node, subscriptions, identified=IDENTIFIED)
         self._status = status
-        self._name = node.get_name()
+        self._name, self._rank = node.get_name(), rank
+        self._begun = time.monotonic()
         self._diagnostics = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._diagnosed = 0.0
         self._told_fallen = False
@@ -108,7 +112,10 @@ class RealtimeRecorder:
         now = time.monotonic()
         if now - self._diagnosed >= DIAGNOSTICS_PERIOD:
             self._diagnosed = now
-            self._diagnostics.publish(diagnostic_array(self._name, recording.health(), time.time_ns()))
+            level, text, values = recording.health()
+            if self._rank != SINGLE:
+                values += role_values(self._rank, RECORDS, now - self._begun)
+            self._diagnostics.publish(diagnostic_array(self._name, Health(level, text, values), time.time_ns()))
 
     def _drain(self, recording: RealtimeRecording) -> None:
         for topic, payload, writer in arrived(self._receiver, self._depths):
@@ -132,7 +139,7 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     scenario = scenario_of(settings)
     members = configure.members(scenario)
     subscriptions = settings.endpoints(RECORDER, REALTIME, members=members).subscriptions
-    recorder = RealtimeRecorder(node, subscriptions, status)
+    recorder = RealtimeRecorder(node, subscriptions, status, settings.text("pair"))
     epoch = settings.integer("epoch_ns")
     if settings.flag("await_epoch"):
         status.send("ready")

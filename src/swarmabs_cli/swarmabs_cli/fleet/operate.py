@@ -18,7 +18,7 @@ from swarmabs_config.graph import OBSERVER
 from swarmabs_core.errors import RunError
 from swarmabs_core.realtime.observer import CARRIED_AWAY
 from swarmabs_fleet import pairs
-from swarmabs_fleet.operate import HealthMonitor, OperatorClient, Row, Target, in_order, joined, target
+from swarmabs_fleet.operate import SILENT, HealthMonitor, OperatorClient, Row, Target, in_order, joined, target
 
 _STYLES = {"OK": "green", "WARN": "yellow"}
 
@@ -167,11 +167,11 @@ def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
 
 def _table(found: Target, rows: Sequence[Row]) -> Table:
     table = Table(box=None, pad_edge=False)
-    roles = bool(pairs.paired(found))
+    roles = pairs.has_standbys(found)
     for head in ("node", "host", "health", *(["role"] * roles), "message"):
         table.add_column(head, overflow="fold")
     for row in rows:
         level = Text(row.level, style=_STYLES.get(row.level, "red"))
-        role = [Text(pairs.role(row.values, found.schedule, time.time_ns()))] * roles
+        role = [Text("" if row.level == SILENT else pairs.role(row.values))] * roles
         table.add_row(Text(row.node), Text(row.host), level, *role, Text(row.text))
     return table

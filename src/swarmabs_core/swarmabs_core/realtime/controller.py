@@ -169,14 +169,14 @@ class RealtimeController:
 
     def health(self, now: int) -> Health:
         """Return the mode and the desired abstract state."""
-        asked, plane = self._asked, self._plane
+        asked, plane, schedule = self._asked, self._plane, self._config.schedule
         values = (
             ("mode", self._mode.now.name),
             ("desired torque, N m", "none" if asked is None else f"{asked.torque:.4f}"),
             ("desired inertia, kg m^2", "none" if asked is None else f"{asked.inertia:.5f}"),
             ("angle, rad", "none" if plane is None else f"{plane.angle:.4f}"),
             *self._refusals.values(),
-            *self._voice.leadership.values(self._config.schedule.step(now)),
+            *self._voice.leadership.values(schedule.step(now), schedule.period),
         )
         if self._mode.now is not Mode.RUN:
             return Health(Level.WARN, f"{self._mode.now.name}: {self._mode.why}", values)

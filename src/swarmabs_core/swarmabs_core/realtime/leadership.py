@@ -59,12 +59,21 @@ RECORDS = "records"
 """What both of a pair of recorders do; `State` tells what one of any other pair does."""
 
 
+ROLE, ROLE_FOR = "role", "role for, s"
+"""The values of a health status that say what one of a pair does, and for how long."""
+
+
 class State(Enum):
     """What one of a pair does."""
 
     LISTENING = "listens"
     FOLLOWING = "stands by"
     LEADING = "leads"
+
+
+def role_values(rank: str, role: str, seconds: float) -> tuple[tuple[str, str], ...]:
+    """Return the values of one of a pair for a health status: what it is, what it does, and for how long (s)."""
+    return ("pair", rank), (ROLE, role), (ROLE_FOR, f"{max(0.0, seconds):.0f}")
 
 
 class Leadership:
@@ -147,12 +156,13 @@ class Leadership:
             self._heard = _NEVER
             self._listen(step, 2 * self._takeover, "released")
 
-    def values(self, step: int) -> tuple[tuple[str, str], ...]:
-        """Return the values for a health status; none for a coordinator without a peer."""
+    def values(self, step: int, period: float) -> tuple[tuple[str, str], ...]:
+        """Return the values for a health status, given the period (s); none for a coordinator without a peer."""
         if self._rank == SINGLE:
             return ()
+        seconds = 0.0 if self._last is None else (step - self.since) * period
         peer = "not heard" if self._heard == _NEVER else f"heard {step - self._heard} steps ago"
-        return ("pair", self._rank), ("role", self.state.value), ("role since step", str(self.since)), ("peer", peer)
+        return *role_values(self._rank, self.state.value, seconds), ("peer", peer)
 
     @property
     def _pause(self) -> int:

@@ -216,7 +216,9 @@ class RealtimeObserver:
         count = {role: sum(r is role for r in self.roles.values()) for role in Role}
         ids = {role: [i for i, r in self.roles.items() if r is role][:20] for role in Role}
         values = tuple((role.value, " ".join(map(str, ids[role]))) for role in Role)
-        values = (*values, *self._refusals.values(), *self._voice.leadership.values(self._config.schedule.step(now)))
+        schedule = self._config.schedule
+        leadership = self._voice.leadership.values(schedule.step(now), schedule.period)
+        values = (*values, *self._refusals.values(), *leadership)
         if not self._started:
             heard = self._known()
             return Health(Level.WARN, f"waiting for robots: {heard} heard, {self._needed} needed", values)
