@@ -61,8 +61,8 @@ def test_each_node_is_told_of_its_pair() -> None:
         "abstraction_observer_standby": ("standby", True),
         "parent_controller": ("primary", True),
         "parent_controller_standby": ("standby", True),
-        "recorder": (None, True),
-        "recorder_standby": (None, True),
+        "recorder": ("primary", True),
+        "recorder_standby": ("standby", True),
     }
     assert told("standby")["agent_004"] == (None, True)
     assert {values[1] for values in told("lan").values()} == {None, False}

@@ -10,16 +10,30 @@ import re
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_config.graph import OFFERED, OWN, ROBOT_PREFIX, Driver, own_topic, requested, usual_topic
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message
+
+from swarmabs_config.graph import (
+    DIAGNOSTICS,
+    OFFERED,
+    OWN,
+    ROBOT_PREFIX,
+    Driver,
+    Qos,
+    own_topic,
+    requested,
+    usual_topic,
+)
 from swarmabs_core.cdr import decode, misplaced
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import BASIS, EVENTS, FAMILIES
+from swarmabs_core.messages import BASIS, EVENTS, FAMILIES, SwarmEvent, Topic
+from swarmabs_core.realtime.leadership import ROLE
 from swarmabs_ros.endpoints import receiver
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.messages import Message
     from swarmabs_ros.endpoints import Receiver
     from swarmabs_ros.start import SwarmNode
 
@@ -29,6 +43,8 @@ ROBOT_STEPS = 4
 """Queued steps of all robots."""
 LOOK = 1.0
 """Time, s, between two searches for robots' own topics."""
+_DIAGNOSTICS = Topic(DIAGNOSTICS, SwarmEvent, "diagnostic_msgs/msg/DiagnosticArray")
+"""The diagnostics, which are no messages of the swarm: their class here is never used."""
 _ID = re.compile(r"\d{3,5}")
 
 
@@ -38,6 +54,28 @@ class Heard(NamedTuple):
     topic: Topic
     message: Message
     payload: bytes
+
+
+class DiagnosticsListener:
+    """Listens to the diagnostics of the nodes of a swarm in real time that are one of a pair."""
+
+    def __init__(self, node: SwarmNode) -> None:
+        self._take = receiver(node, {_DIAGNOSTICS: Qos("best_effort", DEPTH)}, "wait_set").take
+
+    def poll(self) -> Iterator[tuple[str, dict[str, str]]]:
+        """Yield the name and the values of each node whose diagnostics have arrived; skip malformed ones."""
+        for _ in range(DEPTH):
+            payload = self._take(_DIAGNOSTICS)
+            if payload is None:
+                return
+            if ROLE.encode() not in payload:
+                continue
+            try:
+                array = deserialize_message(payload, DiagnosticArray)
+                found = [(str(one.hardware_id), {str(v.key): str(v.value) for v in one.values}) for one in array.status]
+            except Exception:  # noqa: BLE001, S112 - rclpy has no common base class
+                continue
+            yield from found
 
 
 class Listener:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from swarmabs_bag.swarm_state import ShownRobot, SystemSwarmState
 from swarmabs_core.messages import SystemDescription
+from swarmabs_view.coordinators import DiagnosedRoles, coordinators_at, takeovers
 from swarmabs_view.facts import Shading
 from swarmabs_view.presenter import Presenter
 from swarmabs_view.protocol import (
@@ -24,13 +25,14 @@ from swarmabs_view.protocol import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from swarmabs_bag.swarm_state import AnyInstant, SwarmState
     from swarmabs_core.messages import Message
+    from swarmabs_run.roles import Role
     from swarmabs_view import protocol
-    from swarmabs_view.listener import Listener
-    from swarmabs_view.protocol import Control, Health, Phase
+    from swarmabs_view.listener import DiagnosticsListener, Listener
+    from swarmabs_view.protocol import Control, Coordinators, Health, Phase
 
 INTERVAL = 1.0 / 30.0
 """Time between two polls of the received messages, s."""
@@ -151,6 +153,8 @@ class LiveView:
         self.text = "waiting for the first step"
         self.facts = -1
         self.rate = StepRate()
+        self.roles: Sequence[Role] = ()
+        self.diagnosed = DiagnosedRoles()
         self._drawn = (-1, -1)
         self._frame: protocol.Message | None = None
         self.learn(hello, state)
@@ -198,6 +202,19 @@ class LiveView:
             if self.positions.wants(complete.step):
                 self._complete.append(complete)
 
+    def coordinators(self, now: float) -> Coordinators | None:
+        """Return the roles of coordinators with standbys at a time (s), None if there are none."""
+        if self.roles:
+            return coordinators_at(self.roles, self.state.step or 0, self._hello.period or 0.0)
+        return self.diagnosed.message(now)
+
+    def play(self, roles: Sequence[Role]) -> None:
+        """Take the roles of a run in lockstep, with the takeovers as events."""
+        if roles != self.roles:
+            self.roles = roles
+            for event in takeovers(roles):
+                self.state.add(event)
+
     def refresh(self, now: float) -> None:
         """Update positions, step rate and phase."""
         self._place()
@@ -224,13 +241,15 @@ class LiveView:
             self.positions.add(Placed(instant.step, instant.time, dict(zip(ids, places, strict=True))))
         self._complete.clear()
 
-    async def listen(self, listener: Listener, over: Callable[[], bool]) -> None:
+    async def listen(self, listener: Listener, diagnostics: DiagnosticsListener, over: Callable[[], bool]) -> None:
         """Listen until the swarm has ended, then a few polls longer for messages on the way."""
         clock = asyncio.get_running_loop().time
         left = 3
         while left:
             for heard in listener.poll():
                 self.add(heard.message)
+            for node, values in diagnostics.poll():
+                self.diagnosed.hear(node, values, clock())
             self.refresh(clock())
             left = left - 1 if over() else 3
             await asyncio.sleep(INTERVAL)
@@ -268,7 +287,7 @@ class LiveSession(Session):
         messages = self.hello() if self._known != (live.facts, len(live.state.robots)) else []
         messages += [*self._new_curves(), *self._new_positions(), *self._new_events()]
         sets, state = live.shading.of(live.state.members()), State(phase=live.phase, text=live.text)
-        return [*messages, *self.new(now, live.frame(now), sets, live.health, state)]
+        return [*messages, *self.new(now, live.frame(now), sets, live.health, live.coordinators(now), state)]
 
     def control(self, request: Control) -> None:
         """Handle a request of the page; a running swarm has no playback."""

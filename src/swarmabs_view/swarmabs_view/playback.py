@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from functools import cached_property
+from heapq import merge
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swarmabs_bag.recorded_swarm import RecordedSwarm, RecordedSystem, column_points, read_swarm
-from swarmabs_bag.swarm_state import MOST_EVENTS, state_of
+from swarmabs_bag.run_folder import RunFolder
+from swarmabs_bag.swarm_state import MOST_EVENTS, TimedEvent, state_of
+from swarmabs_run.roles import read_roles
+from swarmabs_view.coordinators import coordinators_at, takeovers
 from swarmabs_view.facts import Shading, scenario_facts
 from swarmabs_view.ports import bound, need_web_server
 from swarmabs_view.presenter import Presenter
 from swarmabs_view.protocol import (
     Control,
+    Coordinators,
     Event,
     Events,
     Hello,
@@ -37,6 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_bag.swarm_state import RobotIdentity, SystemIdentity
+    from swarmabs_run.roles import Role
 
 COLUMNS = 1000
 """Columns of a chart; of each column the first, lowest, highest and last point of every curve are sent."""
@@ -59,10 +65,11 @@ def places(swarm: RecordedSwarm | RecordedSystem, rows: Iterable[int]) -> list[P
 
 
 class Recording:
-    """A bag, read once, as messages of the page."""
+    """A bag, read once, as messages of the page; `roles` are those of the coordinators of a run with standbys."""
 
-    def __init__(self, swarm: RecordedSwarm | RecordedSystem) -> None:
+    def __init__(self, swarm: RecordedSwarm | RecordedSystem, roles: Sequence[Role] = ()) -> None:
         self.swarm = swarm
+        self.roles = roles
         self.presenter = Presenter(swarm.tables if isinstance(swarm, RecordedSystem) else None)
 
     def __len__(self) -> int:
@@ -118,13 +125,19 @@ class Recording:
     @cached_property
     def events(self) -> Events:
         """The latest events."""
-        found = self.swarm.timed_events()
+        swarm = self.swarm
+        told = [TimedEvent(event, swarm.time_of(event)) for event in takeovers(self.roles)]
+        found = [*merge(swarm.timed_events(), told, key=lambda timed: timed.event.step)]
         left_out = max(0, len(found) - MOST_EVENTS)
         return Events(replace=True, events=[Event.of(one) for one in found[left_out:]], left_out=left_out)
 
     def frame(self, row: int, step_rate: float | None = None) -> Message:
         """Return the frame at a row of the arrays."""
         return self.presenter.frame(self.swarm.instant(row), self.swarm.shown_robots(row), self.robots, step_rate)
+
+    def coordinators(self, row: int) -> Coordinators | None:
+        """Return the roles at a row, None if no coordinator has a standby."""
+        return coordinators_at(self.roles, int(self.swarm.arrays.step[row]), self.swarm.scenario.period)
 
     def row_at(self, step: int) -> int:
         """Return the row of a step, or the row before a missing step."""
@@ -143,7 +156,9 @@ class Recording:
 
 def open_recording(path: Path, *, namespace: str | None = None) -> Recording:
     """Read a bag; errors as for `swarmabs_bag.recorded_swarm.read_swarm`."""
-    return Recording(read_swarm(path, namespace=namespace))
+    swarm = read_swarm(path, namespace=namespace)
+    bag = swarm.bag if swarm.bag.is_dir() else swarm.bag.parent
+    return Recording(swarm, read_roles(RunFolder(bag.parent).logs))
 
 
 class PlaybackSession(Session):
@@ -178,7 +193,8 @@ class PlaybackSession(Session):
             rate = self._speed / swarm.scenario.period if self._playing else None
             self._drawn = (self._row, self.recording.frame(self._row, rate))
         state = State(phase="recorded", text=text, playing=self._playing, speed=self._speed)
-        return self.new(now, self._drawn[1], self.recording.sets(self._row), state)
+        shown = self.recording
+        return self.new(now, self._drawn[1], shown.sets(self._row), shown.coordinators(self._row), state)
 
     def control(self, request: Control) -> None:
         """Handle a request of the page; a recorded run cannot be steered."""

@@ -336,6 +336,29 @@ class Health(Message):
     processes: list[Process]
 
 
+class Coordinator(Part):
+    """What one of a pair of coordinators does now."""
+
+    role: str = Field(description="such as leads, stands by, listens, records, is silent, is lost")
+    seconds: int | None = Field(description="for how long, s: by the clock, in lockstep of simulated time")
+    ok: bool = Field(description="whether it is there")
+
+
+class CoordinatorPair(Part):
+    """A coordinator and its standby."""
+
+    name: str
+    primary: Coordinator
+    standby: Coordinator
+
+
+class Coordinators(Message):
+    """Coordinators that have a standby; not sent if none has one."""
+
+    type: Literal["coordinators"] = "coordinators"
+    pairs: list[CoordinatorPair]
+
+
 class State(Message):
     """State of the source; sent at least once a second, so that silence means a lost connection."""
 
@@ -436,7 +459,7 @@ CONTROL: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminat
 FROM_SERVER: tuple[type[Message], ...] = (
     *(Hello, Frame, Sets, Curves, Positions, Events),
     *(System, SystemFrame, SystemCurves),
-    *(Health, State, Steering, Answer),
+    *(Health, Coordinators, State, Steering, Answer),
 )
 FROM_PAGE: tuple[type[Request], ...] = (Play, Pause, Seek, Speed, Unlock, Steer)
 

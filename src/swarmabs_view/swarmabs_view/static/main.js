@@ -6,7 +6,7 @@ import { Controls } from "./controls.js";
 import { capital } from "./description.js";
 import { SteeringPanel } from "./steering.js";
 import { SystemView } from "./system.js";
-import { Events, More, Numbers, Processes, Robots } from "./tables.js";
+import { Coordinators, Events, More, Numbers, Processes, Robots } from "./tables.js";
 
 const element = (id) => document.getElementById(id);
 
@@ -22,6 +22,7 @@ const numbers = new Numbers();
 const robots = new Robots();
 const events = new Events();
 const processes = new Processes();
+const coordinators = new Coordinators();
 const connection = new Connection(take, shown);
 const controls = new Controls((message) => connection.send(message));
 const steering = new SteeringPanel((message) => connection.send(message));
@@ -56,6 +57,8 @@ function take(message) {
     dirty = true;
   } else if (message.type === "health") {
     processes.take(message);
+  } else if (message.type === "coordinators") {
+    coordinators.take(message);
   } else if (message.type === "steering") {
     steering.take(message);
   } else if (message.type === "answer") {
@@ -80,6 +83,7 @@ function greet(message) {
   describe();
   element("processes-panel").hidden = message.source === "bag";
   processes.take({ processes: [] });
+  coordinators.take({ pairs: [] });
   if (same) {
     controls.resume(before);
   }

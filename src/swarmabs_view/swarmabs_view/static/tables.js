@@ -290,3 +290,28 @@ export class Processes {
     });
   }
 }
+
+function lasting(seconds) {
+  const [hours, minutes] = [Math.floor(seconds / 3600), Math.floor(seconds / 60) % 60];
+  return hours ? `${hours} h ${minutes} min` : minutes ? `${minutes} min ${seconds % 60} s` : `${seconds} s`;
+}
+
+// Who leads and who stands by, of coordinators that have a standby.
+export class Coordinators {
+  take({ pairs }) {
+    element("coordinators-panel").hidden = !pairs.length;
+    const rows = pairs.map(({ name, primary, standby }) => {
+      const row = document.createElement("tr");
+      cell(row, "th").textContent = name.replaceAll("_", " ");
+      for (const { role, seconds, ok } of [primary, standby]) {
+        const place = cell(row);
+        const text = document.createElement(role === "leads" ? "b" : "span");
+        text.textContent = role;
+        place.append(text, seconds === null ? "" : ` for ${lasting(seconds)}`);
+        place.classList.toggle("bad", !ok);
+      }
+      return row;
+    });
+    element("coordinators").tBodies[0].replaceChildren(...rows);
+  }
+}

@@ -1,0 +1,82 @@
+"""Who leads and who stands by where coordinators have standbys: in real time by diagnostics, in lockstep by the run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, standby_name
+from swarmabs_core.messages import EventKind, SwarmEvent
+from swarmabs_core.realtime.leadership import ROLE, ROLE_FOR
+from swarmabs_run.roles import LEADS, LOST, SILENT, roles_at
+from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from swarmabs_run.roles import Role
+
+FORGOTTEN = 3.0
+"""Time, s, without diagnostics after which a node counts as silent; nodes publish them once a second."""
+_UNHEARD = Coordinator(role=SILENT, seconds=None, ok=False)
+
+
+def _paired(found: Mapping[str, Coordinator]) -> Coordinators | None:
+    """Return the message for nodes of pairs, None if there are none."""
+    pairs = [
+        CoordinatorPair(name=name, primary=found.get(name, _UNHEARD), standby=found.get(standby_name(name), _UNHEARD))
+        for name in (OBSERVER, CONTROLLER, RECORDER)
+        if name in found or standby_name(name) in found
+    ]
+    return Coordinators(pairs=pairs) if pairs else None
+
+
+class _Heard(NamedTuple):
+    at: float
+    role: str
+    seconds: float
+
+
+class DiagnosedRoles:
+    """The roles that the nodes of a swarm in real time publish with their diagnostics."""
+
+    def __init__(self) -> None:
+        self._heard: dict[str, _Heard] = {}
+
+    def hear(self, node: str, values: Mapping[str, str], now: float) -> None:
+        """Take the values of a node's diagnostics at a time (s); those without a role say nothing."""
+        role, seconds = values.get(ROLE, ""), values.get(ROLE_FOR, "")
+        if role and seconds.isdecimal():
+            self._heard[node] = _Heard(now, role, float(seconds))
+
+    def message(self, now: float) -> Coordinators | None:
+        """Return the roles at a time (s), None where no coordinator has a standby."""
+        return _paired({node: _shown(heard, now - heard.at) for node, heard in self._heard.items()})
+
+
+def _shown(heard: _Heard, age: float) -> Coordinator:
+    if age > FORGOTTEN:
+        return Coordinator(role=SILENT, seconds=int(age), ok=False)
+    return Coordinator(role=heard.role, seconds=int(heard.seconds + age), ok=True)
+
+
+def coordinators_at(roles: Sequence[Role], step: int, period: float) -> Coordinators | None:
+    """Return the roles of a run in lockstep at a step, given its period (s); None if it has no standbys."""
+    return _paired(
+        {
+            role.node: Coordinator(
+                role=role.role,
+                seconds=int((step - role.step) * period),
+                ok=role.role not in {LOST, SILENT},
+            )
+            for role in roles_at(roles, step)
+        }
+    )
+
+
+def takeovers(roles: Sequence[Role]) -> list[SwarmEvent]:
+    """Return the takeovers of a run in lockstep as the events that coordinators in real time publish."""
+    return [
+        SwarmEvent(0, role.step, 0, EventKind.LEADING, 0.0, f"{role.node}: {role.why}")
+        for role in roles
+        if role.role == LEADS and role.is_news
+    ]
