@@ -80,6 +80,26 @@ def test_fleets_that_get_into_each_others_way(tmp_path: Path) -> None:
     assert bad(check([EXAMPLES["tunnel"], apart], None)) == []
 
 
+def test_standbys_are_listed_with_what_they_do_not_cover(tmp_path: Path) -> None:
+    text = EXAMPLES["standby"].read_text(encoding="utf-8")
+    (found,) = (each for each in check([EXAMPLES["standby"]], None) if "standbys" in each.text)
+    who = "standbys: observer on spare for base, controller on spare for base, recorder on spare for base"
+    assert (found.verdict, found.text) == (
+        "ok",
+        f"{who}; in a takeover broadcasts become 0.06 s old, robots stop after 0.1 s",
+    )
+    changes = (
+        ("observer: {host: base, standby: spare}", "observer: {host: base}"),
+        ("driver, host: encoder", "driver, host: base"),
+    )
+    notes = [
+        each.text for each in check([edited(tmp_path / "one.yaml", text, *changes)], None) if each.verdict == "note"
+    ]
+    wanted = ("observer has no standby: without base", "plane is on base, as controller:")
+    assert [any(words in note for note in notes) for words in wanted] == [True, True]
+    assert not any("standby" in each.text for each in check([EXAMPLES["lan"]], None))
+
+
 def test_what_cannot_be_checked_is_refused(tmp_path: Path, own: Callable[[str], Path]) -> None:
     (tmp_path / "empty").mkdir()
     for paths, host, words in (

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from swarmabs_config.fleet.loader import FLEET_FILE, LoadedFleet, load_fleet
 from swarmabs_config.model.fields import nearest
 from swarmabs_core.errors import InputError
+from swarmabs_core.realtime.leadership import TAKEOVER_STEPS
 from swarmabs_fleet.bundle import MANIFEST, SECRET, SUMS, Manifest, host_bundle, manifest_of, read_manifest, versions
 from swarmabs_fleet.host_check import check_host
 from swarmabs_fleet.host_plan import HostPlan
@@ -98,6 +99,35 @@ def _alone(loaded: LoadedFleet) -> Iterator[Verdict]:
     yield "ok", f"{len(fleet.robots)} robots on {used} hosts, domain {fleet.network.domain}"
     for warning in (*fleet.warnings(), *loaded.scenario.warnings()):
         yield "note", warning
+    yield from _standbys(loaded)
+
+
+def _standbys(loaded: LoadedFleet) -> Iterator[Verdict]:
+    """Report who stands by for whom, how old broadcasts become in a takeover, and what no standby can help."""
+    parts, limits = loaded.fleet.coordinators, loaded.scenario.realtime
+    recorder = {} if parts.recorder is None else {"recorder": parts.recorder}
+    named = {"observer": parts.observer, "controller": parts.controller, **recorder}
+    paired = {name: part for name, part in named.items() if part.standby is not None}
+    if not paired:
+        return
+    told = ", ".join(f"{name} on {part.standby} for {part.host}" for name, part in paired.items())
+    oldest = limits.takeover_after + TAKEOVER_STEPS * loaded.scenario.period
+    limit = limits.broadcast_age_limit
+    yield "ok", f"standbys: {told}; in a takeover broadcasts become {oldest:g} s old, robots stop after {limit:g} s"
+    for name in ("observer", "controller"):
+        if name not in paired:
+            yield (
+                "note",
+                f"{name} has no standby: without {named[name].host} robots stop; add coordinators.{name}.standby",
+            )
+    shared = [
+        name for name, part in paired.items() if name in {"observer", "controller"} and part.host == parts.plane.host
+    ]
+    if shared:
+        text = (
+            f"plane is on {parts.plane.host}, as {' and '.join(shared)}: without this host robots stop, since the plane"
+        )
+        yield "note", f"{text} has no standby; move one of them if the host may fail"
 
 
 def _together(one: Fleet, other: Fleet) -> Iterator[Verdict]:

@@ -51,8 +51,8 @@ def reset(found: Target, client: OperatorClient, patience: float) -> list[str]:
     if missed:
         (node,) = confirmed
         monitor = HealthMonitor({node: found.hosts[node]})
-        client.listen(monitor, patience, lambda: monitor.value(node, ROLE) == State.LEADING.value)
-        if monitor.value(node, ROLE) != State.LEADING.value:
+        client.listen(monitor, patience, lambda: leads(monitor, node))
+        if not leads(monitor, node):
             raise RunError(f"{missed[0]}; only {node} answered, which does not lead, so robots may not move")
     return missed
 
@@ -98,6 +98,11 @@ def failover(found: Target, client: OperatorClient, kind: str, patience: float) 
 def _of_controllers(found: Target, service: str) -> tuple[str, ...]:
     """Return a service's name at the controller, and at its standby if there is one."""
     return (service, standby_service(service))[: len(found.pair(CONTROLLER))]
+
+
+def leads(monitor: HealthMonitor, node: str) -> bool:
+    """Return whether one of a pair leads, by its latest diagnostics."""
+    return monitor.value(node, ROLE) == State.LEADING.value
 
 
 def role(values: Mapping[str, str]) -> str:

@@ -111,7 +111,8 @@ def _call(swarm: Path, service: Callable[[Target], str], patience: float, done: 
 def remove(swarm: Path, robot: int, patience: float) -> None:
     """Tell the swarm that a silent robot was removed.
 
-    The observer then no longer counts its weight as on the plane. For a robot that is not silent, use `drain`.
+    The observer then no longer counts its weight as on the plane; of a pair, the one that leads must confirm it. For a
+    robot that is not silent, use `drain`.
     """
     with target(swarm) as found:
         found.robot(robot)
@@ -119,7 +120,8 @@ def remove(swarm: Path, robot: int, patience: float) -> None:
         monitor = HealthMonitor({node: found.hosts[node] for node in observers})
 
         def gone() -> bool:
-            return any(str(robot) in monitor.value(node, "left").split() for node in observers)
+            leaders = [node for node in observers if len(observers) == 1 or pairs.leads(monitor, node)]
+            return any(str(robot) in monitor.value(node, "left").split() for node in leaders)
 
         with joined(found) as client, client.announced(robot, CARRIED_AWAY, patience):
             client.listen(monitor, patience, gone)
