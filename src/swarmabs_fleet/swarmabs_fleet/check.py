@@ -10,7 +10,7 @@ from datetime import datetime, timedelta, timezone
 from hashlib import sha256
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from swarmabs_config.fleet.loader import FLEET_FILE, LoadedFleet, load_fleet
 from swarmabs_config.model.fields import nearest
@@ -105,8 +105,8 @@ def _alone(loaded: LoadedFleet) -> Iterator[Verdict]:
 def _standbys(loaded: LoadedFleet) -> Iterator[Verdict]:
     """Report who stands by for whom, how old broadcasts become in a takeover, and what no standby can help."""
     parts, limits = loaded.fleet.coordinators, loaded.scenario.realtime
-    recorder = {} if parts.recorder is None else {"recorder": parts.recorder}
-    named = {"observer": parts.observer, "controller": parts.controller, **recorder}
+    named: dict[str, Any] = {"observer": parts.observer, "controller": parts.controller}
+    named |= {} if parts.recorder is None else {"recorder": parts.recorder}
     paired = {name: part for name, part in named.items() if part.standby is not None}
     if not paired:
         return
