@@ -13,8 +13,8 @@ from tests.swarmabs_view.conftest import HELLO, PageServer, told
 from swarmabs_bag.swarm_state import SwarmState
 from swarmabs_config.graph import CONTROLLER, DIAGNOSTICS, OBSERVER, RECORDER, standby_name
 from swarmabs_core.messages import EventKind
+from swarmabs_core.pair_role import role_values
 from swarmabs_core.realtime.base import Health, Level
-from swarmabs_core.realtime.leadership import role_values
 from swarmabs_ros.managed import diagnostic_array
 from swarmabs_ros.start import SwarmNode, initialise
 from swarmabs_run.roles import SILENT, STANDS_BY, Roles, write_roles

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, RELEASE, SERVICES, standby_service
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.realtime.leadership import ROLE, ROLE_FOR, State
+from swarmabs_core.pair_role import ROLE, ROLE_FOR, PairRole
 from swarmabs_fleet.operate import HealthMonitor
 
 if TYPE_CHECKING:
@@ -79,18 +79,18 @@ def failover(found: Target, client: OperatorClient, kind: str, patience: float) 
     pair = found.pair(PAIRS[kind])
     monitor = HealthMonitor({node: found.hosts[node] for node in pair})
 
-    def doing(state: State) -> list[str]:
+    def doing(state: PairRole) -> list[str]:
         return [node for node in pair if monitor.value(node, ROLE) == state.value]
 
-    client.listen(monitor, patience, lambda: len(doing(State.LEADING)) == len(doing(State.FOLLOWING)) == 1)
-    if not (len(doing(State.LEADING)) == len(doing(State.FOLLOWING)) == 1):
+    client.listen(monitor, patience, lambda: len(doing(PairRole.LEADING)) == len(doing(PairRole.FOLLOWING)) == 1)
+    if not (len(doing(PairRole.LEADING)) == len(doing(PairRole.FOLLOWING)) == 1):
         said = ", ".join(f"{node} {monitor.value(node, ROLE) or 'is silent'}" for node in pair)
         raise RunError(f"{found.name}: {said}; a failover needs one that leads and one that stands by, so start both")
-    (leader,), (peer,) = doing(State.LEADING), doing(State.FOLLOWING)
+    (leader,), (peer,) = doing(PairRole.LEADING), doing(PairRole.FOLLOWING)
     client.call(RELEASE.replace("~", leader), patience)
-    client.listen(monitor, patience, lambda: doing(State.LEADING) == [peer])
-    if doing(State.LEADING) != [peer]:
-        leads = ", ".join(doing(State.LEADING)) or "none"
+    client.listen(monitor, patience, lambda: doing(PairRole.LEADING) == [peer])
+    if doing(PairRole.LEADING) != [peer]:
+        leads = ", ".join(doing(PairRole.LEADING)) or "none"
         raise RunError(f"{found.name}: {peer} has not taken over, {leads} leads; see the node's journal and try again")
     return peer
 
@@ -102,7 +102,7 @@ def _of_controllers(found: Target, service: str) -> tuple[str, ...]:
 
 def leads(monitor: HealthMonitor, node: str) -> bool:
     """Return whether one of a pair leads, by its latest diagnostics."""
-    return monitor.value(node, ROLE) == State.LEADING.value
+    return monitor.value(node, ROLE) == PairRole.LEADING.value
 
 
 def role(values: Mapping[str, str]) -> str:

@@ -10,17 +10,14 @@ from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_config.graph import RECORDER, standby_name
-from swarmabs_core.realtime import leadership
-from swarmabs_core.realtime.leadership import RECORDS, State
+from swarmabs_core.pair_role import RECORDS, PairRole
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
     from pathlib import Path
 
 ROLES_FILE = "roles.json"
-ROLE, ROLE_FOR = leadership.ROLE, leadership.ROLE_FOR
-"""The values of diagnostics that say what a node does in real time, and for how long."""
-LEADS, STANDS_BY = State.LEADING.value, State.FOLLOWING.value
+LEADS, STANDS_BY = PairRole.LEADING.value, PairRole.FOLLOWING.value
 SILENT, LOST = "is silent", "is lost"
 _MOST_CHANGES = 100
 """Number of changes that are kept."""

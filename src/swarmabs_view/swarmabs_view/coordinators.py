@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, standby_name
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_run.roles import LEADS, LOST, ROLE, ROLE_FOR, SILENT, roles_at
+from swarmabs_core.pair_role import ROLE, ROLE_FOR
+from swarmabs_run.roles import LEADS, LOST, SILENT, roles_at
 from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators
 
 if TYPE_CHECKING:

@@ -27,8 +27,8 @@ from swarmabs_config.graph import (
 from swarmabs_core.cdr import decode, misplaced
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import BASIS, EVENTS, FAMILIES, SwarmEvent, Topic
+from swarmabs_core.pair_role import ROLE
 from swarmabs_ros.endpoints import receiver
-from swarmabs_run.roles import ROLE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -19,9 +19,10 @@ from swarmabs_config.graph import DIAGNOSTICS, REALTIME, RECORDER
 from swarmabs_core.declaration import parameters_of
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
 from swarmabs_core.messages import NEVER
+from swarmabs_core.pair_role import RECORDS, role_values
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Health, Schedule
-from swarmabs_core.realtime.leadership import RECORDS, SINGLE, Pair, role_values
+from swarmabs_core.realtime.leadership import SINGLE, Pair
 from swarmabs_core.record import Record
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.lockstep import INTERRUPTED

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from enum import Enum
 from typing import TYPE_CHECKING
 
 from swarmabs_core.declaration import same, setting
 from swarmabs_core.messages import EventKind, Message, Messages, SwarmEvent
+from swarmabs_core.pair_role import PairRole, role_values
 from swarmabs_core.realtime.base import MOST_BACK, Realtime
 
 if TYPE_CHECKING:
@@ -55,27 +55,6 @@ class Pair:
         return Leadership(self.rank, takeover, schedule.ahead(clock_tolerance), listening)
 
 
-RECORDS = "records"
-"""What both of a pair of recorders do; `State` tells what one of any other pair does."""
-
-
-ROLE, ROLE_FOR = "role", "role for, s"
-"""The values of a health status that say what one of a pair does, and for how long."""
-
-
-class State(Enum):
-    """What one of a pair does."""
-
-    LISTENING = "listens"
-    FOLLOWING = "stands by"
-    LEADING = "leads"
-
-
-def role_values(rank: str, role: str, seconds: float) -> tuple[tuple[str, str], ...]:
-    """Return the values of one of a pair for a health status: what it is, what it does, and for how long (s)."""
-    return ("pair", rank), (ROLE, role), (ROLE_FOR, f"{max(0.0, seconds):.0f}")
-
-
 class Leadership:
     """Decides whether one of a pair of coordinators speaks. All times are steps.
 
@@ -92,7 +71,7 @@ class Leadership:
 
     Attributes
     ----------
-    state : State
+    state : PairRole
         What it does.
     since : int
         Step since which it does so.
@@ -105,7 +84,7 @@ class Leadership:
         self._takeover = takeover
         self._ahead = ahead
         self._starting = listening
-        self.state = State.LEADING if rank == SINGLE else State.LISTENING
+        self.state = PairRole.LEADING if rank == SINGLE else PairRole.LISTENING
         self.since = 0
         self.why = ""
         self._until = 0
@@ -116,7 +95,7 @@ class Leadership:
     @property
     def leading(self) -> bool:
         """Whether it speaks in this step if it is able to."""
-        return self.state is State.LEADING
+        return self.state is PairRole.LEADING
 
     def hear(self, message_step: int, step: int) -> None:
         """Note a message of the other one; one from the future shows nothing, because robots reject it too."""
@@ -170,10 +149,10 @@ class Leadership:
         return (self._takeover + 1) * (2 if self._rank == STANDBY else 1)
 
     def _listen(self, step: int, steps: int, why: str) -> None:
-        self._become(State.LISTENING, step, why)
+        self._become(PairRole.LISTENING, step, why)
         self._until = step + steps
 
-    def _become(self, state: State, step: int, why: str) -> None:
+    def _become(self, state: PairRole, step: int, why: str) -> None:
         self.state, self.since, self.why = state, step, why
         self._agreed = 0
 
@@ -186,15 +165,15 @@ class Leadership:
 
     def _decide(self, step: int, *, able: bool) -> None:
         peer = self.hears_peer(step)
-        if self.state is State.LEADING:
+        if self.state is PairRole.LEADING:
             if peer and step - self._spoke > self._takeover:
-                self._become(State.FOLLOWING, step, "had nothing to say, and the peer speaks")
+                self._become(PairRole.FOLLOWING, step, "had nothing to say, and the peer speaks")
             elif self._rank == STANDBY and self._agreed >= AGREED:
-                self._become(State.FOLLOWING, step, "the primary speaks")
+                self._become(PairRole.FOLLOWING, step, "the primary speaks")
         elif peer:
-            if self.state is State.LISTENING:
-                self._become(State.FOLLOWING, step, "the peer speaks")
-        elif self.state is State.LISTENING:
+            if self.state is PairRole.LISTENING:
+                self._become(PairRole.FOLLOWING, step, "the peer speaks")
+        elif self.state is PairRole.LISTENING:
             # Were both waiting for robots or the plane, the primary begins.
             patience = self._takeover + 1 if self._rank == STANDBY else 0
             if able and step >= max(self._until, self._able_since + patience):
@@ -203,7 +182,7 @@ class Leadership:
             self._lead(step, "peer silent")
 
     def _lead(self, step: int, why: str) -> None:
-        self._become(State.LEADING, step, why)
+        self._become(PairRole.LEADING, step, why)
         self._spoke = step
 
 
