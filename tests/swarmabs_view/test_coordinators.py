@@ -18,7 +18,7 @@ from swarmabs_core.realtime.base import Health, Level
 from swarmabs_ros.managed import diagnostic_array
 from swarmabs_ros.start import SwarmNode, initialise
 from swarmabs_run.roles import SILENT, STANDS_BY, Roles, write_roles
-from swarmabs_view.coordinators import FORGOTTEN, DiagnosedRoles, coordinators_at
+from swarmabs_view.coordinators import FORGOTTEN, DiagnosedRoles, coordinators_at, takeovers
 from swarmabs_view.listener import DiagnosticsListener
 from swarmabs_view.live import LiveSession, LiveView
 from swarmabs_view.playback import PlaybackSession, open_recording
@@ -74,6 +74,7 @@ def test_a_page_shows_them_live_and_of_the_bag_with_takeovers_as_events(
     assert [(e.kind, e.step, e.detail) for e in events.events] == [
         (EventKind.LEADING.name, 10, leading),
         (EventKind.LEADING.name, 14, f"{CONTROLLER}: publishes again"),
+        (EventKind.LEADING.name, 20, f"{standby_name(RECORDER)}: {RECORDER} was killed by SIGKILL"),
     ]
 
     without = PlaybackSession(open_recording(run))
@@ -84,11 +85,18 @@ def test_a_page_shows_them_live_and_of_the_bag_with_takeovers_as_events(
     recording = open_recording(folder)
     steps = [event.step for event in recording.events.events]
     assert steps == sorted(steps)
-    assert len(steps) == len(without.recording.events.events) + 2
+    assert len(steps) == len(without.recording.events.events) + 3
     playback = PlaybackSession(recording)
     playback.control(Seek(v=1, type="seek", step=12))
     (coordinators,) = told(playback.poll(0.0), Coordinators)
     assert shown(coordinators)[1][::2] == ("is silent", "leads")
+
+
+def test_no_recorder_takes_over_that_is_lost_itself() -> None:
+    roles = Roles(PAIRS)
+    for step, node in enumerate((standby_name(RECORDER), RECORDER), start=5):
+        assert [role.node for role in roles.lose(node, step, "was stopped")] == [node]
+    assert not takeovers(roles.all)
 
 
 def test_in_real_time_one_whose_diagnostics_end_is_silent() -> None:

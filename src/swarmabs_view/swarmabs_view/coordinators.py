@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, standby_name
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_core.pair_role import ROLE, ROLE_FOR
+from swarmabs_core.pair_role import RECORDS, ROLE, ROLE_FOR
 from swarmabs_run.roles import LEADS, LOST, SILENT, roles_at
 from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 FORGOTTEN = 3.0
 """Time, s, without diagnostics after which a node counts as silent; nodes publish them once a second."""
+_STANDBY_RECORDER = standby_name(RECORDER)
 _UNHEARD = Coordinator(role=SILENT, seconds=None, ok=False)
 
 
@@ -74,9 +75,18 @@ def coordinators_at(roles: Sequence[Role], step: int, period: float) -> Coordina
 
 
 def takeovers(roles: Sequence[Role]) -> list[SwarmEvent]:
-    """Return the takeovers of a run in lockstep as the events that coordinators in real time publish."""
-    return [
-        SwarmEvent(0, role.step, 0, EventKind.LEADING, 0.0, f"{role.node}: {role.why}")
-        for role in roles
-        if role.role == LEADS and role.is_news
-    ]
+    """Return the takeovers of a run in lockstep as the events that coordinators in real time publish.
+
+    Both recorders record, so that of the standby takes over by the loss of the other one.
+    """
+    now: dict[str, str] = {}
+    found = []
+    for role in roles:
+        now[role.node] = role.role
+        if not role.is_news:
+            continue
+        if role.role == LEADS:
+            found.append((role.step, f"{role.node}: {role.why}"))
+        elif (role.node, role.role, now.get(_STANDBY_RECORDER)) == (RECORDER, LOST, RECORDS):
+            found.append((role.step, f"{_STANDBY_RECORDER}: {RECORDER} {role.why}"))
+    return [SwarmEvent(0, step, 0, EventKind.LEADING, 0.0, detail) for step, detail in found]
