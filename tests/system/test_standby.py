@@ -1,16 +1,21 @@
 """Runs with standbys, as processes over DDS, in which coordinators are killed or stopped."""
 
+import asyncio
 import json
 import os
 import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.system import helpers as runs
+from tests.system.test_view import look
+from tests.systems import BEAM_SCENARIO
 
 from swarmabs_bag.merge import merge_bags
 from swarmabs_bag.reader import open_bag
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, standby_name
+from swarmabs_core.messages import EventKind
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
@@ -48,6 +53,30 @@ def test_a_coordinator_dies(folder: Path, scenario: str, node: str) -> None:
         assert f"{standby_name(node)} leads from step {leads['step']}: {node} " in runs.run_log(folder)
         assert merge_bags([folder, folder / "standby"], folder / "both" / "bag").complete
         assert outcome.figures["digest"] == runs.bag_digest(runs.bag_messages(folder / "both"))
+
+
+@pytest.mark.usefixtures("systems")
+@pytest.mark.parametrize("node", [CONTROLLER, RECORDER])
+def test_a_view_of_another_parent_system_shows_the_takeover(
+    folder: Path, tmp_path: Path, packages: Path, monkeypatch: pytest.MonkeyPatch, node: str
+) -> None:
+    scenario = tmp_path / "beam.yaml"
+    scenario.write_text(BEAM_SCENARIO, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(packages), prepend=os.pathsep)
+    length = runs.seconds(20.0)
+    words = ("--view", "--standby", "--set", length, "--set", f"faults=[{fault(node, at=1.5)}]")
+
+    def takeovers(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        events = [event for message in found if message["type"] == "events" for event in message["events"]]
+        return [event for event in events if event["kind"] == EventKind.LEADING.name]
+
+    with runs.started_swarm("run", scenario, "-o", folder, *words) as command:
+        (told,) = takeovers(asyncio.run(look(runs.view_address(command), takeovers)))
+        finished = command.wait()
+    assert finished.code == 0, finished.err
+    assert told["detail"].startswith(f"{standby_name(node)}: {node} ")
+    assert told["step"] >= 150
+    assert runs.summary_of(folder)["digest"] == runs.simulated_digest(str(scenario), length)
 
 
 def test_three_are_stopped_and_two_of_them_continue(folder: Path) -> None:
