@@ -15,8 +15,10 @@ def test_no_fault_stops_a_robot_for_long(seed: str, tmp_path: Path) -> None:
     folder = tmp_path / "fleet"
     with running(folder, seed, print) as trials:
         times = [trials.run(number) for number in range(COUNT)]
+        restarted = trials.restart()
     assert Bags.of(folder).merge(trials.fleet.checkout.swarm, folder) == []
     recorded = Recorded(folder / "AB")
     found = {number: recorded.outcome(*each).problems for number, each in enumerate(times)}
     assert not any(found.values()), [(drawn(seed, number), problems) for number, problems in found.items() if problems]
     assert recorded.takeovers > 0
+    assert recorded.outcome(*restarted).problems == [], "a restart of host after host"

@@ -146,6 +146,15 @@ class Trials:
         self._until_whole("spare" if trial.of == "base" else "base")
         return begin, time.time_ns()
 
+    def restart(self) -> tuple[int, int]:
+        """Restart the coordinators by the script of each host, with no look at them in between; return as `run`."""
+        begin = time.time_ns()
+        for place in ("spare", "base", "spare"):  # the last two each time need the one that was restarted just before
+            self._prefer()
+            self.fleet.places[place].run(f"/etc/swarmabs/{_NAME}/restart.sh")
+        self._until_whole("base")
+        return begin, time.time_ns()
+
     def close(self) -> None:
         """End the operators."""
         for _, stack in self._operators.values():

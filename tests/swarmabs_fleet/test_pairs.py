@@ -1,12 +1,14 @@
 """Coordinators with a standby as an operator sees and commands them; their nodes are simulated."""
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 
 import pytest
 from tests.swarmabs_fleet.fleets import EXAMPLES
 
 from swarmabs_cli import main
+from swarmabs_cli.fleet import operate
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_fleet import pairs
 from swarmabs_fleet.operate import HealthMonitor, OperatorClient, target
@@ -25,6 +27,7 @@ class Nodes(OperatorClient):
 
     doing: dict[str, str]
     takes_over: bool = True
+    left: dict[str, str] = field(default_factory=dict)
     called: list[str] = field(default_factory=list)
 
     def call_each(self, services: Sequence[str], patience: float) -> dict[str, str]:
@@ -42,7 +45,7 @@ class Nodes(OperatorClient):
     def listen(self, monitor: HealthMonitor, patience: float, enough: Callable[[], bool]) -> None:
         for node, role in self.doing.items():
             if role and node in monitor.hosts:
-                monitor.hear(node, 0, "", {"role": role}, 0.0)
+                monitor.hear(node, 0, "", {"role": role, "left": self.left.get(node, "")}, 0.0)
         enough()
 
 
@@ -73,6 +76,19 @@ def test_a_stop_needs_either_controller_and_a_reset_the_one_that_leads(primary: 
         nodes = Nodes({PRIMARY: "alone"})
         assert pairs.stop(found, nodes, 0.0) == []
         assert nodes.called == ["swarm/stop"]
+
+
+@pytest.mark.parametrize(("confirming", "code"), [(("leads",), 0), (("stands by",), 1), ((), 1)])
+def test_the_observer_that_leads_confirms_a_removal(
+    confirming: tuple[str, ...], code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for roles in (("leads", "stands by"), ("stands by", "leads")):
+        doing = dict(zip(("abstraction_observer", "abstraction_observer_standby"), roles, strict=True))
+        nodes = Nodes(doing, left={node: "1 2" for node, role in doing.items() if role in confirming})
+        monkeypatch.setattr(nodes, "announced", lambda *_: nullcontext())
+        monkeypatch.setattr(operate, "joined", lambda _, nodes=nodes: nullcontext(nodes))
+        assert main(["remove", str(EXAMPLES["standby"]), "2"]) == code
+        assert ("only a silent robot can be removed" in capsys.readouterr().err) == bool(code)
 
 
 def test_a_failover_swaps_those_that_are_ready_for_it() -> None:

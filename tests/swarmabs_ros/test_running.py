@@ -133,6 +133,23 @@ def test_a_node_in_real_time_ticks_until_it_is_told_to_stop(told: Told) -> None:
     assert told.notices == ["READY=1\nSTATUS=active", "STOPPING=1"]
 
 
+def test_systemd_waits_for_a_node_until_it_has_settled(told: Told, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(managed_module, "DIAGNOSTICS_PERIOD", 0.05)
+    waits = "STATUS=waiting until it leads or stands by"
+    told.then |= {waits: told.active.set, "READY=1\nSTATUS=active": terminate}
+    node, asked = Ticking(told), list[int]()
+
+    def settled() -> bool:
+        asked.append(node.ticks)
+        return len(asked) == 3
+
+    words = given(period_ns="2000000")
+    spec = RealtimeSpec(node, 0.0, settled=settled)
+    assert run_realtime(PLANE, (), lambda *_: spec, [*COMMAND_LINE, *words]) == 0
+    assert told.notices == [waits, waits, "READY=1\nSTATUS=active", "STOPPING=1"]
+    assert told.events() == ["ready", "timing"], "a run does not wait for that"
+
+
 def test_a_node_that_fails_is_halted_and_says_why(told: Told, capfd: pytest.CaptureFixture[str]) -> None:
     told.then["timing"] = terminate  # it has left the active state
     node = Ticking(told, tick_3=fail)

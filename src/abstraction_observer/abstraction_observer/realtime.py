@@ -32,6 +32,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
         observer,
         OBSERVER_PHASE,
         services={} if config.pair.single else {RELEASE: observer.release},
+        settled=lambda: observer.settled,
         tune=lambda changed: observer.tuned(changed.made(RealtimeObserverConfig)),
     )
 

@@ -40,6 +40,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG00
         CONTROLLER_PHASE,
         wakes=(PLANE_STATE,),
         services=offered,
+        settled=lambda: controller.settled,
         tune=lambda changed: controller.tuned(law_of(changed.made(RealtimeControllerConfig))),
     )
 

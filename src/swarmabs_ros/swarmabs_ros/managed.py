@@ -65,6 +65,8 @@ class RealtimeSpec:
         Topics whose messages are answered at once.
     services : mapping
         An operator's commands (``std_srvs/Trigger``) by name; the callables take the time, ns since 1970.
+    settled : callable
+        Returns whether the node does its work; may be called by any thread. Until then systemd regards it as starting.
     tune : callable, optional
         Returns a callable that installs the gains of other settings; raises `InputError` if they are invalid.
     """
@@ -74,6 +76,7 @@ class RealtimeSpec:
     endpoints: Endpoints | None = None
     wakes: tuple[Topic, ...] = ()
     services: Mapping[str, Callable[[int], Messages]] = field(default_factory=dict)
+    settled: Callable[[], bool] = lambda: True
     tune: Tune | None = None
 
 
@@ -96,6 +99,8 @@ class RealtimeNode(LifecycleNode):
         self._status: StatusChannel
         self._tuning: Tuning
         self._executor: Executor
+        self._settled: Callable[[], bool]
+        self._is_ready = False
         self._clock_of_steps: StepClock | None = None
         self._before: tuple[Any, ...] | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
@@ -139,7 +144,8 @@ class RealtimeNode(LifecycleNode):
             return self._refuse("activate", error)
         self.notes.info("active")
         self._status.send("ready")
-        notify("READY=1\nSTATUS=active")
+        self._is_ready = False
+        self._notify_ready()
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -224,6 +230,7 @@ class RealtimeNode(LifecycleNode):
         self._clock_of_steps = StepClock(self._schedule, spec.phase)
         self._loop.attach(Engine(spec.behaviour, self._clock_of_steps, receiver, depths, publishers, spec.wakes))
         self._tuning.configured(spec.tune)
+        self._settled = spec.settled
         for name, command in spec.services.items():
             self.create_service(Trigger, name, self._operating(command))
 
@@ -285,6 +292,13 @@ class RealtimeNode(LifecycleNode):
 
     def _diagnose(self) -> None:
         self._diagnostics.publish(diagnostic_array(self.get_name(), self.health(), read_clocks().system))
+        if self.state == "active" and not self._is_ready:
+            self._notify_ready()
+
+    def _notify_ready(self) -> None:
+        """Report to systemd that the node is ready, once it has settled: a restart of its unit waits for that."""
+        self._is_ready = self._settled()
+        notify("READY=1\nSTATUS=active" if self._is_ready else "STATUS=waiting until it leads or stands by")
 
     def health(self) -> Health:
         """Return the health of the node in any state."""

@@ -1,5 +1,7 @@
 """Which one of a pair of coordinators speaks, by hand, and by a search of all that can happen to two pairs."""
 
+from random import Random
+
 import pytest
 from tests.swarmabs_core.realtime import leadership_model as model
 from tests.swarmabs_core.realtime.nodes import CLOCK, at, broadcasts, controller, desired, kinds, scenario, states
@@ -10,7 +12,7 @@ from swarmabs_core.realtime import broadcasts as inbox
 from swarmabs_core.realtime.base import Sender
 from swarmabs_core.realtime.broadcasts import BroadcastInbox, Coordinators
 from swarmabs_core.realtime.controller import RealtimeController
-from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY, Leadership, Pair, Voice
+from swarmabs_core.realtime.leadership import PRIMARY, SETTLES, SINGLE, STANDBY, Leadership, Pair, Voice
 from swarmabs_core.realtime.modes import ModeLatch, PublishedMode
 from swarmabs_core.realtime.observer import RealtimeObserver
 from swarmabs_core.realtime.validation import Bounds
@@ -299,6 +301,46 @@ def test_events_from_the_time_in_which_neither_spoke_are_published_by_the_next_l
     leads = msg.SwarmEvent(at(115), 115, 0, msg.EventKind.LEADING, 0.0, "observer_standby: peer silent")
     assert voice.say((event(115),), at(115), 115) == (leads, *map(event, range(112, 116)))
     assert voice.say((event(116),), at(116), 116) == (event(116),)
+
+
+def spoke(voice: Voice, step: int, *, able: bool) -> bool:
+    """Execute a step; return whether something was published."""
+    return bool(voice.say((msg.SwarmEvent(0, step, 1, msg.EventKind.DEAD, 0.0, ""),), at(step), step, able=able))
+
+
+@pytest.mark.parametrize("rank", [PRIMARY, STANDBY])
+def test_once_one_has_settled_the_other_may_stop(rank: str) -> None:
+    draw = Random(f"settles {rank}")
+    for _ in range(300):
+        voice = Voice("observer", leadership(rank), rank)
+        peer, source = (100 + draw.choice((draw.randrange(5), draw.randrange(80))) for _ in range(2))
+        k = 100
+        while not voice.settled:
+            if k >= peer:
+                voice.leadership.hear(k - draw.randrange(2), k)
+            spoke(voice, k, able=k >= source)
+            k += 1
+        # It has heard robots or plane, and has not left before it knew them for a while.
+        assert source + 10 < k <= max(peer, source) + 25
+        # Now the peer stops.
+        assert any(spoke(voice, later, able=True) for later in range(k, k + TAKEOVER + 2)), (peer, source, k)
+
+
+def test_one_that_hears_nothing_is_not_awaited_for_ever() -> None:
+    assert Voice("observer", leadership(SINGLE), SINGLE).settled
+    voice, steps = Voice("observer", leadership(PRIMARY), PRIMARY), 0
+    while not voice.settled:
+        spoke(voice, 100 + steps + 10**6 * (steps > 30), able=False)  # the clock of the host is set meanwhile
+        steps += 1
+    assert steps == SETTLES * 10 + 1
+
+
+def test_two_controllers_that_start_in_stop_do_not_wait_for_each_other() -> None:
+    pair = [paired_controller(rank, msg.Mode.STOP) for rank in (PRIMARY, STANDBY)]
+    last = SETTLES * 2 * CLOCK.steps(1.0) + 1
+    for k in range(last + 1):
+        assert all(one.tick(at(k)) == () for one in pair)
+    assert all(one.settled for one in pair)
 
 
 def test_a_single_controller_obeys_no_other_one() -> None:

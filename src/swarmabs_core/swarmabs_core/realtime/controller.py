@@ -157,6 +157,11 @@ class RealtimeController:
         self._restart()
         return self._voice.say(self._announced(now, step), now, step)
 
+    @property
+    def settled(self) -> bool:
+        """Whether the other one of the pair may stop; always for one without a peer."""
+        return self._voice.settled
+
     def release(self, now: int) -> Messages:
         """Hand over to the other one of the pair."""
         self._voice.leadership.release(self._config.schedule.step(now))

@@ -25,6 +25,8 @@ PROMPT = 2
 """Largest age, in steps, of a message that was heard without delay."""
 _LISTENS = {SINGLE: 0.0, PRIMARY: 1.0, STANDBY: 2.0}
 """Time, s, for which an instance that starts listens."""
+SETTLES = 10
+"""How many times as long as it listens an instance waits at its start until it can replace the other one."""
 _NEVER = -(2**62)
 _MOST_KEPT = 1000
 """Number of events that an instance keeps while nobody speaks."""
@@ -144,6 +146,17 @@ class Leadership:
         return *role_values(self._rank, self.state.value, seconds), ("peer", peer)
 
     @property
+    def starting(self) -> int:
+        """Steps for which it listens when it starts: in that time nodes discover each other."""
+        return self._starting
+
+    def settled_for(self, step: int) -> int:
+        """Return for how many steps it has led or stood by, and heard what it needs to speak."""
+        if self.state is State.LISTENING or step - self._able > self._takeover:
+            return 0
+        return step - max(self.since, self._able_since)
+
+    @property
     def _pause(self) -> int:
         """Steps to listen after a pause: the two differ, so that after a pause of both they do not begin at once."""
         return (self._takeover + 1) * (2 if self._rank == STANDBY else 1)
@@ -190,6 +203,12 @@ class Voice:
     """Passes on what one of a pair says while it leads, and tells that it has begun to; `name` is that of its primary.
 
     Events from the time in which neither spoke are published by the one that then leads.
+
+    Attributes
+    ----------
+    settled : bool
+        Whether the other one may stop: this one has led or stood by, and could have spoken, for as long as it listens
+        at its start. It is also set after `SETTLES` times as many steps, for then perhaps there is nothing to hear.
     """
 
     def __init__(self, name: str, leadership: Leadership, rank: str) -> None:
@@ -198,6 +217,9 @@ class Voice:
         self._name = name + STANDBY_SUFFIX if rank == STANDBY else name
         self._kept: deque[Message] = deque(maxlen=_MOST_KEPT)
         self._leads = False
+        self.settled = self._single
+        self._counted = 0
+        self._step = _NEVER
 
     def say(self, messages: Messages, now: int, step: int, *, able: bool = True) -> Messages:
         """Return what is published of the messages of a step at a time (ns); arguments as for `Leadership.tick`."""
@@ -205,6 +227,7 @@ class Voice:
             return messages
         speaks, led = self.leadership.tick(step, able=able), self._leads
         self._leads = speaks
+        self._settle(step)
         if not speaks:
             if self.leadership.hears_peer(step):
                 self._kept.clear()
@@ -217,3 +240,10 @@ class Voice:
         kept = (SwarmEvent(now, max(0, step), 0, EventKind.LEADING, 0.0, detail), *self._kept)
         self._kept.clear()
         return (*kept, *messages)
+
+    def _settle(self, step: int) -> None:
+        self._counted += step != self._step  # not their difference: the clock of a host that starts may be set
+        self._step = step
+        starting = self.leadership.starting
+        if self.leadership.settled_for(step) >= starting or self._counted > SETTLES * starting:
+            self.settled = True

@@ -198,6 +198,11 @@ class RealtimeObserver:
         answer = (self._provenance(standing, step, now), *self._sums.sum_up(self._states, standing, step, now))
         return self._voice.say((*events, *answer), now, step, able=self._hears_robots)
 
+    @property
+    def settled(self) -> bool:
+        """Whether the other one of the pair may stop; always for one without a peer."""
+        return self._voice.settled
+
     def release(self, now: int) -> Messages:
         """Hand over to the other one of the pair."""
         self._voice.leadership.release(self._config.schedule.step(now))
