@@ -152,7 +152,7 @@ class Leadership:
 
     def settled_for(self, step: int) -> int:
         """Return for how many steps it has led or stood by, and heard what it needs to speak."""
-        if self.state is State.LISTENING or step - self._able > self._takeover:
+        if self.state is PairRole.LISTENING or step - self._able > self._takeover:
             return 0
         return step - max(self.since, self._able_since)
 
