@@ -173,7 +173,16 @@ def test_operators_and_standbys(secured: Path, tmp_path: Path) -> None:
         with fleet.operator(fleet.spare) as operator:
             operator.until_following(*fleet.ids)
             operator.until_calm()
+        fleet.base.power_on()
+        fleet.base.until_active(fleet.target)
+        in_order(fleet.spare)
         fleet.check_bodies()
+        for station in (fleet.base, fleet.spare):
+            station.run("systemctl", "stop", "--", fleet.target)
+        (whole,) = (fleet.spare.state / f"swarmabs-{fleet.name}").glob(f"{fleet.name}-*")
+        for command in ("verify", "info"):
+            told = fleet.spare.swarm(command, whole)
+            assert told.returncode == 0, told.stdout + told.stderr
 
 
 def test_a_robot_with_a_topic_drive_and_a_measured_plane(secured: Path, tmp_path: Path) -> None:
