@@ -35,11 +35,12 @@ def carrying(variable: str) -> dict[int, str]:
     return found
 
 
-def until(condition: Callable[[], object], what: str, seconds: float = 60.0) -> None:
-    """Wait until a condition holds; fail if it does not in time."""
+def until(condition: Callable[[], object], what: str | Callable[[], str], seconds: float = 60.0) -> None:
+    """Wait until a condition holds; fail if it does not in time. `what` it is may be a text made only then."""
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline, f"not within {seconds:g} s: {what}"
+        if time.monotonic() >= deadline:
+            raise AssertionError(f"not within {seconds:g} s: {what if isinstance(what, str) else what()}")
         time.sleep(0.01)
 
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -212,16 +213,16 @@ class Operator(Client):
     def until_following(self, *numbers: int) -> None:
         """Wait until robots follow broadcasts that they have not been heard to follow yet."""
         for number in numbers:
-            before = self.state(number).get("step", -1)
-            until(
-                lambda number=number, before=before: self._follows(number, before),  # type: ignore[misc]
-                f"robot {number} follows; {self.state(number)}; {self.health(f'agent_{number:03d}')}",
-                PATIENCE,
-            )
+            follows = partial(self._follows, number, self.state(number).get("step", -1))
+            until(follows, partial(self._all, number), PATIENCE)
 
     def _follows(self, number: int, before: int) -> bool:
         state = self.state(number)
         return bool(state) and state["step"] > before + 10 and before < state["broadcast_step"] <= state["step"]
+
+    def _all(self, number: int) -> str:
+        look = self.look()
+        return f"robot {number} follows; {self.state(number)}; {look['diagnostics']}; {look['events'][-20:]}"
 
     def follows(self, number: int) -> bool:
         """Tell whether a robot follows the broadcasts of these days."""
@@ -238,7 +239,7 @@ class Operator(Client):
             newest[:] = self.calm(CALM)
             return newest[0] >= CALM_FOR
 
-        until(calm, f"{CALM_FOR} states in a row within {CALM} rad; calm for, and newest: {newest}", PATIENCE)
+        until(calm, lambda: f"{CALM_FOR} states in a row within {CALM} rad; calm for, newest: {newest}", PATIENCE)
 
     def reset(self) -> None:
         """Let the swarm move."""

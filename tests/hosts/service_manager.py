@@ -120,7 +120,9 @@ class Service:
                     said = set(channel.recv(4096).split(b"\n"))
                 except TimeoutError:
                     said = set()
-                if b"READY=1" in said:
+                if b"STOPPING=1" in said:
+                    patience = self._seconds("TimeoutStopSec")  # no watchdog any more, as with systemd
+                elif b"READY=1" in said:
                     self.active, patience = True, watchdog
                     self._settled.set()
                 if said & {b"READY=1", b"WATCHDOG=1"}:

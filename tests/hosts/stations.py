@@ -103,7 +103,11 @@ class Station:
     def until_active(self, unit: str) -> None:
         """Wait until a service, or all of a target, is active."""
         asking = ("systemctl", "is-active", "--quiet", unit)
-        until(lambda: self.start(*asking).wait() == 0, f"{unit} is active on {self.name}; {self.log()}", _BOOT_WITHIN)
+        until(
+            lambda: self.start(*asking).wait() == 0,
+            lambda: f"{unit} is active; {self.log()}",
+            _BOOT_WITHIN,
+        )
 
     def log(self) -> str:
         return "\n".join(f"{path.name}:\n{path.read_text()}" for path in sorted((self.etc / "log").glob("*.log")))

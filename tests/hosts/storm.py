@@ -74,7 +74,7 @@ class Storm:
                     operator.reset()
                 return operator.calm(CALM)[0] >= CALM_FOR and all(map(operator.follows, self.fleet.ids))
 
-            until(in_order, f"order; {operator.look()['newest']}", 3.0 * PATIENCE)
+            until(in_order, lambda: f"order; {operator.look()['newest']}", 3.0 * PATIENCE)
         self.tell("all robots follow, and the plane is level")
 
     def check(self) -> None:

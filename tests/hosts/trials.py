@@ -231,7 +231,7 @@ class Trials:
             ]
             return all(role == {"leads", "stands by"} for role in roles)
 
-        until(whole, f"all pairs are whole, seen from {seen_from}: {operator.look()}", PATIENCE)
+        until(whole, lambda: f"all pairs are whole, seen from {seen_from}: {operator.look()}", PATIENCE)
 
 
 def _nodes(station: Station) -> dict[str, int]:
