@@ -163,6 +163,16 @@ class FleetOnHosts:
         for station, process in zip(stations, started, strict=True):
             assert process.wait(PATIENCE) == 0, station.log()
 
+    def lose_hosts(self) -> None:
+        """Prove that the fleet levels the plane, also after the host of robot 2, and then the base, was off."""
+        for victim in (None, self.robots[2], self.base):
+            if victim is not None:
+                victim.host.kill()
+                victim.power_on()
+                victim.until_active(self.target)
+            with self.operator() as operator:
+                operator.reset_until_calm(*self.ids)
+
     def bags(self, station: Station) -> list[Path]:
         """Return the bags that a recorder on a host has written, in the order of its starts."""
         return sorted((station.state / f"swarmabs-{self.name}").glob(f"{self.name}-*"))

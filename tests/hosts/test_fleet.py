@@ -121,13 +121,7 @@ def test_other_ways_of_discovery(discovery: str, tmp_path: Path) -> None:
         fleet = FleetOnHosts(machines, tmp_path / "fleet", discovery=discovery)
         fleet.install()
         fleet.start()
-        for victim in (None, fleet.robots[2], fleet.base):
-            if victim is not None:
-                victim.host.kill()
-                victim.power_on()
-                victim.until_active(fleet.target)
-            with fleet.operator() as operator:
-                operator.reset_until_calm(*fleet.ids)
+        fleet.lose_hosts()
         groups = {DISCOVERY_GROUP} if discovery == "multicast" else set()
         check_sockets(fleet, groups)
         for station in fleet.stations:

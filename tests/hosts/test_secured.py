@@ -46,13 +46,7 @@ def test_a_fleet_comes_up_and_its_hosts_return(discovery: str, secured: Path, tm
         fleet = FleetOnHosts(machines, tmp_path / "fleet", discovery=discovery, secured=secured)
         fleet.install()
         fleet.start()
-        for victim in (None, fleet.robots[2], fleet.base):
-            if victim is not None:
-                victim.host.kill()
-                victim.power_on()
-                victim.until_active(fleet.target)
-            with fleet.operator() as operator:
-                operator.reset_until_calm(*fleet.ids)
+        fleet.lose_hosts()
         fleet.check_bodies()
 
 

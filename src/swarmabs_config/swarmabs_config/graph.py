@@ -26,6 +26,7 @@ from enum import Enum
 from functools import cache
 from typing import Literal
 
+from swarmabs_core import pair_role
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
@@ -100,7 +101,7 @@ def agent_name(agent_id: int) -> str:
     return f"{ROBOT_PREFIX}{agent_id:03d}"
 
 
-STANDBY_SUFFIX = leadership.STANDBY_SUFFIX
+STANDBY_SUFFIX = pair_role.STANDBY_SUFFIX
 
 
 def standby_name(node: str) -> str:

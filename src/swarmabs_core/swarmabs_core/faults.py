@@ -15,6 +15,7 @@ from swarmabs_core.declaration import LONGEST_TIME, setting, setting_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import RobotState
+from swarmabs_core.pair_role import STANDBY_SUFFIX
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.plant import STEEPEST
 from swarmabs_core.steering import DISTURBANCE, REFERENCE
@@ -140,7 +141,7 @@ class NodeFault(Fault):
     node: str = setting(
         COORDINATORS[0],
         "node whose process is hit",
-        choices=(*COORDINATORS, *(f"{name}_standby" for name in COORDINATORS)),
+        choices=(*COORDINATORS, *(name + STANDBY_SUFFIX for name in COORDINATORS)),
         required=True,
     )
 

@@ -1,7 +1,9 @@
-"""What one of a pair of coordinators does, in the words of diagnostics, logs and views."""
+"""What one of a pair of coordinators is called and does, in the words of diagnostics, logs and views."""
 
 from enum import Enum
 
+STANDBY_SUFFIX = "_standby"
+"""What the name of a standby coordinator's node ends with."""
 RECORDS = "records"
 """What both of a pair of recorders do; `PairRole` tells what one of any other pair does."""
 ROLE, ROLE_FOR = "role", "role for, s"

@@ -14,6 +14,7 @@ from swarmabs_core.messages import (
     Mode,
     Topic,
 )
+from swarmabs_core.realtime.leadership import PRIMARY, STANDBY
 from swarmabs_core.realtime.modes import MOST_LATE, ModeLatch
 from swarmabs_core.realtime.validation import Heard
 
@@ -42,7 +43,7 @@ class Coordinators(NamedTuple):
 
     def values(self) -> tuple[tuple[str, str], ...]:
         """Return the values for a health status."""
-        instance = {False: "primary", True: "standby"}
+        instance = {False: PRIMARY, True: STANDBY}
         return ("follows observer", instance[self.observer]), ("follows controller", instance[self.controller])
 
 

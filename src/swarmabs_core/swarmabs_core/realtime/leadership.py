@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.declaration import same, setting
 from swarmabs_core.messages import EventKind, Message, Messages, SwarmEvent
-from swarmabs_core.pair_role import PairRole, role_values
+from swarmabs_core.pair_role import STANDBY_SUFFIX, PairRole, role_values
 from swarmabs_core.realtime.base import MOST_BACK, Realtime
 
 if TYPE_CHECKING:
     from swarmabs_core.realtime.base import Schedule
 
 SINGLE, PRIMARY, STANDBY = "single", "primary", "standby"
-STANDBY_SUFFIX = "_standby"
-"""What the name of a standby coordinator's node ends with."""
 TAKEOVER_STEPS = 2
 """Periods that a takeover takes beyond the silence after which it begins."""
 AGREED = 10
