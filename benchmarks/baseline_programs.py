@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 from benchmarks.processes import Load, load_between, sample, workers_of
 
 from swarmabs_config.graph import COORDINATORS
-from swarmabs_config.ports import domains_spanned
 from swarmabs_core.errors import RunError
 from swarmabs_run.orchestration.network import claimed_domain, dds_environment, profile_xml
 from swarmabs_run.tracing_files import tracing_files_removed
@@ -105,7 +104,7 @@ def _network(participants: int) -> Iterator[dict[str, str]]:
     """Claim a ROS domain and yield the environment variables of its participants."""
     with (
         tracing_files_removed(),
-        claimed_domain(domains_spanned(participants)) as domain,
+        claimed_domain(participants) as domain,
         TemporaryDirectory(prefix="swarmabs-bench-") as folder,
     ):
         profile = Path(folder) / "fastdds.xml"

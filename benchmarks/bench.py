@@ -21,7 +21,7 @@ from typing import Any
 import psutil
 from benchmarks.common import Settings
 from benchmarks.results import read_result, write_result
-from benchmarks.tables import Table, comparison, notes, tables
+from benchmarks.tables import Table, comparison, missing, notes, tables
 from rich.console import Console
 from rich.table import Table as RichTable
 
@@ -58,7 +58,7 @@ def bench(settings: Settings, output: Path | None, *, as_json: bool) -> None:
     InputError
         If the output folder is not empty, or a package is missing.
     RunError
-        If a measured program fails.
+        If a measured program fails; or, once the result is stored and printed, if it lacks measurements.
     """
     if "product" in settings.suites and find_spec("zmq") is None:
         raise InputError("pyzmq is missing, which the ZeroMQ baseline needs; start with ./scripts/swarm bench")
@@ -79,10 +79,13 @@ def bench(settings: Settings, output: Path | None, *, as_json: bool) -> None:
             folder.path.rmdir()
     if as_json:
         print_json(document)
-        return
-    _show(tables(document))
-    for line in (*notes(document), f"folder: {folder.path}"):
-        print(line)
+    else:
+        _show(tables(document))
+        for line in (*notes(document), f"folder: {folder.path}"):
+            print(line)
+    if lacking := missing(document):
+        robots, name, why = lacking[0]
+        raise RunError(f"{len(lacking)} measurements failed, such as {name} with {robots} robots: {why}")
 
 
 def compare(paths: Sequence[str], *, as_json: bool) -> None:

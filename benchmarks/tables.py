@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from benchmarks.baseline_programs import BASELINES
 from benchmarks.model import AGENTS, ROUND_TRIP, costs, model, spread_out
-from benchmarks.product import PACKED, PRODUCT
+from benchmarks.product import FAILED, PACKED, PRODUCT
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
@@ -105,9 +105,7 @@ def _cost(rows: list[dict[str, Any]]) -> Table:
     found = []
     for row in rows:
         for key in (PRODUCT, PACKED, row["summary"]["floor"], "zeromq"):
-            loads = [
-                repeat[key]["load"] for repeat in row["repeats"] if key in repeat and repeat[key]["load"] is not None
-            ]
+            loads = [load for repeat in row["repeats"] if (load := repeat.get(key, {}).get("load")) is not None]
             if loads:
                 shares = [f"{median(load['cpu_share'].get(role, 0.0) for load in loads):.0%}" for role in roles]
                 measures = ("cpu_ms_per_step", "switches_per_agent_step")
@@ -294,6 +292,7 @@ def notes(document: Document) -> list[str]:
         f"load average before: {machine['load_before']}",
         f"repeats: {settings['repeat']} of {settings['window']:g} s each; values are median (smallest-largest)",
     ]
+    found += [f"not measured: {name} with {robots} robots: {why}" for robots, name, why in missing(document)]
     if "solver" in document:
         solver = document["solver"]
         angle = max(repeat["largest_difference"] for repeat in solver["repeats"])
@@ -302,6 +301,17 @@ def notes(document: Document) -> list[str]:
             f"  for {solver['problem']}; their angles differ by {angle:.1g} rad at most",
         ]
     return found
+
+
+def missing(document: Document) -> list[tuple[int, str, str]]:
+    """Return robots, name and reason of every measurement of the product's suite that failed."""
+    return [
+        (row["robots"], _NAMES[name], result[FAILED])
+        for row in document.get(PRODUCT, ())
+        for repeat in row["repeats"]
+        for name, result in repeat.items()
+        if FAILED in result
+    ]
 
 
 def markdown(table: Table) -> str:

@@ -30,6 +30,7 @@ import parent_controller.realtime
 import plane_sim.driver
 import plane_sim.node
 import plane_sim.realtime
+from swarmabs_analysis.losses.check import THRESHOLDS
 from swarmabs_analysis.replay import node as replay_player
 from swarmabs_bag.recorder import node as recorder, realtime as realtime_recorder
 from swarmabs_cli import SECTIONS, swarm
@@ -80,6 +81,7 @@ PUBLIC = (
     "swarmabs_analysis.verification",
     "swarmabs_analysis.comparison.bags",
     "swarmabs_analysis.export",
+    "swarmabs_analysis.losses.check",
     "swarmabs_analysis.sweep",
     "swarmabs_core.registry",
     "swarmabs_core.controllers",
@@ -331,6 +333,12 @@ def parent_system() -> str:
     return table(("name", "meaning"), ((name.replace("``", "`"), said.replace("``", "`")) for name, said in rows))
 
 
+def losses() -> str:
+    """Return the conditions on simulated losses of robots."""
+    rows = ((code(each.name), each.form, each.reason) for each in THRESHOLDS)
+    return table(("condition", "holds if", "reason"), rows)
+
+
 def modules() -> str:
     """Return the modules for programs and notebooks, with the first line of their documentation."""
     rows = ((code(name), (ast.get_docstring(ast.parse(_source(name))) or "").splitlines()[0]) for name in PUBLIC)
@@ -459,6 +467,7 @@ def all_tables() -> dict[str, str]:
         "agent_node": parameters(agent_node.node.PARAMETERS, without=COMMON),
         "agent_group": parameters(agent_node.group.PARAMETERS),
         "parent system": parent_system(),
+        "losses": losses(),
         "recorder": parameters(recorder.PARAMETERS),
         "replay_player": parameters(replay_player.PARAMETERS),
         "steering": parameters(steering.PARAMETERS),

@@ -4,11 +4,13 @@
 """
 
 from dataclasses import dataclass
-from math import cos as cosine, inf, nan, sin as sine, tanh
+from itertools import cycle
+from math import cos as cosine, inf, nan, pi, sin as sine, tanh
 from pathlib import Path
 from typing import Any
 
 from swarmabs_core.declaration import setting
+from swarmabs_core.errors import InputError
 from swarmabs_core.systems import Constant, Need, Quantity, SystemType, Tracked
 
 G = 9.81
@@ -23,6 +25,15 @@ swarm:
     - {id: 4, kind: single_integrator, coordinates: [-0.125], constants: {mass: 0.46}}
 """
 """A scenario of four robots on the beam."""
+SATELLITE_SCENARIO = """
+schema: 1
+system: {type: satellite}
+swarm:
+  agents:
+    - {id: 1, kind: single_integrator, coordinates: 0.0, constants: {spin_inertia: 2.0e-5}}
+    - {id: 2, kind: single_integrator, coordinates: 0.0, constants: {spin_inertia: 2.0e-5}}
+"""
+"""A scenario of two reaction wheels on the satellite."""
 Vector = tuple[float, ...]
 
 
@@ -104,7 +115,7 @@ class Beam(FirstAndSecondMoment):
     def failed(self, state: Vector) -> str:
         return "the beam hit the ground" if abs(state[0]) > self.hit else ""
 
-    def limits(self, constants: Vector) -> tuple[Vector, Vector]:
+    def limits(self, constants: Vector, kind: str) -> tuple[Vector, Vector]:
         return (-self.limit,), (self.limit,)
 
     def outline(self, state: Vector) -> tuple[tuple[Vector, ...], ...]:
@@ -188,6 +199,10 @@ class Sheet:
     def reference(self, time: float) -> Vector:
         return self.amplitude * sine(0.4 * time), self.amplitude * sine(0.25 * time)
 
+    def generated(self, number: int, count: int, constants: Vector) -> Vector:
+        angle = 2.0 * pi * number / count
+        return 0.2 * cosine(angle) / constants[0], 0.2 * sine(angle)
+
 
 @dataclass(frozen=True)
 class Hover:
@@ -236,7 +251,7 @@ class Lift:
     def reference(self, time: float) -> Vector:
         return (1.0,)
 
-    def limits(self, constants: Vector) -> tuple[Vector, Vector]:
+    def limits(self, constants: Vector, kind: str) -> tuple[Vector, Vector]:
         return (0.0,), (constants[2],)
 
 
@@ -269,13 +284,79 @@ class TiltingPlane(FirstAndSecondMoment):
         return (self.k1 * state[0] + self.k2 * state[1],)
 
 
+@dataclass(frozen=True)
+class Satellite:
+    """A satellite that reaction wheels turn: it feels only the rate of the abstract state."""
+
+    inertia: float = setting(1.0, "moment of inertia, kg m^2", above=0.0)
+    gain: float = setting(1e-4, "gain of the angle, 1/s^2", minimum=0.0)
+    rate_gain: float = setting(0.4, "gain of the rate, 1/s", minimum=0.0)
+    push: float = setting(0.0, "torque that pushes it all the time, N m")
+
+    parent = (Quantity("angle", "rad"), Quantity("rate", "rad/s"))
+    abstract = (Quantity("momentum", "N m s", 2e-5),)
+    robot = (Quantity("speed", "rad/s"),)
+    constants = (Constant("spin_inertia", "kg m^2"),)
+    needs = (Need("momentum", "N m s", -0.02, 0.02),)
+    tracked: tuple[Tracked, ...] = ()
+    initial = (0.1, 0.0)
+    substep = 0.01
+
+    def contribution(self, q: Vector, constants: Vector) -> Vector:
+        return (constants[0] * q[0],)
+
+    def jacobian(self, q: Vector, constants: Vector) -> Any:
+        return ((constants[0],),)
+
+    def weight(self, constants: Vector) -> float:
+        return constants[0]
+
+    def own_motion(self, q: Vector, constants: Vector) -> Vector:
+        return (0.0,)
+
+    def derivative(self, time: float, state: Vector, abstract: Vector, rate: Vector) -> Vector:
+        return state[1], (self.push - rate[0]) / self.inertia
+
+    def controller(self, period: float) -> Any:
+        return self
+
+    def ask(self, time: float, state: Vector, desired: Vector) -> Vector:
+        return (desired[0] + self.inertia * (self.gain * state[0] + self.rate_gain * state[1]),)
+
+    def complete(self, needs: Vector) -> Vector:
+        return needs
+
+    def reference(self, time: float) -> Vector:
+        return ()
+
+
 def _far_out(_: object, q: Vector, constants: Vector) -> Vector:
     if abs(q[0]) > 0.3:
         raise ValueError("too\nfar out")
     return G * constants[0] * q[0], constants[0] * q[0] * q[0]
 
 
+def _refuse(text: str) -> Any:
+    raise InputError(text)
+
+
+def _in_turn(*values: Any) -> Any:
+    """Return a method that returns these values in turn, whatever it is called with."""
+    turn = cycle(values)
+    return lambda *_: next(turn)
+
+
 FAULTS: dict[str, dict[str, Any]] = {
+    "impure_derivative": {"derivative": _in_turn((0.0, 0.0), (1e-15, 0.0))},
+    "impure_weight": {"weight": _in_turn(1.0, 1.0 + 1e-15)},
+    "impure_reference": {"reference": _in_turn((0.0,), (1e-15,))},
+    "impure_reach": {"reach": _in_turn(True, False)},
+    "impure_outline": {"outline": _in_turn((((0.0, 1.0),),), (((0.0, 2.0),),))},
+    "shared_controller": {"controller": _in_turn(Damping(2.0, 1.0, 0.01))},
+    "offset_ask": {"controller": lambda *_: type("C", (), {"ask": lambda *_: (0.0,), "offset_ask": lambda *_: 0.0})()},
+    "refuses": {"controller": lambda *_: _refuse("no wheel is left; add a wheel")},
+    "refuses_plainly": {"controller": lambda *_: _refuse("no wheel is left")},
+    "limits_of_kinds": {"limits": lambda _, __, kind: {"double_integrator": ((-1.0,), (1.0,))}[kind]},
     "none": {},
     "jacobian": {"jacobian": lambda _, q, c: ((G * c[0],), (c[0] * q[0],))},
     "jacobian_shape": {"jacobian": lambda _, q, c: (G * c[0], 2.0 * c[0] * q[0])},
@@ -303,6 +384,12 @@ FAULTS: dict[str, dict[str, Any]] = {
             c[0] * q[0] ** 2 / (round(abs(q[0]), 3) in {0.12, 0.125, 0.2}),
         )
     },
+    "derivative_late": {"derivative": lambda _, time, *__: (0.0, 0.0 / (time < 0.05))},
+    "derivative_late_size": {"derivative": lambda _, time, *__: (0.0, 0.0)[: 1 + (time < 0.05)]},
+    "derivative_grows": {"derivative": lambda _, time, state, *__: (1e90 * state[0], 0.0 * state[0] ** 2)},
+    "disturbed_late": {"disturbed": lambda *given: (0.0, 0.0 / (given[-1] == 0.0))},
+    "failed_late": {"failed": lambda _, state: "" if state[0] == 0.15 else {}["x"]},
+    "reference_late": {"reference": lambda _, time: (0.0 / (time < 0.05),)},
     "outline": {"outline": lambda *_: ((1.0, 2.0), (2.0, 3.0))},
     "robot_place": {"robot_place": lambda *_: (0.0, 0.0, 0.0)},
     "controller_raises": {"controller": lambda *_: {}["x"]},
@@ -323,6 +410,10 @@ FAULTS: dict[str, dict[str, Any]] = {
     "parent_text": {"parent": ("angle", "rate")},
     "robot_none": {"robot": None},
     "name": {"robot": (Quantity("the position", "m"),)},
+    "lane": {"robot": (Quantity("position", "m", low=-0.2, high=0.2),)},
+    "ends": {"robot": (Quantity("position", "m", low=0.5, high=-0.5),)},
+    "ends_text": {"robot": (Quantity("position", "m", high="0.5"),)},  # type: ignore[arg-type]
+    "ends_of_parent": {"parent": (Quantity("angle", "rad", low=-1.0), Quantity("rate", "rad/s"))},
     "twice": {"parent": (Quantity("angle", "rad"), Quantity("angle", "rad/s"))},
     "scale": {"abstract": (Quantity("torque", "N m", 0.0), Quantity("inertia", "kg m^2"))},
     "scale_text": {"parent": (Quantity("angle", "rad", "0.1"), Quantity("rate", "rad/s"))},  # type: ignore[arg-type]
@@ -356,8 +447,9 @@ BEAM = SystemType.of("beam", Beam)
 SHEET = SystemType.of("sheet", Sheet)
 LIFT = SystemType.of("lift", Lift)
 TILTING_PLANE = SystemType.of("tilting_plane", TiltingPlane)
+SATELLITE = SystemType.of("satellite", Satellite)
 FAULTY = SystemType.of("faulty", Faulty)
-ALL = (BEAM, SHEET, LIFT, TILTING_PLANE, FAULTY)
+ALL = (BEAM, SHEET, LIFT, TILTING_PLANE, SATELLITE, FAULTY)
 
 
 def installed(folder: Path) -> None:
@@ -369,6 +461,7 @@ def installed(folder: Path) -> None:
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: systems-of-tests\nVersion: 1.5\n")
     points = "".join(
-        f"{name.lower()} = {module}:{name}\n" for name in ("BEAM", "SHEET", "LIFT", "TILTING_PLANE", "FAULTY")
+        f"{name.lower()} = {module}:{name}\n"
+        for name in ("BEAM", "SHEET", "LIFT", "TILTING_PLANE", "SATELLITE", "FAULTY")
     )
     (metadata / "entry_points.txt").write_text(f"[swarmabs.parent_systems]\n{points}", encoding="utf-8")

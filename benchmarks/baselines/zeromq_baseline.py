@@ -1,7 +1,9 @@
 """The same messages over ZeroMQ: PUSH and PULL for the states, PUB and SUB for the broadcasts, over Unix sockets.
 
 The sockets are in Linux's abstract namespace and leave no files. ZeroMQ loses nothing once all sockets are connected;
-resending matters only in the first step, when a subscription may come too late.
+resending matters only in the first step, when a subscription may come too late. States that have arrived are kept
+meanwhile: the agents that sent them wait for broadcasts, hear those that are resent for the late one, and so never send
+theirs again.
 """
 
 from __future__ import annotations
@@ -67,9 +69,8 @@ def agent(run: int, number: int, workers: Workers) -> None:
         step += 1
 
 
-def gather(states: zmq.Socket[bytes], robots: int, step: int) -> bool:
-    """Gather the states of all robots for a step; return False on a time-out."""
-    seen: set[int] = set()
+def gather(states: zmq.Socket[bytes], robots: int, step: int, seen: set[int]) -> bool:
+    """Gather the states of all robots for a step, beyond those already seen; return False on a time-out."""
     while len(seen) < robots:
         try:
             data = states.recv()
@@ -77,6 +78,7 @@ def gather(states: zmq.Socket[bytes], robots: int, step: int) -> bool:
             return False
         if step_of(data) == step:
             seen.add(agent_of(data))
+    seen.clear()
     return True
 
 
@@ -87,8 +89,9 @@ def observer(run: int, robots: int, workers: Workers) -> None:
     broadcasts = bound(context, zmq.PUB, address(run, "sums"))
     workers.ready()
     first, second, step = blank("abstract"), blank("auxiliary"), 0
+    seen: set[int] = set()
     while True:
-        if gather(states, robots, step):
+        if gather(states, robots, step, seen):
             step += 1
         if step:
             broadcasts.send(stamped(first, step - 1))
@@ -102,8 +105,9 @@ def plane(run: int, robots: int, workers: Workers) -> None:
     to_controller = connected(context, zmq.PUSH, address(run, "controller"))
     workers.ready()
     message, step = blank("plane"), 0
+    seen: set[int] = set()
     while True:
-        if gather(states, robots, step):
+        if gather(states, robots, step, seen):
             step += 1
         if step:
             to_controller.send(stamped(message, step - 1))

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, cast
 from layers import FOLDER, UPPER, lower
 
 from swarmabs_config.graph import CONTROLLER, PLANE, RECORDER
-from swarmabs_config.ports import domains_spanned
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import AGENT_STATE, PLANE_STATE
 from swarmabs_run.orchestration.launcher_client import LauncherClient
@@ -134,7 +133,7 @@ class CascadeRun:
         logs = self._folders[UPPER].logs
         with ExitStack() as stack:
             stack.enter_context(tracing_files_removed())
-            domain = stack.enter_context(claimed_domain(domains_spanned(len(self._processes))))
+            domain = stack.enter_context(claimed_domain(len(self._processes)))
             profile = logs / "fastdds.xml"
             profile.write_text(profile_xml(domain, peers=range(len(self._processes))), encoding="utf-8")
             environment = dds_environment(domain, str(profile.resolve()))

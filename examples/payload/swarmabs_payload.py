@@ -46,9 +46,7 @@ class Payload:
     @property
     def needs(self) -> tuple[Need, ...]:
         """The same quantities, requested by the controller."""
-        return tuple(
-            Need(name, unit, -x, x) for (name, unit, _), x in zip(self.abstract, self.request_max, strict=False)
-        )
+        return tuple(Need(row.name, row.unit, -x, x) for row, x in zip(self.abstract, self.request_max, strict=False))
 
     def contribution(self, q: Vector, constants: Vector) -> Vector:
         """Return thrust and torques of a rotor with a thrust."""
@@ -67,7 +65,7 @@ class Payload:
         """Return the rate at which a thrust fades away by itself."""
         return (-self.fading * q[0],)
 
-    def limits(self, constants: Vector) -> tuple[Vector, Vector]:
+    def limits(self, constants: Vector, _: str) -> tuple[Vector, Vector]:
         """Return the lowest and the highest thrust of a rotor."""
         return (0.0,), (constants[4],)
 

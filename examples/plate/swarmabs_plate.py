@@ -5,7 +5,7 @@ from math import cos, sin
 
 from swarmabs_core.declaration import same, setting
 from swarmabs_core.plant import Friction, Plane
-from swarmabs_core.systems import Constant, Need, Quantity, SystemType, Tracked, Vector
+from swarmabs_core.systems import Constant, Need, Quantity, Standing, SystemType, Tracked, Vector
 
 STEEPEST = 1.4  # rad
 
@@ -43,7 +43,7 @@ class Plate:
     @property
     def needs(self) -> tuple[Need, ...]:
         """The moments that the controller requests."""
-        return tuple(Need(name, unit, -self.torque_max, self.torque_max) for name, unit, _ in self.moments)
+        return tuple(Need(row.name, row.unit, -self.torque_max, self.torque_max) for row in self.moments)
 
     @property
     def initial(self) -> Vector:
@@ -102,11 +102,28 @@ class Plate:
 
     derivative = disturbed
 
-    def complete(self, needs: Vector) -> Vector:
-        """Return moments and moments of inertia: as those of a rigid formation, and a little wider."""
-        a = self.margin / (self.gravity * self.gravity * self.swarm_mass)
-        x, y = needs
-        return (x, y, a * x * x + self.offset, a * y * y + self.offset, a * x * y)
+    def complete(self, needs: Vector, standing: Standing) -> Vector:
+        """Return moments and moments of inertia: as those of a rigid formation, and a little wider.
+
+        Robots that stand keep theirs. The others form the formation around the centre that supplies the rest of the
+        moments; what they are wider shrinks with the square of their share of the mass.
+        """
+        squared, (x, y) = self.gravity * self.gravity, needs
+        a = self.margin / (squared * self.swarm_mass)
+        if not standing.robots or not standing.moving[0]:
+            return (x, y, a * x * x + self.offset, a * y * y + self.offset, a * x * y)
+        still_x, still_y, xx, yy, xy = standing
+        moving = standing.moving[0]
+        whole = moving + standing.constants[0]
+        u, v, own = x - still_x, y - still_y, 1.0 / (squared * moving)
+        wider, least = max(0.0, a - 1.0 / (squared * whole)), (moving / whole) ** 2 * self.offset
+        return (
+            x,
+            y,
+            xx + own * u * u + wider * x * x + least,
+            yy + own * v * v + wider * y * y + least,
+            xy + own * u * v + wider * x * y,
+        )
 
     def reference(self, time: float) -> Vector:
         """Return the wanted angles."""

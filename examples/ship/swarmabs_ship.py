@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from math import cos, exp, pi, sin
 
 from swarmabs_core.declaration import setting
-from swarmabs_core.systems import Constant, Need, Quantity, SystemType, Tracked, Vector
+from swarmabs_core.systems import Constant, Need, Quantity, Standing, SystemType, Tracked, Vector
 
 CAPSIZED = 1.2  # rad
 
@@ -81,10 +81,20 @@ class Ship:
 
     derivative = disturbed
 
-    def complete(self, needs: Vector) -> Vector:
-        """Return moment and moment of inertia of the swarm for a moment."""
+    def complete(self, needs: Vector, standing: Standing) -> Vector:
+        """Return moment and moment of inertia of the swarm for a moment.
+
+        Trolleys that stand keep theirs. The others must supply the rest of the moment, which takes the inertia of their
+        centre of mass; their spread about it shrinks with the square of their share of the mass.
+        """
         (moment,) = needs
-        return (moment, self.curvature * moment * moment + self.offset)
+        if not standing.robots or not standing.moving[0]:
+            return (moment, self.curvature * moment * moment + self.offset)
+        (still, inertia), moving = standing, standing.moving[0]
+        whole, squared = moving + standing.constants[0], self.gravity * self.gravity
+        spread = max(0.0, self.curvature - 1.0 / (squared * whole)) * moment * moment
+        spread += (moving / whole) ** 2 * self.offset
+        return (moment, inertia + (moment - still) ** 2 / (squared * moving) + spread)
 
     def reference(self, time: float) -> Vector:
         """Return the roll angle of an upright ship."""

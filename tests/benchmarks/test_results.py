@@ -1,26 +1,29 @@
 """Results of benchmarks, made by hand: medians, tables, charts, comparison, what is derived, and the page."""
 
+import importlib
 import json
+import sys
 from copy import deepcopy
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks import page
-from benchmarks.baseline_programs import BASELINES
+from benchmarks import page, product
+from benchmarks.baseline_programs import BASELINES, FOLDER, BaselineResult
 from benchmarks.bench import bench, compare
 from benchmarks.common import Settings, spread
 from benchmarks.model import ROUND_TRIP, Line, Model, costs, fitted, model, spread_out
-from benchmarks.processes import Memory
+from benchmarks.processes import Load, Memory
 from benchmarks.product import summary
 from benchmarks.results import CHART, DOCUMENT, LARGE_CHART, TABLES, read_result, write_result
 from benchmarks.start import LaunchResult, start_row
-from benchmarks.tables import Table, comparison, markdown, shown, tables
+from benchmarks.tables import Table, comparison, markdown, missing, notes, shown, tables
 from scipy.optimize import nnls
 
 from swarmabs_cli import main
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, RunError
 
 LOAD = {
     "seconds": 2.0,
@@ -99,6 +102,54 @@ def test_the_baseline_is_the_better_form_and_ratios_are_within_a_repeat() -> Non
     assert found["ratio_to_floor"] == {"median": 0.75, "smallest": 0.75, "largest": 0.8}
     assert found["ratio_to_zeromq"] == {"median": 0.5, "smallest": 0.3, "largest": 0.5}
     assert found["steps_per_second"]["product"]["median"] == 80.0
+
+
+def test_a_measurement_that_fails_is_tried_again_and_then_marked_and_the_others_stay(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tried: list[str] = []
+    good = BaselineResult(100.0, 0.5, Load(**LOAD))
+
+    def baseline(name: str, robots: int, **_: float) -> BaselineResult:
+        tried.append(name)
+        if name == "zeromq" or (name == "datagrams" and tried.count(name) == 1):
+            raise RunError(f"baseline {name} with {robots} robots: no step in 3 s")
+        return good
+
+    monkeypatch.setattr(product, "measure_baseline", baseline)
+    monkeypatch.setattr(product, "measure_run", lambda *_, **__: good)
+    (row,) = product.measure(Settings(robots=(20,), repeat=1, window=3.0))["product"]
+    assert (tried.count("zeromq"), tried.count("datagrams"), tried.count("rclpy_reliable")) == (2, 2, 1)
+    found = {**document(repeat(1.0)), "product": [row]}
+    speed = table_of(found, "speed")
+    cells = dict(zip(speed.headings, speed.rows[0], strict=True))
+    assert (cells["ZeroMQ"], cells["of ZeroMQ"], cells["of rclpy"]) == ("-", "-", "1")
+    assert [line for line in notes(found) if "not measured" in line] == [
+        "not measured: ZeroMQ with 20 robots: baseline zeromq with 20 robots: no step in 3 s"
+    ]
+    assert missing(found) == [(20, "ZeroMQ", "baseline zeromq with 20 robots: no step in 3 s")]
+    assert capsys.readouterr().err.count("once more") == 2
+
+
+def test_a_late_agent_does_not_make_the_zeromq_baseline_forget_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Resent broadcasts keep the others from sending again, so what they have sent must be kept."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    monkeypatch.setitem(sys.modules, "zmq", SimpleNamespace(Again=TimeoutError, Context=list, Socket=list))
+    baseline = importlib.import_module("zeromq_baseline")
+    monkeypatch.delitem(sys.modules, "zeromq_baseline")
+    monkeypatch.setattr(baseline, "step_of", lambda _: 7)
+    monkeypatch.setattr(baseline, "agent_of", lambda number: number)
+    heard = iter([1, 2, None, 3])
+
+    def recv() -> int:
+        number = next(heard)
+        if number is None:
+            raise TimeoutError
+        return number
+
+    seen: set[int] = set()
+    gathered = [baseline.gather(SimpleNamespace(recv=recv), 3, 7, seen) for _ in range(2)]
+    assert (gathered, seen) == ([False, True], set())
 
 
 def test_tables_show_the_suites_that_were_measured() -> None:

@@ -1,4 +1,4 @@
-"""docs/explanation/general_method.md: its formulas and numbers, by NumPy and SciPy, not by the package."""
+"""docs/explanation/general_method.md and losses.md: formulas and numbers, by NumPy and SciPy, not by the package."""
 
 from collections.abc import Callable
 from itertools import product
@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from tests.docs.pages import read
 
 Array = NDArray[np.float64]
-PAGE = " ".join(read("docs/explanation/general_method.md").split())
+PAGE = " ".join((read("docs/explanation/general_method.md") + read("docs/explanation/losses.md")).split())
 GRAVITY = 9.81
 SEEDS = pytest.mark.parametrize("seed", range(5))
 TINY = 1e-30
@@ -20,7 +20,7 @@ TINY = 1e-30
 
 
 def prints(*phrases: str) -> bool:
-    """Tell whether the page has all phrases, wherever its lines break."""
+    """Tell whether the pages have all phrases, wherever its lines break."""
     return all(phrase in PAGE for phrase in phrases)
 
 
@@ -265,9 +265,13 @@ def test_completion_keeps_the_swarm_reachable() -> None:
         assert np.linalg.eigvalsh(wide - np.outer(need, need) / (GRAVITY**2 * mass) - offset)[0] > -1e-12
         i_s = np.outer(x_s, x_s) / standing  # of one robot
         x_a = need / GRAVITY - x_s
-        around = i_s + 1.1 * np.outer(x_a, x_a) / (mass - standing) + offset
-        left = around - i_s - np.outer(x_a, x_a) / (mass - standing)
-        np.testing.assert_allclose(left, 0.1 * np.outer(x_a, x_a) / (mass - standing) + offset, atol=1e-12)
+        moving, form = mass - standing, np.outer(need, need)
+        wider = 1.0 / (GRAVITY**2 * least) - 1.0 / (GRAVITY**2 * mass)
+        around = i_s + np.outer(x_a, x_a) / moving + wider * form + (moving / mass) ** 2 * offset
+        left = around - i_s - np.outer(x_a, x_a) / moving
+        assert np.linalg.eigvalsh(left)[0] > 0.0
+        usual = form / (GRAVITY**2 * mass) + wider * form + offset
+        np.testing.assert_allclose(usual, wide, atol=1e-12, err_msg="the usual completion if nothing stands")
 
     m, total, offset = 0.6762, 0.3552 + 0.3532 + 0.6762 + 0.4596, 0.025  # robot 3 of the paper, the manifold at 0
 

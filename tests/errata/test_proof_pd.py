@@ -185,7 +185,7 @@ def inertia_rate(th: float, w: float, e_tau: float, e_j: float) -> float:
 
     def mismatch(rate: float) -> float:
         dw = (-cos(th) * (wanted - e_tau) - rate * w - friction(w)) / (INERTIA + inertia)
-        return rate - CURVE.inertia_rate(wanted, K1 * w + K2 * dw) - K_S2 * e_j  # eq. swarmControlLaw
+        return rate - CURVE.curve.rate(wanted, K1 * w + K2 * dw) - K_S2 * e_j  # eq. swarmControlLaw
 
     return float(brentq(mismatch, -1e3, 1e3, xtol=1e-12))
 

@@ -58,6 +58,7 @@ def test_a_fence_keeps_others_out_and_can_be_taken_down(level: str, tmp_path: Pa
         def heard(by: Host) -> set[int]:
             return {number // 100 for number, _ in receiver.heard(by)}
 
+        assert not heard(stranger)  # waits until the links, which have just been made, carry something
         receiver.hear(stranger, 0)
         assert heard(stranger) == {0}
         for _ in range(1 if level == "page" else 2):  # the script may be repeated

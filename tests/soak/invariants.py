@@ -63,7 +63,7 @@ class StaysInLane(Invariant):
     def check(self, step: RecordedStep) -> Iterator[Violation]:
         events = [record.message for record in step.records if isinstance(record.message, SwarmEvent)]
         hits = (event for event in events if event.kind == EventKind.LIMIT_HIT)
-        said = {event.agent_id for event in hits if "plane's end" in event.detail}
+        said = {event.agent_id for event in hits if "out of range" in event.detail}
         for message in states(step):
             position = true_state(message, self._lies).position
             if abs(position) <= self._half:

@@ -142,7 +142,7 @@ def test_each_invariant_holds_in_a_run_and_is_found_broken_if_one_message_is_cha
 
 def test_a_robot_beyond_the_end_needs_an_event_and_its_true_place_counts() -> None:
     events = [r.message for s in world(OFF)[1] for r in s.records if isinstance(r.message, SwarmEvent)]
-    first = next(e for e in events if e.kind == EventKind.LIMIT_HIT and "plane's end" in e.detail)
+    first = next(e for e in events if e.kind == EventKind.LIMIT_HIT and "out of range" in e.detail)
     unsaid = {(SwarmEvent, first.step, first.agent_id): {"detail": ""}}
     assert found(unsaid, OFF) == [("lane", first.step, first.agent_id)]
     assert "lane" not in {name for name, *_ in found({}, LIE)}

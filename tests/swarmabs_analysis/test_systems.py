@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
-from tests.frozen.command import swarm
+from tests.frozen.command import swarm, swarm_process
 from tests.swarmabs_analysis.report.conftest import Page
 from tests.swarmabs_analysis.report.test_report import assert_self_contained
 from tests.swarmabs_bag.mcap_files import rewritten
@@ -113,6 +113,43 @@ def record(folder: Path, text: str, *overrides: str) -> Path:
     outcome = simulate_run(parse_scenario(text, overrides=overrides).resolved(), new_run_folder(folder))
     assert outcome.status == "ok", outcome.reason
     return folder
+
+
+@pytest.mark.smoke
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("fault", ["derivative_late", "reference_late"])
+def test_an_exception_of_the_system_ends_simulate_and_run_with_one_line(
+    tmp_path: Path, fault: str, nothing_survives: str
+) -> None:
+    """The one is of a node, the other of the recorder."""
+    del nothing_survives
+    installed(tmp_path / "packages")
+    text = BEAM.replace("type: beam", f"type: faulty, fault: {fault}").replace("kill, agent: 2", "kill, agent: 5")
+    (tmp_path / "beam.yaml").write_text(text, encoding="utf-8")
+    for command in ("simulate", "run"):
+        done = swarm_process([command, "beam.yaml", "-o", command], tmp_path, [tmp_path / "packages"])
+        assert done.code == 1
+        assert "Traceback" not in done.out + done.err
+        assert re.search(r"step 5: ZeroDivisionError: float division by zero \(systems_of_tests\.py:\d+\)", done.err)
+
+
+@pytest.mark.smoke
+@pytest.mark.timeout(120)
+def test_a_generated_swarm_with_noise_and_a_slow_filter_has_one_digest(tmp_path: Path, nothing_survives: str) -> None:
+    del nothing_survives
+    installed(tmp_path / "packages")
+    parts = "sensor: {noise: [0.001, 0.01]}\nrequests: {bandwidth: 20.0, high: [3.0]}\nseed: 5\n"
+    swarm_of = "{single_integrator: 2, first_order_lag: 2, constants: {mass: [0.3, 0.6]}, coordinates: [[-0.3, 0.3]]}"
+    text = f"{BEAM.partition('swarm:')[0]}{parts}swarm:\n  generate: {swarm_of}\n"
+    (tmp_path / "beam.yaml").write_text(text, encoding="utf-8")
+    digests = {}
+    for command in ("simulate", "run"):
+        done = swarm_process([command, "beam.yaml", "-o", command, "--json"], tmp_path, [tmp_path / "packages"])
+        digests[command] = done.document()["digest"]
+    assert digests["simulate"] == digests["run"]
+    logs = {path.stem for path in (tmp_path / "run" / "logs").glob("*.log")}
+    assert "parent_system" in logs and "plane_sim" not in logs
+    assert swarm(["verify", "run"], tmp_path).code == 0
 
 
 @pytest.fixture(scope="module")
@@ -245,7 +282,9 @@ def test_runs_on_different_parent_systems_have_no_message_in_common(beam: Path, 
     assert "rms error" in done.out and "rms error, rad" not in done.out
 
 
-@pytest.mark.parametrize("nodes", ["controller", "plane", "observer", "agent:2", "agent:3 controller", "plane agent:5"])
+@pytest.mark.parametrize(
+    "nodes", ["controller", "plane", "observer", "agent:2", "agent:3 controller", "parent agent:5"]
+)
 def test_a_node_answers_its_recording_as_it_did(beam: Path, tmp_path: Path, nodes: str) -> None:
     source = open_source(beam)
     names = tuple(map(NodeName.parse, nodes.split()))

@@ -41,6 +41,7 @@ from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, SwarmabsError
+from swarmabs_core.messages import STANDING
 from swarmabs_run.simulation import simulated_steps
 
 SECONDS = 60.0
@@ -61,7 +62,7 @@ def write_bag(folder: Path, split: Split = ONE_FILE) -> Path:
     """Write the bag of a run, with the chunks of a long one."""
     scenario = SCENARIO + MORE
     attached = {"scenario.yaml": scenario, "provenance.json": PROVENANCE}
-    with bag_writer(folder, attached, chunk_bytes=4000, chunk_seconds=1e9, split=split) as writer:
+    with bag_writer(folder, attached, more=(STANDING,), chunk_bytes=4000, chunk_seconds=1e9, split=split) as writer:
         for step in simulated_steps(parse_scenario(scenario.decode())):
             for topic, stamp, payload in step.stored():
                 writer.write(topic, stamp, payload)

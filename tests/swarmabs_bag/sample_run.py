@@ -72,9 +72,12 @@ def write_bag(
     return folder
 
 
-def bag_writer(folder: Path, attachments: Mapping[str, bytes] | None = None, **options: Any) -> BagWriter:
-    """Return a writer for all topics of a run."""
-    return BagWriter(folder, topics=(*msg.MAIN_TOPICS, msg.EVENTS), attachments=dict(attachments or {}), **options)
+def bag_writer(
+    folder: Path, attachments: Mapping[str, bytes] | None = None, *, more: Sequence[msg.Topic] = (), **options: Any
+) -> BagWriter:
+    """Return a writer for the topics of a run, and for more of them."""
+    topics = (*msg.MAIN_TOPICS, msg.EVENTS, *more)
+    return BagWriter(folder, topics=topics, attachments=dict(attachments or {}), **options)
 
 
 def write_all(writer: BagWriter, run: Iterable[msg.Message]) -> None:

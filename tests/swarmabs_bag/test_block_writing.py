@@ -17,14 +17,16 @@ from swarmabs_bag.errors import BagWriteError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_bag.writer import CHUNK_BYTES, BagWriter
-from swarmabs_core.messages import EVENTS
+from swarmabs_core.messages import EVENTS, STANDING
 
 pytestmark = pytest.mark.usefixtures("systems")
 
 
 def bag_writer(name: str, folder: Path, **options: object) -> BagWriter:
-    family = run(name)[0].family
-    topics = (*family.once, *family.main, EVENTS)
+    scenario, steps = run(name)
+    family = scenario.family
+    divided = any(record.topic is STANDING for step in steps for record in step.records)
+    topics = (*family.once, *family.main, *((STANDING,) if divided else ()), EVENTS)
     return BagWriter(folder, topics=topics, attachments={"scenario.yaml": b"name: x\n"}, **options)
 
 

@@ -49,7 +49,13 @@ def collector(scenario: Any, memory: int) -> RunCollector:
     system = None if family is msg.PLANE_FAMILY else scenario.named.hash
     schedule = configure.schedule(scenario)
     return RunCollector(
-        configure.members(scenario), schedule, scenario.steps, memory=memory, family=family, system=system
+        configure.members(scenario),
+        schedule,
+        scenario.steps,
+        memory=memory,
+        division=configure.division(scenario),
+        family=family,
+        system=system,
     )
 
 
@@ -86,7 +92,7 @@ def padding(topic: msg.Topic) -> list[slice]:
 def noisy(record: Record, random: Random, *, longer: bool) -> bytes:
     """Return the bytes of a message with any padding, and sometimes more bytes at the end."""
     data = bytearray(record.payload)
-    for place in padding(record.topic) if record.topic not in msg.SYSTEM_FAMILY.main else ():
+    for place in padding(record.topic) if record.topic not in (*msg.SYSTEM_FAMILY.main, msg.STANDING) else ():
         data[place] = random.randbytes(place.stop - place.start)
     return bytes(data) + random.randbytes(random.choice((0, 0, 0, 3)) if longer else 0)
 
@@ -106,7 +112,7 @@ def arriving(scenario: Any, steps: list[RecordedStep], random: Random) -> list[l
                     sent.append(single(record.topic, data))
             found += [(step.step + spread * random.random(), each) for each in sent]
     found.sort(key=lambda timed: timed[0])
-    order = (msg.EVENTS, msg.SWARM_STATES, *family.main, *family.once)
+    order = (msg.EVENTS, msg.SWARM_STATES, *family.main, *family.once, msg.STANDING)
     batches: list[list[Arrived]] = []
     while found:
         size = random.choice((1, 5, 50, 500))
@@ -191,20 +197,19 @@ def test_batches_give_the_steps_and_the_errors_of_their_messages(
 
 def test_ordinary_steps_come_in_blocks_of_the_same_robots() -> None:
     faults = "faults=[{at: 0.08, kind: join, agent: 2}, {at: 0.11, kind: kill, agent: 3}]"
-    scenario = builtin("pd_di_4", "duration=0.2", faults).resolved()
+    scenario = builtin("pd_di_4", "duration=2.3", faults).resolved()
     steps = list(Simulation(scenario).steps())
-    by_topic: dict[msg.Topic, list[bytes]] = {}
-    for topic, _, payload in (stored for step in steps for stored in step.stored()):
-        by_topic.setdefault(topic, []).append(payload)
     book, found = collector(scenario, 250), list[RecordedStep | Block]()
-    for topic in (msg.EVENTS, *msg.MAIN_TOPICS):
-        found += book.add_all(topic, by_topic[topic])
+    for part in (steps[:212], steps[212:]):
+        by_topic: dict[msg.Topic, list[bytes]] = {}
+        for topic, _, payload in (stored for step in part for stored in step.stored()):
+            by_topic.setdefault(topic, []).append(payload)
+        for topic in (msg.EVENTS, *msg.MAIN_TOPICS, msg.STANDING):
+            found += book.add_all(topic, by_topic.get(topic, []))
     assert [(each.step, each.events != ()) for each in found] == [
         (7, False),
-        (8, True),
-        (11, False),
-        (12, True),
-        (20, False),
+        *((step, step in {8, 12}) for step in range(8, 212)),  # 2 s from a change on, the abstract state is divided
+        (230, False),
     ]
     assert outcome(found)[0] == steps
 
@@ -241,7 +246,7 @@ def test_the_bag_is_the_same_byte_for_byte_however_messages_arrive(
     spec = node.make(settings_from(node.PARAMETERS, **given_folders(tmp_path)), StatusChannel("recorder"))
     hear_all: Callable[[msg.Topic, list[bytes]], object] | None = spec.hear_all
     assert hear_all is not None
-    topics = (msg.EVENTS, *scenario.family.main, *scenario.family.once)
+    topics = (msg.EVENTS, *scenario.family.main, *scenario.family.once, msg.STANDING)
     for first in range(0, len(steps), batch):
         stored = [each for step in steps[first : first + batch] for each in step.stored()]
         for topic in topics:

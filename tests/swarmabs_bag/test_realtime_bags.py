@@ -33,7 +33,7 @@ from swarmabs_bag.repair import repair_bag
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, Message, PlaneState
+from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, STANDING, Message, PlaneState
 
 pytestmark = pytest.mark.timeout(60)  # a report takes 5 s of processor time
 
@@ -104,7 +104,7 @@ def test_a_bag_is_verified_and_arrays_begin_at_the_first_step(made: MakeBag, nam
     found = BagToVerify(bag).verify()
     assert (found.ok, found.complete, found.digest, found.not_checkable) == (True, True, None, {})
     assert all(channel.topic is not None for channel in open_bag(bag).channels)
-    assert found.messages == sum(stored.topic in MAIN_TOPICS for stored in world(name).bag)
+    assert found.messages == sum(stored.topic in {*MAIN_TOPICS, STANDING} for stored in world(name).bag)
     assert json.loads(json.dumps(found.to_dict()))["ok"] is True
     arrays = load_arrays(bag)
     assert (arrays.time[0], arrays.step[0]) == (0.0, EPOCH // 10_000_000 if since_1970 else 0)

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
-from typing import Any
+from typing import Any, cast
 from unittest.mock import Mock
 
 import pytest
@@ -28,7 +28,7 @@ from swarmabs_config.graph import RECORDING_STEPS
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core import messages as msg
-from swarmabs_core.behaviours.base import UnexpectedMessageError
+from swarmabs_core.behaviours.base import ConflictError, UnexpectedMessageError
 from swarmabs_core.cdr import encode
 from swarmabs_core.parameters import Value
 from swarmabs_core.record import Record
@@ -104,7 +104,7 @@ class Lockstep:
     def __init__(self, folder: Path, **values: Value) -> None:
         faults = "faults=[{at: 0.17, kind: kill, agent: 2}]"
         self.scenario = find_scenario("pd_het_4", ["duration=0.3", faults]).resolved()
-        self.steps = list(Simulation(self.scenario).steps())
+        self.steps = list(Simulation(self.scenario, division=cast("int | None", values.get("division"))).steps())
         settings = settings_from(node.PARAMETERS, **{**parameters(self.scenario, folder), **values})
         self.spec: NodeSpec = node.make(settings, StatusChannel("recorder"))
         self.recorder = self.spec.behaviour
@@ -129,7 +129,7 @@ def test_a_lockstep_run_is_recorded_and_reported(told: Told, tmp_path: Path, mon
     run = Lockstep(tmp_path, replay='{"bag": "b"}', max_bag_duration_ns=SECOND // 10)
     monkeypatch.setattr("swarmabs_core.record.encode", lambda _: pytest.fail("it has the bytes already"))
     assert run.recorder.start() == (msg.RecordingProgress(0, 0, msg.NEVER),)
-    assert set(run.recorder.awaits()) == {*msg.MAIN_TOPICS, msg.EVENTS}
+    assert set(run.recorder.awaits()) == {*msg.MAIN_TOPICS, msg.STANDING, msg.EVENTS}
     every = RECORDING_STEPS // node.CREDITS
     written = [*range(every - 1, 30, every), 30]
     assert run.hear(told) == [msg.RecordingProgress(step * PERIOD, step, step) for step in written]
@@ -188,14 +188,14 @@ def test_a_bag_says_why_it_is_not_complete(
 
 
 def test_ends_that_were_not_planned_and_orders_are_known(told: Told, tmp_path: Path) -> None:
-    run = Lockstep(tmp_path, bag="", logs="", ends=("kill 3 4",))
+    run = Lockstep(tmp_path, bag="", logs="", ends=("kill 3 4",), division=0)
     run.hear(told)
     run.spec.on_exit(None)
     assert told.of("done")[0]["figures"]["messages"] == sum(len(step.records) for step in run.steps) - 26
     assert not (tmp_path / "bag").exists()
     (tmp_path / "steered").mkdir()
     steered = Lockstep(tmp_path / "steered", steered=True)
-    assert set(steered.recorder.awaits()) == {msg.STEERING, msg.EVENTS, *msg.MAIN_TOPICS}
+    assert set(steered.recorder.awaits()) == {msg.STEERING, msg.EVENTS, *msg.MAIN_TOPICS, msg.STANDING}
     steered.spec.on_exit(None)
     assert attached_provenance(open_bag(tmp_path / "steered"))["steered"] is True
 
@@ -203,13 +203,19 @@ def test_ends_that_were_not_planned_and_orders_are_known(told: Told, tmp_path: P
 def test_packed_states_are_recorded_one_by_one(told: Told, tmp_path: Path) -> None:
     run = Lockstep(tmp_path, logs="", packed=True)
     assert run.spec.hear_all is not None
-    assert set(run.recorder.awaits()) == {msg.SWARM_STATES, msg.EVENTS, *msg.MAIN_TOPICS} - {msg.AGENT_STATE}
+    topics = {msg.SWARM_STATES, msg.BROADCAST, msg.EVENTS, *msg.MAIN_TOPICS, msg.STANDING} - {msg.AGENT_STATE}
+    assert set(run.recorder.awaits()) == topics
     for step in run.steps:
         single = [record for record in step.records if record.topic is not msg.AGENT_STATE]
         states = b"".join(record.payload for record in step.records if record.topic is msg.AGENT_STATE)
         run.spec.hear_all(msg.SWARM_STATES, [encode(msg.SwarmStates(0, step.step, states))])
         for record in sorted(single, key=lambda record: record.topic is not msg.EVENTS):
             run.spec.hear_all(record.topic, [record.payload])
+        parts = [record.message for record in single if record.topic in msg.BROADCASTS]
+        run.spec.hear_all(msg.BROADCAST, [encode(msg.Broadcast(0, step.step, *parts))])
+    forged = parts[0]._replace(torque=parts[0].torque + 0.2)
+    with pytest.raises(ConflictError, match=f"swarm/abstract_state: two different messages of step {forged.step}"):
+        run.spec.hear_all(msg.BROADCAST, [encode(msg.Broadcast(0, forged.step, forged, *parts[1:]))])
     run.spec.on_exit(None)
     bag = open_bag(tmp_path / "bag")
     assert [payload for _, _, payload in bag.messages()] == [r.payload for s in run.steps for r in s.records]

@@ -1,5 +1,6 @@
+from contextlib import suppress
 from functools import cache
-from math import isfinite
+from math import inf, isfinite
 from random import Random
 from typing import Any
 
@@ -10,15 +11,16 @@ from tests.swarmabs_core.helpers import Run, agent_state, builtin, digest
 
 from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.figures import RealtimeFigures, RunFigures
-from swarmabs_bag.realtime import MEMORY, RealtimeCollector, conflict
+from swarmabs_bag.realtime import MEMORY, QUIET_STEPS, SECOND_WRITER, TWO_MESSAGES, Dispute, RealtimeCollector, disputed
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_config import configure
-from swarmabs_config.graph import own_topic
+from swarmabs_config.graph import STANDBY_TOPICS, own_topic
 from swarmabs_core import messages as msg
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
 from swarmabs_core.cdr import encode
 from swarmabs_core.membership import Change, ChangeKind
-from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule
+from swarmabs_core.realtime.validation import Bounds
 from swarmabs_core.record import Record
 
 
@@ -33,7 +35,7 @@ def short_run() -> Run:
 
 def collector(run: Run, **settings: int) -> RunCollector:
     schedule = (Change(2, 1, ChangeKind.LEAVE), Change(3, 2, ChangeKind.JOIN), Change(4, 3, ChangeKind.KILL))
-    return RunCollector((1, 2, 3, 4), schedule, len(run.steps) - 1, **settings)
+    return RunCollector((1, 2, 3, 4), schedule, len(run.steps) - 1, division=200, **settings)
 
 
 def messages(run: Run) -> list[msg.Message]:
@@ -198,11 +200,14 @@ EVENT = msg.SwarmEvent(CLOCK.begin(5), 5, 2, msg.EventKind.HELD, 0.0, "why")
 BASIS = msg.Basis(CLOCK.begin(5), 5, 4, 1, msg.Source.CONTROLLER, (), (), ())
 
 
+FIRST, SECOND = b"1" * 16, b"2" * 16
+
+
 class Kept(RealtimeCollector):
     """A collector of two robots that takes messages."""
 
-    def __init__(self) -> None:
-        super().__init__((1, 2), CLOCK)
+    def __init__(self, limits: Realtime = Realtime()) -> None:  # noqa: B008 - it is frozen
+        super().__init__((1, 2), CLOCK, Bounds(9.81, 1.0, 1.5, 0.01), limits)
 
     def take(self, message: msg.Message, now: int, writer: bytes = b"") -> tuple[msg.Message, ...]:
         return tuple(record.message for record in self.add(Record.of(message), now, writer))
@@ -250,41 +255,108 @@ def test_what_robots_publish_on_topics_of_their_own_is_recorded_on_the_usual_one
         (BASIS, BASIS._replace(begun=2)),
     ],
 )
-def test_another_message_in_its_place_is_counted_and_told_once(message: msg.Message, other: msg.Message) -> None:
+@pytest.mark.parametrize("writer", [FIRST, b""])
+def test_another_message_in_its_place_is_counted_and_told_once(
+    message: msg.Message, other: msg.Message, writer: bytes
+) -> None:
     kept, now = Kept(), CLOCK.begin(6)
-    kept.take(message, now)
-    (event,) = kept.take(other, now)
+    kept.take(message, now, writer)
+    (event,) = kept.take(other, now, writer)
+    topic, robot = msg.TOPIC_OF[type(message)].name, getattr(message, "agent_id", 0)
     assert isinstance(event, msg.SwarmEvent)
-    assert conflict(event) == msg.TOPIC_OF[type(message)].name
-    assert event[:4] == (now, 5, getattr(message, "agent_id", 0), msg.EventKind.REFUSED)
-    assert kept.take(other, now) == ()
+    assert disputed(event) == Dispute(TWO_MESSAGES, topic, robot or getattr(message, "source", 0), 5, None)
+    assert event[:4] == (now, 5, robot, msg.EventKind.REFUSED)
+    assert kept.take(other, now, writer) == ()
     assert (kept.repeated, kept.different) == (0, 2)
 
 
-def test_of_two_senders_of_a_robot_the_first_is_recorded_and_each_step_is_marked() -> None:
-    kept, first, second = Kept(), b"1" * 16, b"2" * 16
-    found: dict[int, list[msg.Message]] = {}
-    for step in range(5, 60):
-        state = ROBOT._replace(step=step)
-        other = state._replace(position=-0.3)
-        arriving = [(other, second)] if step > 5 else []
-        arriving.insert(step % 2 if step > 5 else 0, (state, first))
-        # The second one's state of a step is lost: who follows it may still use it.
-        for message, writer in arriving[: 1 if step == 30 else 2] if step < 40 else [(other, second)]:
-            found.setdefault(step, []).extend(kept.take(message, CLOCK.begin(step), writer))
-    for step, messages in found.items():
-        states = [m.position for m in messages if isinstance(m, msg.AgentState)]
-        marks = [conflict(m) for m in messages if isinstance(m, msg.SwarmEvent)]
-        silent = step > 39 + 10
-        assert states == ([0.1] if step < 40 else [-0.3] if silent else [])
-        assert marks == ([] if step == 5 or step > 59 else [msg.AGENT_STATE.name])
+OF_BROADCASTS = [msg.AbstractState(0, 5, 4, *(0.0,) * 4), msg.AuxiliaryState(0, 5, *(0.0,) * 8), ASKED]
+
+
+@pytest.mark.parametrize("lead", [-1, 0, 2])
+@pytest.mark.parametrize("standby", [False, True])
+@pytest.mark.parametrize("message", [PLANE, ROBOT, *OF_BROADCASTS, BASIS], ids=lambda message: type(message).__name__)
+def test_of_two_senders_the_first_is_recorded_and_two_events_tell_of_all_steps(
+    message: msg.Message, lead: int, *, standby: bool
+) -> None:
+    kept = Kept()
+    topic = msg.TOPIC_OF[type(message)]
+    if standby:
+        if topic not in STANDBY_TOPICS:
+            return
+        topic = STANDBY_TOPICS[topic]
+    found: list[tuple[int, msg.Message]] = []
+    for step in range(5, 420):
+        genuine = message._replace(step=step)
+        forged = message._replace(step=step + lead, stamp=7 + step)
+        arriving = [(genuine, FIRST)]
+        if 10 <= step < 300:  # the forger is late at first, then ahead of the one for whom it speaks
+            arriving.insert(step % 2, (forged, SECOND))
+        for sent, writer in arriving:
+            record = Record.heard(topic, encode(sent))
+            found += [(step, record.message) for record in kept.add(record, CLOCK.begin(step), writer)]
+    recorded = [m for _, m in found if not isinstance(m, msg.SwarmEvent)]
+    assert recorded == [message._replace(step=step) for step in range(5, 420)]
+    told = [(step, disputed(m)) for step, m in found if isinstance(m, msg.SwarmEvent)]
+    robot = getattr(message, "agent_id", getattr(message, "source", 0))
+    begun, ended = ((at, said) for at, said in told)
+    assert begun == (10, Dispute(SECOND_WRITER, topic.name, robot, 10 + min(0, lead), None))
+    assert ended == (299 + QUIET_STEPS + 1, Dispute(SECOND_WRITER, topic.name, robot, None, 299 + max(0, lead)))
+    health = kept.writers.warned(Health(Level.OK, "recording"))
+    assert "a second sender speaks for" in health.text and health.level is Level.WARN
+
+
+def test_another_writer_takes_the_place_of_one_that_is_silent_for_the_age_limit_of_its_topic() -> None:
+    limits = Realtime(plane_age_limit=0.2)
+    kept = Kept(limits)
+    for step in (5, 25):
+        assert len(kept.take(PLANE._replace(step=step), CLOCK.begin(step), FIRST)) == 1
+        assert len(kept.take(ROBOT._replace(step=step), CLOCK.begin(step), FIRST)) == 1
+        for later in range(step, step + 11):
+            kept.take(EVENT._replace(step=later), CLOCK.begin(later))
+    forged = PLANE._replace(step=36, angle=0.2), ROBOT._replace(step=36, position=-0.3)
+    plane, robot = (kept.take(message, CLOCK.begin(36), SECOND)[0] for message in forged)
+    assert (type(plane), robot) == (msg.SwarmEvent, forged[1])
+
+
+@pytest.mark.parametrize("lie", [PLANE._replace(angle=9.0), ROBOT._replace(position=inf)])
+def test_what_nodes_do_not_believe_is_recorded_of_the_sender_whom_they_hear_only(lie: msg.Message) -> None:
+    kept = Kept()
+    (event,) = kept.take(lie, CLOCK.begin(5), SECOND)
+    assert isinstance(event, msg.SwarmEvent)
+    assert disputed(event) is None
+    honest = PLANE if isinstance(lie, msg.PlaneState) else ROBOT
+    assert kept.take(honest, CLOCK.begin(5), FIRST) == (honest,)
+    assert kept.take(lie._replace(step=6), CLOCK.begin(6), FIRST) == (lie._replace(step=6),)
+
+
+def test_whatever_is_forged_the_events_are_few() -> None:
+    """Every message has other values, and most are refused: as many events as there are reasons and senders."""
+    draw, kept = Random(1), Kept()
+    events = 0
+    for step in range(5, 505):
+        kept.take(PLANE._replace(step=step), CLOCK.begin(step), FIRST)
+        kept.take(ROBOT._replace(step=step), CLOCK.begin(step), FIRST)
+        for message in (PLANE, ROBOT, ROBOT._replace(agent_id=1), BASIS, EVENT, *OF_BROADCASTS):
+            index = draw.randrange(2, len(message))
+            lie = draw.choice([draw.uniform(-1e9, 1e9), inf, float(step)])
+            number = isinstance(message[index], int)
+            forged = message._replace(
+                step=step, **{message._fields[index]: int(draw.uniform(0, 200)) if number else lie}
+            )
+            with suppress(Exception):  # what no message can contain
+                found = kept.take(
+                    Record.heard(msg.TOPIC_OF[type(message)], encode(forged)).message, CLOCK.begin(step), SECOND
+                )
+                events += sum(isinstance(m, msg.SwarmEvent) and m.kind == msg.EventKind.REFUSED for m in found)
+    assert 0 < events < 50
 
 
 @pytest.mark.parametrize(
     ("message", "reason"),
     [
-        (ROBOT._replace(agent_id=9), "robot 9 is not a member"),
-        (EVENT._replace(agent_id=9), "robot 9 is not a member"),
+        (ROBOT._replace(agent_id=9), "a robot that is not a member of this swarm (robot 9)"),
+        (EVENT._replace(agent_id=9), "a robot that is not a member of this swarm (robot 9)"),
         (PLANE._replace(step=5 + MEMORY + 2), "a step far from now"),
         (PLANE._replace(step=msg.NEVER), "a step far from now"),
         (msg.RecordingProgress(0, 5, 5), "not a topic that is recorded"),
@@ -294,7 +366,7 @@ def test_what_is_of_another_swarm_or_time_is_refused(message: msg.Message, reaso
     kept = Kept()
     (event,) = kept.take(message, CLOCK.begin(6))
     assert isinstance(event, msg.SwarmEvent)
-    assert (event.kind, conflict(event)) == (msg.EventKind.REFUSED, None)
+    assert (event.kind, disputed(event)) == (msg.EventKind.REFUSED, None)
     assert reason in event.detail
     assert kept.take(message, CLOCK.begin(6)) == ()
     assert kept.refused == 2

@@ -120,14 +120,15 @@ def test_the_description_is_first_and_not_in_the_digest_whatever_the_order_of_ar
     mixed = messages_of(steps)
     random.Random(5).shuffle(mixed)
     members, schedule = configure.members(scenario), configure.schedule(scenario)
-    collector = RunCollector(members, schedule, scenario.steps, family=msg.SYSTEM_FAMILY)
+    division = configure.division(scenario)
+    collector = RunCollector(members, schedule, scenario.steps, division=division, family=msg.SYSTEM_FAMILY)
     found = [step for message in [*mixed, mixed[0]] for step in collector.add(Record.of(message))]
     assert sorted(record.payload for step in found for record in step.records) == sorted(map(encode, mixed))
     complete = [step for step in found if step.parent is not None]
     assert [step.digest_text() for step in complete] == [step.digest_text() for step in steps]
     records = []
     for message in mixed:
-        if not isinstance(message, msg.SwarmEvent | msg.SystemDescription):
+        if not isinstance(message, msg.SwarmEvent | msg.SystemDescription | msg.StandingState):
             payload, topic = encode(message), msg.TOPIC_OF[type(message)].name.encode()
             key = (message.step, topic, getattr(message, "agent_id", 0))
             records.append((key, topic + b"\0" + struct.pack("<I", len(payload)) + payload))
@@ -157,7 +158,7 @@ def test_the_recorder_reports_the_first_tracked_quantity(tmp_path: Path, monkeyp
     told: list[dict[str, Any]] = []
     monkeypatch.setattr(StatusChannel, "send", lambda _, event, **details: told.append({"event": event, **details}))
     spec = node.make(settings_from(node.PARAMETERS, **parameters(scenario, tmp_path)), StatusChannel("recorder"))
-    assert set(spec.behaviour.awaits()) == {*msg.SYSTEM_FAMILY.main, msg.SYSTEM, msg.EVENTS}
+    assert set(spec.behaviour.awaits()) == {*msg.SYSTEM_FAMILY.main, msg.SYSTEM, msg.STANDING, msg.EVENTS}
     parent = steps[0].parent
     assert isinstance(parent, msg.ParentState)
     with pytest.raises(OtherSystemError):
@@ -231,7 +232,7 @@ def test_a_bag_has_the_description_the_reference_and_the_same_figures(tmp_path: 
     figures = recording.close()
     bag = open_bag(tmp_path / "bag")
     assert bag.family is msg.SYSTEM_FAMILY
-    assert bag.topics() == (msg.SYSTEM, *msg.SYSTEM_FAMILY.main, msg.EVENTS)
+    assert bag.topics() == (msg.SYSTEM, *msg.SYSTEM_FAMILY.main, msg.STANDING, msg.EVENTS)
     found = description_of(bag)
     assert found.parent == scenario.named.made.parent and found.tracked == scenario.named.made.tracked
     assert (found.name, found.settings["amplitude"]) == ("sheet", 0.2)

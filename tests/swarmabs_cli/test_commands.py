@@ -44,6 +44,46 @@ def test_a_failed_run_has_exit_code_1_and_says_why(here: Path) -> None:
     assert found == json.loads((here / "out" / "summary.json").read_text())
 
 
+FLYING = ("simulate", "pd_het_4", "--duration", "0.6", "--set", "swarm.gains={k: [199, 199], kp: [20000, 20000]}")
+
+
+def test_a_run_in_which_robots_flew_off_is_recorded_and_has_failed(here: Path) -> None:
+    done = ran(*FLYING, "-o", "out", "--json", code=1)
+    found = done.document()
+    assert found == json.loads((here / "out" / "summary.json").read_text())
+    assert (found["status"], found["settled_at"], found["steps"]) == ("failed", None, 60)
+    assert found["real_time_factor"] is not None, "it is complete"
+    strays = found["out_of_range"]
+    assert (strays["robots"], strays["flown_off"], len(strays["first"])) == (4, 4, 4)
+    assert f"error: {found['reason']}" in done.err
+    where = r"position (above|below) -?0\.5 m since step 4\d, -?[\d.]+ at step 4\d"
+    assert re.fullmatch(rf"robot \d flew off: {where}; 3 more robots likewise", found["reason"])
+    assert found["reason"].partition(";")[0] == strays["first"][0]
+    assert done.err.count("warning: step 4") == 3, "the first robots are told of during the run"
+    info = document("info", "out")
+    assert info["out_of_range"] == strays["first"]
+    assert "flew off" in ran("info", "out").out
+    assert ran("verify", "out").code == 0
+    ran("report", "out", "--html", "report.html")
+    page = (here / "report.html").read_text()
+    assert found["reason"] in page and all(text[1:] in page for text in strays["first"])
+    again = ran("simulate", "out", "-o", "again", "--json")
+    assert (again.document()["status"], again.document()["digest"]) == ("ok", found["digest"]), "it repeats a run"
+    assert again.err.count("flew off") == 4
+
+
+def test_a_robot_that_only_touches_the_end_of_the_plane_is_a_warning() -> None:
+    touching = ("simulate", "arise_di_4", "--set", "plane.length=0.28")
+    done = ran(*touching, "--duration", "6", "-o", "back", "--json")
+    found = done.document()
+    assert (found["status"], found["reason"], found["settled_at"]) == ("ok", None, 4.76)
+    assert "warning: robot 2 was out of range: position below -0.14 m, from step 36 to 65" in done.err
+    assert found["out_of_range"]["flown_off"] == 0
+    found = ran(*touching, "--duration", "3", "-o", "outside", "--json", code=1).document()
+    assert found["reason"] == "robot 4 is out of range at the end: position below -0.14 m since step 160"
+    assert found["settled_at"] is None
+
+
 def test_scenarios_are_listed_and_their_schema_is_printed() -> None:
     rows = document("scenario", "list")
     assert [row["name"] for row in rows] == list(builtin_scenarios())
@@ -189,7 +229,8 @@ def test_the_table_of_check_names_conditions_numbers_and_verdicts() -> None:
 def test_the_document_of_check_has_stable_names_and_null_for_what_does_not_exist() -> None:
     found = document("check", "pd_het_4")
     assert set(found) == {
-        *("scenario", "controller", "swarm", "angle_max", "covered", "failed", "theorems", "beyond_the_paper"),
+        *("scenario", "controller", "swarm", "angle_max", "verdict", "covered", "failed", "not_evaluated"),
+        *("theorems", "beyond_the_paper", "simulated", "losses"),
         *("attraction", "abstract_states", "notes"),
     }
     assert len(found["theorems"]) == 8

@@ -26,7 +26,7 @@ def test_a_replay_leaves_what_a_run_leaves(bag: str, here: Path) -> None:
     assert found["digest"] == recorded["digest"] == found["replay"]["of"]
     assert found["messages"] == recorded["messages"]
     provenance = json.loads(open_bag(folder).attachment("provenance.json") or b"")
-    assert provenance["replay"] == {"of": recorded["digest"], "nodes": ["plane"], "overrides": []}
+    assert provenance["replay"] == {"of": recorded["digest"], "nodes": ["parent"], "overrides": []}
     assert (folder / "scenario.yaml").read_text() == (here / bag / "scenario.yaml").read_text()
 
 
@@ -60,7 +60,7 @@ def test_a_node_that_fails_is_exit_code_1(bag: str) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--node", "robot:1"], "no node 'robot:1'; use controller, observer, plane, or agent:N"),
+        (["--node", "robot:1"], "no node 'robot:1'; use controller, observer, parent, or agent:N"),
         (["--node", "agent:9"], "--node agent:9: the bag has no states of robot 9"),
         (["--node", "plane", "--set", "step=0.005"], "--set changes the control period"),
         (["--node", "plane", "--rate", "2"], "--rate cannot be combined with --node"),

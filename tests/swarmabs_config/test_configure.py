@@ -174,13 +174,14 @@ def test_nodes_in_real_time() -> None:
     assert [ports.domains_spanned(participants) for participants in (0, 203, 244, 245)] == [5, 5, 5, 10]
 
 
-PACKED, STEERED, CREDITED, WATCHING, FEELING, SYSTEM, PAIRED, STANDBY, OWN_TOPICS = Option
+PACKED, STEERED, CREDITED, WATCHING, FEELING, CHANGING, SYSTEM, PAIRED, STANDBY, OWN_TOPICS = Option
 STATE, ABSTRACT, AUXILIARY, DESIRED = (topic.name for topic in (AGENT_STATE, *BROADCASTS))
 STATES = "swarm/states"
 MEMBERS = (7, 1234)
 MAIN = {"plane/state", STATE, ABSTRACT, AUXILIARY, DESIRED}
-BY_PAIRS = (ABSTRACT, AUXILIARY, DESIRED, "recording/basis")
-SUMS = {ABSTRACT, AUXILIARY, "swarm/events", "recording/basis", "swarm/removals"}
+STANDS = "swarm/standing"
+BY_PAIRS = (ABSTRACT, AUXILIARY, STANDS, DESIRED, "recording/basis")
+SUMS = {ABSTRACT, AUXILIARY, STANDS, "swarm/events", "recording/basis", "swarm/removals"}
 OWN_STATES, OWN_EVENTS = ({f"agent_{i:03d}/{name}" for i in MEMBERS} for name in ("state", "events"))
 
 
@@ -207,7 +208,13 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
     ),
     (RECORDER, LOCKSTEP, set(), {"recording/progress"}, {*MAIN, "swarm/events"}),
     (RECORDER, LOCKSTEP, {STEERED}, {"recording/progress"}, {*MAIN, "swarm/events", "swarm/steering"}),
-    (RECORDER, LOCKSTEP, {PACKED}, {"recording/progress"}, {*MAIN, STATES, "swarm/events"} - {STATE}),
+    (
+        *(RECORDER, LOCKSTEP, {PACKED}, {"recording/progress"}),
+        {*MAIN, STATES, "swarm/broadcast", "swarm/events"} - {STATE},
+    ),
+    (OBSERVER, LOCKSTEP, {CHANGING}, {ABSTRACT, AUXILIARY, STANDS, "swarm/events"}, {STATE}),
+    (CONTROLLER, LOCKSTEP, {CHANGING}, {DESIRED, "swarm/events"}, {"plane/state", STANDS}),
+    (RECORDER, LOCKSTEP, {CHANGING}, {"recording/progress"}, {*MAIN, STANDS, "swarm/events"}),
     (STEERER, LOCKSTEP, set(), {"swarm/steering"}, {"plane/state", "swarm/events"}),
     (ROBOT, LOCKSTEP, set(), {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED}),
     (ROBOT, LOCKSTEP, {FEELING}, {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED, "plane/state"}),
@@ -215,8 +222,8 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
     (PLANE, REALTIME, set(), {"plane/state", "swarm/events", "recording/basis"}, {STATE}),
     (PLANE_DRIVER, REALTIME, set(), {"plane/state", "swarm/events"}, set()),
     (OBSERVER, REALTIME, set(), SUMS, {STATE, "swarm/events", "swarm/removals"}),
-    (CONTROLLER, REALTIME, set(), {DESIRED, "swarm/events", "recording/basis"}, {"plane/state", ABSTRACT}),
-    (RECORDER, REALTIME, set(), set(), {*MAIN, "swarm/events", "recording/basis", "swarm/removals"}),
+    (CONTROLLER, REALTIME, set(), {DESIRED, "swarm/events", "recording/basis"}, {"plane/state", ABSTRACT, STANDS}),
+    (RECORDER, REALTIME, set(), set(), {*MAIN, STANDS, "swarm/events", "recording/basis", "swarm/removals"}),
     (ROBOT, REALTIME, set(), {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED}),
     (ROBOT, REALTIME, {PAIRED}, {STATE, "swarm/events"}, both(ABSTRACT, AUXILIARY, DESIRED)),
     (RECORDER, REALTIME, {PAIRED}, set(), {STATE, "plane/state", "swarm/events", "swarm/removals", *both(*BY_PAIRS)}),
@@ -227,17 +234,18 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
     ),
     (
         *(OBSERVER, REALTIME, {PAIRED, STANDBY}),
-        {f"standby/{name}" for name in (ABSTRACT, AUXILIARY, "recording/basis")} | {"swarm/events", "swarm/removals"},
+        {f"standby/{name}" for name in (ABSTRACT, AUXILIARY, STANDS, "recording/basis")}
+        | {"swarm/events", "swarm/removals"},
         {STATE, "swarm/events", "swarm/removals", ABSTRACT},
     ),
     (
         *(CONTROLLER, REALTIME, {PAIRED}, {DESIRED, "swarm/events", "recording/basis"}),
-        {"plane/state", *both(ABSTRACT), f"standby/{DESIRED}", "standby/recording/basis"},
+        {"plane/state", *both(ABSTRACT, STANDS), f"standby/{DESIRED}", "standby/recording/basis"},
     ),
     (
         *(CONTROLLER, REALTIME, {PAIRED, STANDBY}),
         {f"standby/{DESIRED}", "swarm/events", "standby/recording/basis"},
-        {"plane/state", *both(ABSTRACT), DESIRED, "recording/basis"},
+        {"plane/state", *both(ABSTRACT, STANDS), DESIRED, "recording/basis"},
     ),
     (CONTROLLER, LOCKSTEP, {PAIRED, STANDBY}, {DESIRED, "swarm/events"}, {"plane/state", DESIRED}),
     (ROBOT, REALTIME, {OWN_TOPICS}, OWN_STATES | OWN_EVENTS, {ABSTRACT, AUXILIARY, DESIRED}),
@@ -245,10 +253,14 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
     (ROBOT, LOCKSTEP, {OWN_TOPICS}, {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED}),
     (PLANE, REALTIME, {OWN_TOPICS}, {"plane/state", "swarm/events", "recording/basis"}, OWN_STATES),
     (OBSERVER, REALTIME, {OWN_TOPICS}, SUMS, {"swarm/removals", *OWN_STATES, *OWN_EVENTS}),
-    (CONTROLLER, REALTIME, {OWN_TOPICS}, {DESIRED, "swarm/events", "recording/basis"}, {"plane/state", ABSTRACT}),
+    (
+        *(CONTROLLER, REALTIME, {OWN_TOPICS}),
+        {DESIRED, "swarm/events", "recording/basis"},
+        {"plane/state", ABSTRACT, STANDS},
+    ),
     (
         *(RECORDER, REALTIME, {OWN_TOPICS}, set()),
-        ({*MAIN, "swarm/events", "recording/basis", "swarm/removals"} | OWN_STATES | OWN_EVENTS) - {STATE},
+        ({*MAIN, STANDS, "swarm/events", "recording/basis", "swarm/removals"} | OWN_STATES | OWN_EVENTS) - {STATE},
     ),
 ]
 

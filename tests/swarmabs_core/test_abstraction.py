@@ -5,8 +5,10 @@ from math import inf, isnan, nan
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from swarmabs_core.abstraction import Weight, abstraction, damping_sums, is_degenerate, second_moments
+from swarmabs_core.abstraction import Weight, abstraction, conditioned, damping_sums, is_degenerate, second_moments
+from swarmabs_core.messages import AuxiliaryState
 from swarmabs_core.summation import exact_sum
+from swarmabs_core.swarm_law import pinv_row
 
 masses = st.floats(0.05, 5.0)
 lengths = st.floats(-2.0, 2.0)
@@ -84,10 +86,28 @@ def test_nothing_one_point_and_nan_are_degenerate_and_what_is_near_relative_to_p
     assert s3 == 0.0, "exactly, where all robots stand at one point"
     for sums in ((s0, s3), (0.0, 0.0), (nan, 1.0), (1.0, nan)):
         assert is_degenerate(*sums, 1.0)
-    # Two equal robots 2d apart have S3 = 4 m^4 d^2 and S0 = 2 m^2: the limit is d = 1e-6 L.
-    for length, mass, (d, expected) in product((0.1, 1.0, 30.0), (1e-3, 1.0, 1e3), ((0.99e-6, True), (1.01e-6, False))):
+    # Two equal robots 2d apart have S3 = 4 m^4 d^2 and S0 = 2 m^2: the limit is d = 1e-4 L.
+    for length, mass, (d, expected) in product((0.1, 1.0, 30.0), (1e-3, 1.0, 1e3), ((0.99e-4, True), (1.01e-4, False))):
         s0, _, _, s3 = second_moments([(mass, d * length), (mass, -d * length)])
         assert is_degenerate(s0, s3, length) is expected
+
+
+@pytest.mark.parametrize("share", [1.5, 1.0, 0.1, 1e-4, 0.0])
+def test_near_one_point_the_torque_is_exact_and_the_inertia_is_commanded_by_a_vanishing_share(share: float) -> None:
+    """Motions by the rows of the pseudo-inverse, summed up: the torque's never touches the inertia's share."""
+    length, d = 2.0, share * 1e-4 * 2.0
+    robots = [(0.4, 0.3 + d), (0.4, 0.3 - d)]
+    moments = second_moments(robots)
+    sums = AuxiliaryState(0, 0, *moments, 0.0, 0.0, 0.0, 0.0)
+    used = conditioned(sums, length)
+    assert (used is sums) == (share > 1.0)
+    rows = [pinv_row(m, p, used, 9.81) for m, p in robots]
+    by_torque, by_inertia = zip(*rows, strict=True)
+    jacobian = [(9.81 * m, 2.0 * m * p) for m, p in robots]
+    assert sum(j * r for (j, _), r in zip(jacobian, by_torque, strict=True)) == pytest.approx(1.0, rel=1e-9)
+    assert sum(j * r for (j, _), r in zip(jacobian, by_inertia, strict=True)) == pytest.approx(0.0, abs=1e-3)
+    reached = sum(j * r for (_, j), r in zip(jacobian, by_inertia, strict=True))
+    assert reached == pytest.approx(min(1.0, share**4), rel=1e-3, abs=1e-8)
 
 
 @settings(max_examples=50)

@@ -95,7 +95,9 @@ def test_a_run_of_any_system_as_arrays_is_the_same_simulated_and_from_its_bag(
     family = msg.SYSTEM_FAMILY
     text = dump_scenario(given).encode()
     with BagWriter(
-        tmp_path / "bag", topics=(*family.once, *family.main, msg.EVENTS), attachments={"scenario.yaml": text}
+        tmp_path / "bag",
+        topics=(*family.once, *family.main, msg.STANDING, msg.EVENTS),
+        attachments={"scenario.yaml": text},
     ) as writer:
         for step in run.steps:
             for topic, time, payload in step.stored():

@@ -37,6 +37,9 @@ SWARM = (
     msg.SwarmAuxiliary(STAMP, STEP, 5, (1.0, 2.0, 3.0), (4.0, 5.0), ()),
     msg.SwarmDesired(STAMP, STEP, 5, 1, (1.0, 2.0), (3.0, 4.0), (5.0, 6.0), (7.0, 8.0), (9.0, 10.0)),
 )
+DIVIDED = msg.StandingState(
+    STAMP, STEP, 5, 1, 3, (1.0, 2.0), (0.5,), (3.0, 4.0), (5.0, 6.0), (0.0, 7.0), (8.0, 9.0, 10.0), 3.0, (1.5,)
+)
 CASES: dict[msg.Message, tuple[int, int]] = {
     msg.PlaneState(STAMP, STEP, 0.1, -0.25): (0, 0),
     AGENT: (12, 4),
@@ -58,6 +61,7 @@ CASES: dict[msg.Message, tuple[int, int]] = {
     SWARM[2]: (9, 3),
     msg.SwarmBroadcast(STAMP, STEP, *SWARM): (18, 6),
     msg.SystemDescription(STAMP, STEP, 5, '{"name": "ship"}'): (0, 0),
+    DIVIDED: (36, 4),
 }
 """Messages, and where they have padding behind `HEAD`: first offset and length."""
 each = pytest.mark.parametrize("message", CASES, ids=lambda message: type(message).__name__)
@@ -201,12 +205,12 @@ def event(kind: msg.EventKind, detail: str = "") -> msg.SwarmEvent:
     ("message", "publisher"),
     [
         (agent_state(258), "agent:258"),
-        (msg.PlaneState(0, 0, 0.1, 0.2), "plane"),
+        (msg.PlaneState(0, 0, 0.1, 0.2), "parent"),
         *zip(broadcasts(), ("observer", "observer", "controller"), strict=True),
         (ROBOT, f"agent:{ROBOT.agent_id}"),
         *zip(SWARM, ("observer", "observer", "controller"), strict=True),
-        (msg.ParentState(0, 0, 7, (0.1,)), "plane"),
-        (msg.SystemDescription(0, 0, 7, "{}"), "plane"),
+        (msg.ParentState(0, 0, 7, (0.1,)), "parent"),
+        (msg.SystemDescription(0, 0, 7, "{}"), "parent"),
         *(
             (event(msg.EventKind.LIMIT_HIT, NEED_LIMITED.format(need))._replace(agent_id=0), "controller")
             for need in ("torque", "command")
@@ -218,8 +222,8 @@ def event(kind: msg.EventKind, detail: str = "") -> msg.SwarmEvent:
         ),
         (event(msg.EventKind.LIMIT_HIT, COMMAND_LIMITED), "agent:3"),
         (event(msg.EventKind.LIMIT_HIT, TORQUE_LIMITED), "controller"),
-        (event(msg.EventKind.LIMIT_HIT, "end stop hit"), "plane"),
-        (event(msg.EventKind.STEERING, "disturbance"), "plane"),
+        (event(msg.EventKind.LIMIT_HIT, "end stop hit"), "parent"),
+        (event(msg.EventKind.STEERING, "disturbance"), "parent"),
         (event(msg.EventKind.STEERING, "reference"), "controller"),
         (event(msg.EventKind.MODE_CHANGED), "controller"),
         (event(msg.EventKind.LEADING, "parent_controller_standby: peer silent"), "controller"),
@@ -229,9 +233,10 @@ def event(kind: msg.EventKind, detail: str = "") -> msg.SwarmEvent:
 def test_each_message_has_one_publisher(message: msg.Message, publisher: str) -> None:
     assert str(publisher_of(message)) == publisher
     assert NodeName.parse(publisher) == publisher_of(message)
+    assert NodeName.parse("plane") == NodeName.parse("parent")
 
 
 def test_what_names_no_node_is_refused() -> None:
-    for text in ("", "agent", "agent:", "agent:x", "agent:03", "plane:1", "robot:3", "observer:"):
-        with pytest.raises(InputError, match=r"no node .*; use controller, observer, plane, or agent:N"):
+    for text in ("", "agent", "agent:", "agent:x", "agent:03", "plane:1", "parent:1", "robot:3", "observer:"):
+        with pytest.raises(InputError, match=r"no node .*; use controller, observer, parent, or agent:N"):
             NodeName.parse(text)

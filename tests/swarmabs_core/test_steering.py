@@ -184,7 +184,7 @@ def test_a_request_gets_the_next_step_and_each_step_one() -> None:
     assert [(d.number, d.step, d.reason) for d in made.decisions()] == [(numbers[0], 2, ""), (numbers[1], 3, "")]
     assert made.decisions() == []
     assert made.members == (1, 2, 4)
-    with pytest.raises(StepAheadError, match="plane: step 3 expected, 4 received"):
+    with pytest.raises(StepAheadError, match="plane/state: step 3 expected, 4 received"):
         made.handle(plane(4))
     with pytest.raises(UnexpectedMessageError, match="steering: received Steering"):
         made.handle(msg.Steering(0, 3, 0, msg.Action.NONE, 0, 0.0))

@@ -2,11 +2,12 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -26,12 +27,23 @@ from tests.swarmabs_fleet.fleets import ONE_HOST, edited
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import recorded as recorded_topics
 from swarmabs_cli import main
+from swarmabs_cli.fleet import operate as operate_commands
 from swarmabs_config.fleet.loader import load_fleet
-from swarmabs_core.cdr import decode
+from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.messages import AGENT_STATE, REMOVALS, EventKind, Removal
+from swarmabs_core.messages import AGENT_STATE, REMOVALS, AgentState, EventKind, Kind, Removal, Status
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_fleet.operate import SILENT, SILENT_AFTER, HealthMonitor, Row, Target, in_order, joined, target
+from swarmabs_fleet.operate import (
+    SILENT,
+    SILENT_AFTER,
+    HealthMonitor,
+    Row,
+    StopMonitor,
+    Target,
+    in_order,
+    joined,
+    target,
+)
 from swarmabs_ros.endpoints import ros_type
 from swarmabs_run.orchestration.network import claimed_domain
 from swarmabs_run.orchestration.run_files import write_epoch, write_network
@@ -110,6 +122,29 @@ def test_a_run_is_spoken_to_by_its_folder_if_it_is_in_real_time(tmp_path: Path) 
         pass
 
 
+def test_a_robot_has_stopped_if_it_says_so_after_the_controller_has_confirmed_and_still_says_so() -> None:
+    monitor = StopMonitor((1, 2, 3))
+    for robot in monitor.robots:
+        monitor.hear(robot, Status.SAFE_STOP, 9.0)
+    assert monitor.heard() == 3
+    monitor.ask(10.0)
+    assert monitor.heard() == 0
+    assert monitor.problems() == dict.fromkeys(monitor.robots, "not heard"), "what they were before does not count"
+    monitor.hear(1, Status.ACTIVE, 10.01)
+    monitor.hear(1, Status.SAFE_STOP, 10.02)
+    monitor.hear(2, Status.SAFE_STOP, 10.02)
+    monitor.hear(9, Status.SAFE_STOP, 10.02)
+    monitor.confirm(10.025)
+    assert monitor.problems() == dict.fromkeys(monitor.robots, "not heard"), "they may have missed the stop"
+    for robot, status in ((1, Status.SAFE_STOP), (2, Status.ACTIVE), (3, Status.LEFT)):
+        monitor.hear(robot, status, 10.03)
+    assert monitor.problems() == {2: "not stopped"}
+    assert [monitor.delay(robot) for robot in (1, 3)] == pytest.approx([0.02, 0.03])
+    monitor.hear(2, Status.SAFE_STOP, 10.04)
+    assert not monitor.problems()
+    assert monitor.delay(2) == pytest.approx(0.04), "it had not stopped before"
+
+
 class Peer:
     """A robot's node in a thread of this process: it answers, says how it is, and hears what operators announce."""
 
@@ -124,6 +159,9 @@ class Peer:
         for name in ("leave", "join"):
             self._node.create_service(Trigger, f"agent_001/{name}", partial(self._answer, name))
         self._node.create_subscription(ros_type(REMOVALS), REMOVALS.name, self.heard.append, 10, raw=True)
+        self._node.create_service(Trigger, "swarm/stop", self._stop)
+        self.state = AgentState(0, 0, 0, 1, Kind.SINGLE_INTEGRATOR, Status.ACTIVE, 1.0, 0.0, 0.0, 0.0, 0.0)
+        self._states = self._node.create_publisher(ros_type(AGENT_STATE), AGENT_STATE.name, 10)
         self._diagnostics = self._node.create_publisher(DiagnosticArray, "diagnostics", 10)
         self._node.create_timer(0.05, self._say)
         executor = SingleThreadedExecutor(context=self.context)
@@ -138,7 +176,13 @@ class Peer:
         answer.success, answer.message = name == "leave", f"{name} is asked for"
         return answer
 
+    def _stop(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        self.state = self.state._replace(status=Status.SAFE_STOP)
+        answer.success = True
+        return answer
+
     def _say(self) -> None:
+        self._states.publish(encode(self.state))
         status = DiagnosticStatus(level=bytes([1]), hardware_id="agent_001", message="stands")
         status.values = [KeyValue(key="left", value="3 4")]
         self._diagnostics.publish(DiagnosticArray(status=[status]))
@@ -187,6 +231,38 @@ def test_an_operator_calls_announces_and_hears(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.usefixtures("ros")
+@pytest.mark.timeout(60)
+def test_a_stop_reports_who_has_stopped_and_fails_if_a_robot_is_not_known_to(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    swarm = Target("one", "/hall", {"parent_controller": "base"}, (1,), {})
+    with ExitStack() as stack:
+        peer = Peer(stack)
+        found = [swarm]
+        monkeypatch.setattr(operate_commands, "target", lambda _: nullcontext(found[0]))
+        key, pressed = os.pipe()
+        stack.callback(os.close, key)
+        with os.fdopen(key, closefd=False) as keyboard:
+            monkeypatch.setattr(sys, "stdin", keyboard)
+            os.write(pressed, b"x")
+            os.close(pressed)
+            assert main(["stop", str(ROOT), "--armed", "--timeout", f"{PATIENCE}"]) == 0
+            armed, stopped, summary = capsys.readouterr().out.splitlines()
+            assert armed == "one: armed, 1 of 1 robots heard; press a key to stop them"
+            assert re.fullmatch(r"robot 1: stopped after \d+ ms", stopped)
+            assert summary == "one: all robots have stopped, until a reset"
+            peer.state = peer.state._replace(status=Status.ACTIVE)
+            assert main(["stop", str(ROOT), "--armed", "--timeout", f"{PATIENCE}"]) == 1
+            assert "standard input has ended" in capsys.readouterr().err
+            assert peer.state.status is Status.ACTIVE
+        found[0] = replace(swarm, robots=(1, 2))
+        assert main(["stop", str(ROOT), "--timeout", "1"]) == 1
+        printed = capsys.readouterr()
+        assert re.match(r"robot 1: stopped after \d+ ms\nrobot 2: not heard\n$", printed.out)
+        assert "one: 1 of 2 robots are not known to have stopped: 2; check them" in printed.err
+
+
 def test_what_is_no_swarm_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "x.yaml").write_text("schema: 1\nname: x\n")
     for command, path in product(("status", "stop", "reset"), (tmp_path, tmp_path / "x.yaml", tmp_path / "nowhere")):
@@ -194,8 +270,19 @@ def test_what_is_no_swarm_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert capsys.readouterr().err.startswith("error: ")
 
 
-def operate(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "swarmabs_cli", *map(str, arguments)]
+MODULE = ("-m", "swarmabs_cli")
+_AS_SECURED = """
+import sys
+from swarmabs_cli import main
+from swarmabs_config.fleet.checked import Fleet
+Fleet.own_topics = True
+sys.exit(main())
+"""
+"""The command line, which takes every fleet for one with robots' own topics."""
+
+
+def operate(*arguments: object, program: tuple[str, str] = MODULE) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *program, *map(str, arguments)]
     return subprocess.run(command, env=os.environ, capture_output=True, text=True, timeout=120, check=False)
 
 
@@ -252,8 +339,11 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(
             assert (removed.returncode, removed.stderr) == (0, "")
             assert status(file)["abstraction_observer"]["values"]["left"].split() == ["3"]
             del units["agent_003"]
-            stopped = operate("stop", file)
-            assert (stopped.returncode, stopped.stderr) == (0, "")
+            stopped = operate("stop", file, program=("-c", _AS_SECURED) if level else MODULE)
+            assert stopped.returncode == 1
+            assert "1 of 3 robots are not known to have stopped: 3;" in stopped.stderr, "it was killed"
+            for robot, words in enumerate((r"stopped after \d+ ms", r"stopped after \d+ ms", "not heard"), 1):
+                assert re.search(f"^robot {robot}: {words}$", stopped.stdout, re.MULTILINE)
             until_all_say(file, "stop commanded", *robots[:2])
             assert ended(units) == [0] * 6
         gone = operate("stop", file, "--timeout", "1")

@@ -291,13 +291,16 @@ def test_a_standby_speaks_on_topics_of_standbys_only(tmp_path: Path) -> None:
     shared = {"ros_discovery_info", "rt/parameter_events", "rt/rosout", "rt/hall/diagnostics", "rt/hall/swarm/events"}
     shared.add("rt/hall/swarm/removals")
     for name, topics in (
-        ("abstraction_observer", {"swarm/abstract_state", "swarm/auxiliary_state", "recording/basis"}),
+        (
+            "abstraction_observer",
+            {"swarm/abstract_state", "swarm/auxiliary_state", "swarm/standing", "recording/basis"},
+        ),
         ("parent_controller", {"swarm/desired_abstract_state", "recording/basis"}),
     ):
         standby = {topic for topic in found[f"{name}_standby"].publish if topic.startswith("rt/")} - shared
         assert standby == {*(f"rt/hall/standby/{topic}" for topic in topics), f"rt/hall/{name}_standby/*"}
         assert not {topic for topic in found[name].publish if "standby" in topic}, "the primary has its usual rights"
-        for topic in topics - {"recording/basis"}:
+        for topic in topics - {"recording/basis", "swarm/standing"}:
             assert {f"rt/hall/{topic}", f"rt/hall/standby/{topic}"} <= {*found["agent_002"].subscribe}
     assert {f"rq/hall/standby/swarm/{name}Request" for name in ("stop", "reset")} <= {
         *found["parent_controller_standby"].subscribe

@@ -20,6 +20,7 @@ from swarmabs_core.messages import (
     EVENTS,
     FAMILIES,
     PLANE_STATE,
+    STANDING,
     AgentState,
     EventKind,
     PlaneState,
@@ -182,7 +183,7 @@ def test_offers_suffice_each_reader_and_assert_life_in_real_time_where_every_per
     driver: Driver, topic: Topic
 ) -> None:
     offered = profile(OFFERED[driver][topic])
-    periodic = {topic for family in FAMILIES for topic in family.main}
+    periodic = {STANDING, *(topic for family in FAMILIES for topic in family.main)}
     periodic |= {STANDBY_TOPICS[topic] for topic in periodic & STANDBY_TOPICS.keys()}
     asserts = driver is REALTIME and topic in periodic
     assert offered.history is QoSHistoryPolicy.KEEP_LAST

@@ -13,6 +13,7 @@ from tests.swarmabs_ros.nodes import desired
 from tests.transport.network import Inbox, Outbox, Reports
 
 from swarmabs_config.graph import Qos
+from swarmabs_core.behaviours.base import ConflictError
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, PLANE_STATE, Message, Messages, PlaneState, Topic
@@ -137,6 +138,7 @@ class Bench:
             self.inbox,
             {DESIRED_ABSTRACT_STATE: cast("Any", Outbox(DESIRED_ABSTRACT_STATE, self._publish))},
             cast("Any", self.reports),
+            topics=(PLANE_STATE,),
             stall_timeout=stall_timeout,
             clock=RunningClock(lambda: self.now),
         )
@@ -241,10 +243,20 @@ def test_the_behaviour_is_asked_until_it_has_an_answer_to_a_stall() -> None:
     assert bench.events() == ["stalled", "recovered"] * 2
 
 
+@pytest.mark.parametrize("finished", [False, True])
+def test_a_message_that_differs_from_the_one_that_was_used_ends_the_node(finished: bool) -> None:  # noqa: FBT001
+    bench = Bench(Follower(0 if finished else 5000), [0.0])
+    bench.inbox.put(PLANE_STATE, encode(PlaneState(0, 0, 0.1, 0.0)))
+    bench.run(0.5)
+    bench.inbox.put(PLANE_STATE, encode(PlaneState(0, 0, 0.2, 0.0)))
+    with pytest.raises(ConflictError, match="plane/state: two different messages of step 0; is a second swarm"):
+        bench.run(1.0)
+
+
 @pytest.mark.parametrize("lingers", [True, False])
 def test_only_who_lingers_repeats_its_end(lingers: bool) -> None:  # noqa: FBT001
     bench = Bench(Follower(0), [0.0, 0.0], lingers=lingers)
     bench.run(8.0)
     assert (len(bench.published) > 1, bench.now >= 8.0) == (lingers, lingers)
     assert bench.events() == [], "who has finished waits for nobody"
-    assert bench.inbox.has((PLANE_STATE,)), "what is not awaited is left"
+    assert not bench.inbox.has((PLANE_STATE,)), "what is not awaited is compared"

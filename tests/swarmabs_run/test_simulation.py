@@ -164,6 +164,7 @@ def strained() -> Scenario:
         (of_one_kind("single_integrator"), False),
         (of_one_kind("double_integrator"), False),
         (strained(), True),
+        (builtin("pd_het_4", "duration=0.6", "swarm.gains={k: [199, 199], kp: [20000, 20000]}"), True),  # fly off
         (builtin("pd_si_4", "plane.disturbance={amplitude: 500, angular_frequency: 1}"), False),  # turns over
     ],
 )

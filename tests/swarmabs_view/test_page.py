@@ -245,6 +245,7 @@ def test_values_of_events_have_their_units(page: Page, page_server: PageServer) 
         (0, "STEERING", 0.0, "disturbance", "steering, 0 N m – disturbance"),
         (1, "DEAD", -0.25, "kill", "robot 1, dead, -0.25000 m – kill"),
         (1, "LIMIT_HIT", 0.5, "command limited", "robot 1, limit hit, 0.50000 m/s – command limited"),
+        (1, "LIMIT_HIT", 0.5, "back in range: position", "robot 1, limit hit, 0.50000 m – back in range: position"),
         (0, "LIMIT_HIT", 2.5, "torque limited", "limit hit, 2.5000 N m – torque limited"),
         (2, "SAFE_STOP", 0.0, "", "robot 2, safe stop"),
         (0, "LIMIT_HIT", None, "torque limited", "limit hit – torque limited"),

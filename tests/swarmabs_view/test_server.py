@@ -9,7 +9,7 @@ import signal
 import socket
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from threading import Thread
 from typing import Any, NamedTuple
@@ -21,7 +21,16 @@ from tests.processes import until
 from swarmabs_view.playback import PlaybackSession, open_recording
 from swarmabs_view.ports import bound, url_of
 from swarmabs_view.protocol import FROM_SERVER, Message, Session, State
-from swarmabs_view.server import MOST_PAGES, ViewServer, load_files, refusal, response_headers, serve
+from swarmabs_view.server import (
+    MOST_CONNECTIONS,
+    MOST_PAGES,
+    PATIENCE,
+    ViewServer,
+    load_files,
+    refusal,
+    response_headers,
+    serve,
+)
 
 pytestmark = pytest.mark.timeout(60)
 
@@ -89,11 +98,11 @@ class Served(NamedTuple):
 
 
 @contextmanager
-def serving(session: Any) -> Iterator[Served]:
+def serving(session: Any, patience: float = PATIENCE) -> Iterator[Served]:
     """Serve sessions to the end of the block."""
     with bound(0) as listener:
         loop, ended = asyncio.new_event_loop(), asyncio.Event()
-        server = ViewServer(listener, session)
+        server = ViewServer(listener, session, patience=patience)
         thread = Thread(target=lambda: loop.run_until_complete(server.run(ended.wait())))
         thread.start()
         try:
@@ -273,6 +282,45 @@ def test_a_page_that_does_not_read_gets_less_and_others_are_served_meanwhile() -
         assert len(heard) == 20
         until(lambda: sessions[0].asked == 3000, "all that the page asks for is heard")
         assert sessions[0].said < 10 < sessions[1].said
+
+
+@pytest.mark.parametrize("said", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"])
+def test_a_connection_without_a_whole_request_is_closed(said: bytes) -> None:
+    with serving(Flood, patience=0.2) as view, socket.create_connection(("127.0.0.1", view.port), 20) as client:
+        client.sendall(said)
+        with suppress(ConnectionResetError):
+            assert client.recv(1) == b""
+        assert answer(view, "/")[0] == 200
+
+
+def test_a_page_that_never_reads_is_closed_and_a_loaded_one_stays() -> None:
+    with serving(Flood, patience=0.2) as view, socket.socket() as page:
+        page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        page.connect(("127.0.0.1", view.port))
+        page.sendall(
+            f"GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{view.port}\r\nOrigin: http://127.0.0.1:{view.port}\r\n"
+            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+        )
+        heard = asyncio.run(hear(view, PAUSE, last="state", count=80))
+        assert len(heard) == 80, "longer than the patience"
+        page.settimeout(20.0)
+        with suppress(ConnectionResetError):
+            while page.recv(2**20):  # what has arrived before is read first
+                pass
+
+
+def test_more_connections_than_allowed_are_closed() -> None:
+    with serving(Flood, patience=5.0) as view, ExitStack() as stack:
+        clients = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", view.port), 20))
+            for _ in range(MOST_CONNECTIONS + 4)
+        ]
+        for client in clients[MOST_CONNECTIONS:]:
+            with suppress(ConnectionResetError):
+                assert client.recv(1) == b""
+        clients[0].sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % view.port)
+        assert clients[0].recv(12) == b"HTTP/1.1 200"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

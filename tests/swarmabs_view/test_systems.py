@@ -127,6 +127,12 @@ def test_a_page_gets_names_with_units_once_and_numbers_in_their_order(name: str)
     assert positions.lines == lines
 
 
+def test_the_page_speaks_of_no_plane_before_it_knows_the_parent() -> None:
+    text = (Path(protocol.__file__).parent / "static" / "index.html").read_text(encoding="utf-8")
+    shown = re.sub(r"<[^>]*>", " ", re.sub(r"<li [^>]*hidden>.*?</li>", "", text))
+    assert "plane" not in " ".join([shown, *re.findall(r'aria-label="([^"]*)"', text)]).lower()
+
+
 @pytest.mark.usefixtures("systems")
 def test_bands_of_many_robots_are_those_of_each_coordinate() -> None:
     (positions,) = told(first_messages(view_of(heard("sheet", 2, robots=30))), protocol.Positions)

@@ -52,7 +52,11 @@ class Client:
         return bool(health) and (health["level"] == level or (not level and "periods missed" in health["message"]))
 
     def until_healthy(self, *nodes: str, level: int = 0) -> None:
-        until(lambda: all(self.is_healthy(node, level) for node in nodes), f"{nodes} report level {level}", PATIENCE)
+        def what() -> str:
+            others = {node: self.health(node) for node in nodes if not self.is_healthy(node, level)}
+            return f"all report level {level}, others are {others}"
+
+        until(lambda: all(self.is_healthy(node, level) for node in nodes), what, PATIENCE)
 
 
 @contextmanager

@@ -114,7 +114,7 @@ def test_a_node_that_stands_still_does_not_stop_the_others_and_comes_back(networ
 
     alive = client.look()["come_alive"][AGENT]
     os.kill(nodes["agent_002"].pid, signal.SIGCONT)
-    until(lambda: goes_on(2), "it comes back", PATIENCE)
+    until(lambda: goes_on(2), lambda: f"it comes back: {client.health('agent_002')}, {state_of(client, 2)}", PATIENCE)
     until(lambda: client.look()["come_alive"][AGENT] > alive, "the middleware notices", PATIENCE)
     client.until_healthy(*nodes)
     # Diagnostics come once a second.

@@ -1,15 +1,19 @@
-"""Two processes with the id of one robot: the second one is refused and named, and the plane stays level."""
+"""Third parties that speak for others: they are refused and named, and `verify` reports them."""
 
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from tests.processes import until
-from tests.system.realtime import PATIENCE, Client, Network, realtime_network, start_swarm
+from tests.system import helpers as runs
+from tests.system.forger import ANGLE
+from tests.system.realtime import PATIENCE, Client, Network, realtime_network, start_swarm, started_client
 
-from swarmabs_core.messages import EventKind
+from swarmabs_bag.reader import open_bag
+from swarmabs_core.messages import EVENTS, PLANE_STATE, EventKind, PlaneState, SwarmEvent
 from swarmabs_core.realtime.base import Level
 from swarmabs_core.realtime.validation import SECOND_SENDER
+from swarmabs_run.orchestration.run_files import environment_of_run
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 
@@ -53,3 +57,34 @@ def test_a_second_process_with_the_id_of_a_robot_is_refused_and_changes_nothing(
     second.terminate()
     client.until_healthy(*nodes)  # it is forgotten some time after its last state
     assert angle(client) < 0.02
+
+
+def test_a_third_party_on_the_topic_of_the_plane_enters_no_bag_and_is_reported(folder: Path) -> None:
+    names: set[str] = set()
+
+    def attack() -> None:
+        with started_client(environment_of_run(folder), "forger") as forger:
+            forger.forge(ANGLE)
+            until(lambda: forger.sent() > 100, "it forges", PATIENCE)
+
+            def named() -> bool:
+                found = forger.look()["diagnostics"]
+                text = "a second sender speaks for plane/state"
+                names.update(name for name, health in found.items() if text in health["message"])
+                return names >= {"parent_controller", "recorder"}
+
+            until(named, "nodes and recorder name it", PATIENCE)
+            runs.interrupt()
+
+    outcome = runs.realtime(folder, runs.FOREVER, on_progress=runs.at({100: attack}))
+    assert outcome.status == "interrupted"
+    recorded = [record.message for record in open_bag(folder).records((PLANE_STATE, EVENTS))]
+    assert all(message.angle != ANGLE for message in recorded if isinstance(message, PlaneState))
+    told = [message for message in recorded if isinstance(message, SwarmEvent) and message.kind == EventKind.REFUSED]
+    assert 0 < len(told) < 50
+    verdict = runs.swarm("verify", folder, "--json")
+    assert verdict.code == 1
+    assert (verdict.summary()["first_difference"], list(verdict.summary()["second_senders"])) == (
+        None,
+        ["/plane/state"],
+    )

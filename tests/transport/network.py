@@ -57,6 +57,11 @@ class Reports:
     def send(self, event: str, **details: object) -> None:
         self.said.append((event, details))
 
+    @property
+    def troubles(self) -> list[tuple[str, dict[str, Any]]]:
+        """What was said but for the events, which every node tells."""
+        return [each for each in self.said if each[0] not in {"publishes", "recorded"}]
+
     def of(self, event: str) -> list[dict[str, Any]]:
         return [details for said, details in self.said if said == event]
 

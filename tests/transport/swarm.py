@@ -16,11 +16,13 @@ from swarmabs_bag.blocks import Block
 from swarmabs_bag.recorder.node import Recorder
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_bag.run_folder import RunFolder
+from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, RECORDER, ROBOT, STANDBY_SUFFIX, Endpoints, standby_name
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.behaviours import SteeringController
 from swarmabs_core.messages import RECORDING_PROGRESS, Topic
 from swarmabs_core.steering import STEERER
+from swarmabs_ros.announcements import send_events
 from swarmabs_ros.lockstep import Lockstep, NodeSpec, Wait
 from swarmabs_ros.pairs import BehindError
 from swarmabs_ros.runner import Settings
@@ -71,7 +73,8 @@ class Cast:
         given = {name: value for name, value in (process.parameters | dict(changed)).items() if value != []}
         settings = settings_from(module.PARAMETERS, **cast("Any", given))
         name = ROBOT if process.agents else process.name.removesuffix(STANDBY_SUFFIX)
-        ends = settings.endpoints(name, LOCKSTEP, robots=len(self.scenario.agents))
+        also = configure.options_for(self.scenario)
+        ends = settings.endpoints(name, LOCKSTEP, *also, robots=len(self.scenario.agents))
         return Role(process.name, partial(module.make, settings), ends, settings)
 
 
@@ -140,12 +143,14 @@ class Swarm:
                 packed=cast_.packed,
                 steered=cast_.steered,
                 patience=settings.patience() if paired else None,
+                on_events=partial(send_events, cast("Any", reports), "recorded"),
             )
             spec = NodeSpec(
                 behaviour,
                 lingers=False,
                 gather=behaviour.gathering,
                 hear_all=behaviour.hear_all,
+                compares=True,
                 echoed=RECORDING_PROGRESS if paired else None,
                 on_silence=behaviour.wait if paired else None,
                 on_peer_end=behaviour.peer_ended if paired else None,
@@ -164,6 +169,7 @@ class Swarm:
             inbox,
             cast("Any", publishers),
             cast("Any", reports),
+            topics=tuple(role.endpoints.subscriptions),
             stall_timeout=role.settings.number("stall_timeout"),
             repeat_after=role.settings.number("repeat_after"),
             repeat_steps=role.settings.integer("repeat_steps"),
@@ -303,6 +309,12 @@ class Swarm:
                 self._under_way.append(Parcel(sender, receiver, topic, data, reliable))
         if OFFERED[LOCKSTEP][topic].durability == "transient_local":
             self._history.append((sender, topic, data))
+
+    def intrude(self, topic: Topic, data: bytes) -> None:
+        """Deliver a message of a node that does not belong to the swarm."""
+        for receiver, _ in self._readers.get(topic, ()):
+            if receiver.begun and receiver.frozen_until <= self.now:
+                self._deliver(Parcel(receiver, receiver, topic, data, reliable=True))
 
     def _deliver(self, parcel: Parcel) -> None:
         node = parcel.receiver

@@ -141,7 +141,7 @@ def problem_of(name: str, doings: Script, until: float = LONGEST_RUN) -> str:
     if wrong := [topic.name for topic in (*MAIN_TOPICS, EVENTS) if said[topic] != wanted[topic]]:
         return f"other messages are published than the simulation has: {wrong}"
     stands_still = FROZEN * sum(act in {Act.FREEZE, Act.LATE} for _, act, _ in doings)
-    reported = {n.name: n.reports.said for n in swarm.nodes.values() if n.reports.said}
+    reported = {n.name: n.reports.troubles for n in swarm.nodes.values() if n.reports.troubles}
     if reported and stands_still < STALL:
         return f"something is reported: {reported}"
     return ""

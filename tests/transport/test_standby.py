@@ -139,7 +139,7 @@ def test_a_standby_is_silent_while_its_primary_lives() -> None:
     signs = steps // 10 + 1
     for name in (OBSERVER, CONTROLLER):
         assert published_by(swarm, standby_name(name)) == signs
-        assert not swarm.nodes[standby_name(name)].reports.said
+        assert not swarm.nodes[standby_name(name)].reports.troubles
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -13,7 +13,7 @@ from swarmabs_core.declaration import part, same
 from swarmabs_core.messages import EventKind, Message, Messages, PlaneState, SwarmEvent
 from swarmabs_core.realtime.base import PLANE_PHASE, UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
 from swarmabs_core.realtime.instruments import PlaneInstrument
-from swarmabs_core.realtime.validation import Refusals
+from swarmabs_core.realtime.validation import Problem, Refusals
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
 from swarmabs_ros.readings import (
     Imu,
@@ -75,8 +75,8 @@ class PlaneDriver:
                 self._measure(reading, now)
             except RefusedReadingError as error:
                 self.refused.add(error)
-                reason = f"reading of the plane's sensor: {error.reason}"
-                told += self._refusals.add(reason, self._config.schedule.step(now), now)
+                problem = Problem(error.reason).of("reading of the plane's sensor")
+                told += self._refusals.add(problem, self._config.schedule.step(now), now)
         return told
 
     def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:  # noqa: ARG002 - the interface of behaviours

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_analysis.difference import Difference
 from swarmabs_analysis.verification.base import VerificationResult
+from swarmabs_analysis.verification.earlier import are_earlier
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.attached import (
@@ -14,7 +15,9 @@ from swarmabs_bag.attached import (
     SCENARIO_FILE,
     attached_provenance,
     attached_scenario,
+    events_in,
     is_realtime,
+    lost,
     plugin_versions,
     supply_scenario,
     versions,
@@ -30,7 +33,7 @@ from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import tree_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.fingerprint import libm_fingerprints
-from swarmabs_core.messages import EVENTS
+from swarmabs_core.messages import EVENTS, STANDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -81,7 +84,12 @@ class BagToVerify:
         After each message or block of messages `on_step` receives the first step that is not verified yet.
         """
         verification: Verification = (
-            LockstepVerification(self.scenario, tolerance=tolerance)
+            LockstepVerification(
+                self.scenario,
+                tolerance=tolerance,
+                division=None if STANDING in self._bag.topics() else 0,
+                earlier=are_earlier(events_in(self._bag), self.scenario),
+            )
             if self._realtime is None
             else RealtimeVerification(on_plane(self.scenario, "real time"), self._realtime, tolerance=tolerance)
         )
@@ -95,13 +103,15 @@ class BagToVerify:
                 self._bag.check()
             except DamagedBagError as error:
                 found.problem = str(error)
+        if self._realtime is not None:
+            found.lost = lost(self._bag)
         verification.finish(whole=not cut and found.ended_early is None)
         if cut or found.difference is not None:
             found.digest = None
         elif found.digest is not None:
             found.difference = _other_digest(self._bag, found.digest)
         notes = self._not_recomputed() if self._realtime else (*self._from_outside, *self._unsaid())
-        found.notes = (*notes, *(() if found.difference is None else self._elsewhere()))
+        found.notes = (*found.notes, *notes, *(() if found.difference is None else self._elsewhere()))
         return found
 
     def _not_recomputed(self) -> tuple[str, ...]:
@@ -118,7 +128,7 @@ class BagToVerify:
         """Feed the bag's messages to the verification until it is decided; return the damage of the file, if any."""
         try:
             family = self.scenario.family
-            topics = RECORDED if self._realtime else (*family.once, *family.main, EVENTS)
+            topics = RECORDED if self._realtime else (*family.once, *family.main, STANDING, EVENTS)
             for found in self._bag.published(topics) if self._realtime else self._bag.blocks(topics):
                 if isinstance(found, Block):
                     verification.add_block(found)

@@ -21,7 +21,7 @@ from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.recording import digest_head
 from swarmabs_core.arrays import LAYOUT, LENGTH, PADDING, RunArrays, Tables, layout_of, run_arrays, run_event
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, lengths_of
-from swarmabs_core.messages import EVENTS, ROBOT_STATES, SwarmEvent, Topic
+from swarmabs_core.messages import EVENTS, ROBOT_STATES, STANDING, SwarmEvent, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -78,12 +78,14 @@ def load_arrays(
 class LoadedMessages(NamedTuple):
     """Messages of the main topics as rows of structured arrays, and the events, each in the order of the file.
 
-    `description` is that of the parent system, None for the plane.
+    `description` is that of the parent system, None for the plane; `divided` is the number of messages on how the
+    abstract state divides.
     """
 
     tables: dict[Topic, NDArray[np.void]]
     events: tuple[SwarmEvent, ...]
     description: SystemTables | None
+    divided: int
 
 
 def arrays_since(bag: BagReader, messages: LoadedMessages) -> tuple[RunArrays | Any, float]:
@@ -118,7 +120,9 @@ def load_messages(bag: BagReader, *, stride: int = 1) -> LoadedMessages:
     _check_memory(bag, sizes, stride)
     gathered = {topic: bytearray() for topic in family.main}
     events: list[tuple[Topic, int, bytes]] = []
-    for messages in bag.tables((*family.main, EVENTS)):
+    divided = 0
+    for messages in bag.tables((*family.main, STANDING, EVENTS)):
+        divided += len(messages.on(STANDING))
         events.extend((EVENTS, event.time, event.payload) for event in messages.on(EVENTS))
         _check_sizes(bag, messages, sizes)
         for topic, layout in layouts.items():
@@ -129,7 +133,7 @@ def load_messages(bag: BagReader, *, stride: int = 1) -> LoadedMessages:
         _check_heads(bag, topic, rows, lengths_of(topic.message, firsts[topic]))
     _check_density(bag, tables)
     found = tuple(event for _, _, event in bag.decode(events) if isinstance(event, SwarmEvent))
-    return LoadedMessages(tables, found, description_of(bag) if family.once else None)
+    return LoadedMessages(tables, found, description_of(bag) if family.once else None, divided)
 
 
 def _check_sizes(bag: BagReader, found: TopicMessages, sizes: Mapping[Topic, int]) -> None:

@@ -10,7 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.errors import DamagedBagError, UnknownTypeError
+from swarmabs_bag.metadata import REPAIRED_KEY
 from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_config.configure import plugins
 from swarmabs_config.graph import REALTIME
@@ -168,7 +169,7 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered:
         scenario = parse_scenario(text.decode(), source=source, overrides=() if acted else overrides)
     except UnicodeDecodeError as error:
         raise InputError(f"{source} is not UTF-8 text, so its scenario is unknown") from error
-    return as_planned(scenario, _events(bag), source=source, overrides=overrides) if acted else scenario
+    return as_planned(scenario, events_in(bag), source=source, overrides=overrides) if acted else scenario
 
 
 def contradiction(bag: BagReader) -> str | None:
@@ -226,12 +227,23 @@ def was_steered(bag: BagReader) -> bool:
     return attached_provenance(bag).get("steered") is True
 
 
-def _events(bag: BagReader) -> Iterator[SwarmEvent]:
+def events_in(bag: BagReader) -> Iterator[SwarmEvent]:
     """Yield the readable events of a bag; other readers report the damage."""
-    with suppress(DamagedBagError):
+    if bag.problem is None and not any(channel.message_count for channel in bag.channels if channel.topic is EVENTS):
+        return  # without reading all of the bag
+    with suppress(DamagedBagError, UnknownTypeError):
         for _, _, message in bag.decoded((EVENTS,)):
             if isinstance(message, SwarmEvent):
                 yield message
+
+
+def lost(bag: BagReader) -> str | None:
+    """Return what repairs could not recover of a bag; of a merged one, only if each of its bags lost some."""
+    if (own := bag.custom_data().get(REPAIRED_KEY)) is not None:
+        return own
+    merged = attached_provenance(bag).get(MERGED)
+    losses = [entry.get("repaired") for entry in merged if isinstance(entry, dict)] if isinstance(merged, list) else []
+    return "; ".join(map(str, losses)) if losses and all(losses) else None
 
 
 def attached_provenance(bag: BagReader) -> dict[str, Any]:

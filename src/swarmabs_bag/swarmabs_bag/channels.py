@@ -36,6 +36,7 @@ READABLE = {
     "swarmabs_msgs/msg/SwarmAbstract": ("RIHS01_87004a96dcc261a8d4e62518df2b55f181ea05a7064370e042667518dc5069aa",),
     "swarmabs_msgs/msg/SwarmAuxiliary": ("RIHS01_363d152a03bdafcf03ef68aef9f060871e0a9e4de0bae31cebf5f86e7fd6f6c5",),
     "swarmabs_msgs/msg/SwarmDesired": ("RIHS01_14d4547108eaf7c9e58e558e9472aa0e2e82784160f1a0cf59ee18e36f6a445f",),
+    "swarmabs_msgs/msg/StandingState": ("RIHS01_7cf46f19732db063247dd0137cbcc1c54ea43f8097f71c408d008b4d3eb62501",),
     "swarmabs_msgs/msg/SystemDescription": ("RIHS01_f2899023e8687bf5f9b1a866527ee09a370eb818ec831ed10a4d4e4217d2804c",),
 }
 """Hashes of the recorded types, the current one last. None is ever removed (docs/reference/compatibility.md)."""

@@ -15,10 +15,13 @@ from swarmabs_bag.recording import RecordedStep
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError, refuse_other_system
 from swarmabs_core.behaviours.steering import Orders
 from swarmabs_core.cdr import decode, split
+from swarmabs_core.errors import ProtocolError
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
+    EVENTS,
     PLANE_FAMILY,
     ROBOT_STATES,
+    STANDING,
     SWARM_STATES,
     Action,
     AnyRobotState,
@@ -30,6 +33,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     SwarmStates,
     Topic,
+    said,
 )
 from swarmabs_core.publishers import NodeKind, publisher_of
 from swarmabs_core.record import Record
@@ -44,6 +48,17 @@ if TYPE_CHECKING:
 
 MEMORY = 250
 """Number of past steps for which repeats are compared with the recorded messages, unless given otherwise."""
+
+
+class UnplannedChangeError(ProtocolError):
+    """An event about a robot that nothing in this run ends, or lets join, at its step."""
+
+    def __init__(self, event: SwarmEvent) -> None:
+        kind = said(EventKind(event.kind))
+        super().__init__(
+            f"{EVENTS.name}: robot {event.agent_id} is reported as {kind!r} from step {event.step} on, which nothing "
+            "in this run causes; is a second swarm in this namespace?"
+        )
 
 
 class _Slot:
@@ -70,6 +85,11 @@ class RunCollector:
     steered : bool
         Whether the run is steerable. Then a step is complete only when its request is known and the events that
         announce it have arrived, so that everything recorded can be repeated.
+    drops : bool
+        Whether robots may end that neither the schedule nor a request ends. Otherwise an event that says so is not one
+        of this swarm.
+    division : int
+        For how many steps from a change on the observer tells how the abstract state divides.
     family : Family
         The topics of the run.
     system : int, optional
@@ -84,14 +104,18 @@ class RunCollector:
         *,
         memory: int = MEMORY,
         steered: bool = False,
+        drops: bool = True,
+        division: int = 0,
         family: Family = PLANE_FAMILY,
         system: int | None = None,
     ) -> None:
         self._family = family
         self._system = system
-        self._each = len(family.main) - 1  # topics with one message per step
         ids = sorted(members)
-        self._membership = Membership(ids, schedule)
+        changes = tuple(schedule)
+        self._membership = Membership(ids, changes)
+        self._division = division
+        self._planned = None if drops else Membership(ids, changes)
         self._arrivals = Arrivals(family, self._membership, ids, memory, system)
         self._last_step = last_step
         self._memory = memory
@@ -193,12 +217,10 @@ class RunCollector:
         """Return the complete steps held as arrays, as far as the robots and what was ordered stay the same."""
         step, membership = self._step, self._membership
         count = self._arrivals.complete(step)
-        if not count or (not step and self._family.once):
+        if not count or (not step and self._family.once) or membership.divides(step, self._division):
             return None
         until = membership.constant_until(step)
         if self._orders is not None:
-            if membership.changes(step):
-                return None
             until = min(until, self._orders.known + 1, *(at for at in self._settings if at >= step))
         count = min(count, until - step)
         if count <= 0:
@@ -239,7 +261,8 @@ class RunCollector:
         found = self._orders.add(order)
         for known in found:
             if (change := change_of(known)) is not None:
-                self._membership.plan(change)
+                for membership in filter(None, (self._membership, self._planned)):
+                    membership.plan(change)
             elif known.action != Action.NONE:
                 self._settings[known.step] = REFERENCE if known.action == Action.REFERENCE else DISTURBANCE
         return found, self._complete()
@@ -267,8 +290,28 @@ class RunCollector:
         if event.step < self._step:  # its step is already recorded, so the event follows late
             if self._is_void(event):
                 return []
+            self._refuse_unplanned(event)
             return [RecordedStep(event.step, (record,), slot.main[self._family.parent].message.stamp)]
         return self._complete()
+
+    def _refuse_unplanned(self, event: Message) -> None:
+        """Accept an event unless it tells a change of the membership that no node of this swarm can have announced.
+
+        Raises
+        ------
+        ConflictError
+            If it does.
+        """
+        if self._planned is None or not isinstance(event, SwarmEvent) or event.agent_id not in self._planned:
+            return
+        span = self._planned.span(event.agent_id)
+        at = {
+            EventKind.JOINED: span.first,
+            EventKind.LEFT: None if span.last is None or span.stays else span.last + 1,
+            EventKind.DEAD: None if span.last is None or not span.stays else span.last + 1,
+        }
+        if event.kind in at and event.step != at[EventKind(event.kind)]:
+            raise UnplannedChangeError(event)
 
     def missing(self) -> tuple[str, ...]:
         """Return human-readable names of what is missing for the current step."""
@@ -280,8 +323,10 @@ class RunCollector:
         return (*(() if ordered else (STEERER,)), *(f"agent {i}" for i in self.missing_agents()), *topics)
 
     def _coordinated(self) -> tuple[Topic, ...]:
-        """Return the topics with one message in the current step, in the order of a bag."""
-        return self._family.main[1:] if self._step else (*self._family.once, *self._family.main[1:])
+        """Return the topics with one message in the current step, in the order of a bag after the robots' states."""
+        family, step = self._family, self._step
+        divided = self._membership.divides(step, self._division)
+        return (*(() if step else family.once), *family.main[1:-1], *((STANDING,) if divided else ()), family.desired)
 
     def missing_agents(self) -> tuple[int, ...]:
         """Return the robots whose state is missing in the current step."""
@@ -294,19 +339,22 @@ class RunCollector:
         steps = []
         while not self.finished and (slot := self._slots.get(self._step)) is not None:
             expected = self._membership.publishing(self._step)
-            if len(slot.main) < self._each + (0 if self._step else len(self._family.once)):
+            coordinated = self._coordinated()
+            if not all(topic in slot.main for topic in coordinated):
                 break
             if any(i not in slot.agents for i in expected):
                 break
             if self._orders is not None and not self._announced(slot, self._orders):
                 break
+            for record in slot.events.values():
+                self._refuse_unplanned(record.message)
             steps.append(
                 RecordedStep(
                     self._step,
                     (
-                        *(slot.main[topic] for topic in self._family.once if not self._step),
+                        *(slot.main[topic] for topic in coordinated if topic in self._family.once),
                         *(slot.agents[i] for i in expected),
-                        *(slot.main[topic] for topic in self._family.main[1:]),
+                        *(slot.main[topic] for topic in coordinated if topic not in self._family.once),
                         *(r for _, r in sorted(slot.events.items()) if not self._is_void(r.message)),
                     ),
                 )

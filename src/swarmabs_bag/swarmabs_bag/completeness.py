@@ -19,6 +19,7 @@ from swarmabs_core.messages import (
     DESIRED_ABSTRACT_STATE,
     PLANE_STATE,
     ROBOT_STATES,
+    STANDING,
     AbstractState,
     AgentState,
     Basis,
@@ -104,7 +105,8 @@ class LockstepCompleteness:
     def first(self) -> int:
         """The first complete step."""
         robot = self._family.robot
-        first = max((spans.first for (topic, _), spans in self._found.items() if topic is not robot), default=0)
+        partial = {robot, STANDING}  # not of all steps
+        first = max((spans.first for (topic, _), spans in self._found.items() if topic not in partial), default=0)
         # The file may begin within a step, which then does not count as the first.
         begun = self.first_missing(robot, first) == first and self.first_missing(robot, first + 1) > first + 1
         return first + begun
@@ -137,9 +139,10 @@ class LockstepCompleteness:
 class RealtimeCompleteness:
     """The messages that a bag in real time lacks although they are known to have been sent.
 
-    A robot's state names the broadcasts behind it, a coordinator's provenance the robots' states behind its answer, and
-    the answer and its provenance are published together. Steps without any message between others are a gap too. What
-    was sent before the first message of its kind was recorded, or arrived later than the recorder takes it, is not.
+    A robot's state names the broadcasts behind it, a coordinator's provenance the robots' states, or the division
+    of the abstract state, behind its answer, and the answer and its provenance are published together. Steps without
+    any message between others are a gap too. What was sent before the first message of its kind was recorded, or
+    arrived later than the recorder takes it, is not.
     """
 
     def __init__(self, world: RealtimeWorld) -> None:
@@ -178,7 +181,7 @@ class RealtimeCompleteness:
         elif isinstance(message, Basis):
             yield from ((message.step, (topic, 0)) for topic in _ANSWERS.get(message.source, ()))
             for agent, step in zip(message.agent_ids, message.state_steps, strict=False):
-                yield step, (AGENT_STATE, agent)
+                yield step, (AGENT_STATE if agent else STANDING, agent)
         elif isinstance(message, AbstractState):
             yield message.step, (BASIS, Source.OBSERVER)
         elif isinstance(message, PlaneState) and self._simulated_plane:

@@ -20,6 +20,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.ranges import Strays
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -59,6 +60,11 @@ class Tracking(NamedTuple):
         shown = system.parent[followed[0] if followed else 0]
         return cls(followed, tuple(tracked.tolerance for tracked in system.tracked), shown.name, shown.unit)
 
+    def errors(self, wanted: float | Vector, state: Vector) -> list[float]:
+        """Return the errors of the parent's state: one for each quantity that follows a reference."""
+        goals = wanted if isinstance(wanted, tuple) else (wanted,)
+        return [goal - state[place] for goal, place in zip(goals, self.followed, strict=True)]
+
 
 PLANE_TRACKING = Tracking()
 
@@ -91,6 +97,8 @@ class Figures:
     ----------
     newest : int
         The newest step, -1 before the first.
+    strays : Strays
+        The robots that have left the ranges of their coordinates.
     max_abs_shown : float or None
         Largest absolute value of the plane's angle, or of the number to show of another parent.
     """
@@ -107,6 +115,7 @@ class Figures:
         self._latest: Latest | None = None
         self.newest = -1
         self.max_abs_shown: float | None = None
+        self.strays = Strays()
 
     @property
     def latest(self) -> Latest | None:
@@ -124,9 +133,7 @@ class Figures:
         The error of several numbers is the Euclidean norm of their errors.
         """
         followed, tolerances, *_ = self.tracking
-        wanted = self._reference(time)
-        wanted = wanted if isinstance(wanted, tuple) else (wanted,)
-        errors = [value - state[place] for value, place in zip(wanted, followed, strict=True)]
+        errors = self.tracking.errors(self._reference(time), state)
         if not errors or not all(map(_within, errors, tolerances)):
             self._settled_at = None
         elif self._settled_at is None:
@@ -144,13 +151,19 @@ class Figures:
     def figures(self) -> dict[str, float | int | None]:
         """Return the figures by their names in ``summary.json``; None for unknown and non-finite ones."""
         rms_error = (self._squares / self._steps) ** 0.5 if self._steps else None
+        settled, clear = self._settled_at, self.strays.clear_from
         return {
-            "settled_at": self._settled_at,
+            "settled_at": None if settled is None or clear is None else max(settled, clear),
             "final_error": _finite(self._error),
             "rms_error": _finite(rms_error),
             "max_abs_position": _finite(self._max_abs_position),
             "messages": self._messages,
         }
+
+    def _summary(self, **more: Any) -> dict[str, Any]:
+        """Return the figures and more, with the robots that left their ranges if any did."""
+        strays = self.strays.summary()
+        return {**self.figures(), **more, **({"out_of_range": strays} if strays else {})}
 
 
 def _within(error: float, tolerance: float) -> bool:
@@ -172,6 +185,8 @@ class RunFigures(Figures):
         """Add the next step, or steps."""
         self._digest.update(step)
         self._messages += step.messages
+        for event in step.events:
+            self.strays.hear(event, event.stamp / 1e9)
         for distance in step.max_abs_positions:
             self.reach(distance)
         for parent in step.parents:
@@ -184,7 +199,7 @@ class RunFigures(Figures):
 
     def summary(self) -> dict[str, Any]:
         """Return figures and digest; the digest of a run without messages is None."""
-        return {**self.figures(), "digest": self.digest() if self._latest is not None else None}
+        return self._summary(digest=self.digest() if self._latest is not None else None)
 
 
 class _Span:
@@ -219,6 +234,7 @@ class RealtimeFigures(Figures):
         self._spans: dict[tuple[Topic, int], _Span] = {}
         self._angles: dict[int, float] = {}
         self._begun: dict[int, int] = {}
+        self._law_begun = 0
         self._ages: Counter[int] = Counter()
         self._safe_stops = 0
         self._plane: PlaneState | None = None
@@ -238,10 +254,11 @@ class RealtimeFigures(Figures):
         self._messages += 1
         if isinstance(message, SwarmEvent):
             self._safe_stops += message.kind == EventKind.SAFE_STOP
+            self.strays.hear(message, max(0, message.step - self._law_begun) * self._schedule.period_ns / 1e9)
             return
         if isinstance(message, Basis):
             if message.source == Source.CONTROLLER:
-                self._begun[message.step] = message.begun
+                self._begun[message.step] = self._law_begun = message.begun
                 self._follow(message.step)
             return
         place = record.topic, record.agent_id
@@ -275,7 +292,7 @@ class RealtimeFigures(Figures):
 
     def summary(self) -> dict[str, Any]:
         """Return all figures; there is no digest, because received messages differ from run to run."""
-        return {**self.figures(), "digest": None, "realtime": self.realtime()}
+        return self._summary(digest=None, realtime=self.realtime())
 
     def realtime(self) -> dict[str, object]:
         """Return the figures specific to real time: received and missing messages, ages of broadcasts, safe stops.

@@ -12,13 +12,21 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from swarmabs_bag.attached import MERGED, SCENARIO_FILE, UNDECIDED, attached_provenance, contradiction
+from swarmabs_bag.attached import (
+    MERGED,
+    SCENARIO_FILE,
+    UNDECIDED,
+    attached_provenance,
+    contradiction,
+    events_in,
+)
 from swarmabs_bag.channels import named_swarms
 from swarmabs_bag.errors import DamagedBagError, repair_command
 from swarmabs_bag.metadata import ABORTED_KEY, REPAIRED_KEY, load_yaml
 from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_config.model.errors import shorten, show
 from swarmabs_config.scenario import ScenarioError, parse_scenario
+from swarmabs_core.ranges import Strays, texts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -78,6 +86,8 @@ class BagInfo:
         Why the run ended early; what a repair could not recover.
     merged : tuple of str
         For a merged bag, the steps and the digest of each bag that it is made of.
+    out_of_range : tuple of str
+        Robots that left the ranges of their coordinates.
     """
 
     file: str
@@ -102,6 +112,7 @@ class BagInfo:
     aborted: str | None
     repaired: str | None
     merged: tuple[str, ...] = ()
+    out_of_range: tuple[str, ...] = ()
 
 
 def bag_info(path: Path | str) -> BagInfo:
@@ -163,6 +174,7 @@ def bag_info(path: Path | str) -> BagInfo:
         aborted=custom.get(ABORTED_KEY),
         repaired=custom.get(REPAIRED_KEY),
         merged=tuple(_merged(provenance.get(MERGED))),
+        out_of_range=texts_of(Strays(events_in(bag)).summary()),
     )
 
 
@@ -203,6 +215,7 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
         "state": _state(info),
         "ended early": info.aborted,
         "repaired": info.repaired,
+        "out of range": "; ".join(info.out_of_range),
         "merged from": "; ".join(info.merged),
         "size": f"{info.size:,} bytes",
         "chunks": f"{info.chunks} ({info.compression or 'none'}; {info.uncompressed_size:,} bytes uncompressed)",

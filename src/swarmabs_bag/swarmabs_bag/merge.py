@@ -298,6 +298,7 @@ class _Run:
                     realtime.add(kept, received.time)
                 else:
                     lockstep.add(kept.topic, kept.message)
+        topics.update(told.topic.name for told in union.finish())
         ended_early = self._ended_early()
         if realtime is not None:
             return _Found(topics, realtime.gaps(), union.contradictions, ended_early)
@@ -353,6 +354,10 @@ class _Agreed:
             )
         return ()
 
+    def finish(self) -> tuple[Record, ...]:
+        """Return the records to write at the end: none."""
+        return ()
+
     def _forget(self) -> None:
         """Forget what is so old that no recorder takes it any more."""
         if len(self._known) > 2 * LOCKSTEP_MEMORY:
@@ -366,6 +371,7 @@ class _Collected:
     def __init__(self, collector: RealtimeCollector) -> None:
         self._collector = collector
         self.contradictions: list[Contradiction] = []
+        self.finish = collector.finish
 
     def add(self, received: _Received) -> tuple[Record, ...]:
         """Return the record if it is to be written, or an event about it."""
@@ -441,6 +447,8 @@ def _write(run: _Run, found: _Found, folder: Path) -> None:
             for kept in union.add(received):
                 published = received.published if kept is received.record else max(0, kept.message.stamp)
                 writer.write(kept.topic, received.time, kept.payload, published)
+        for told in union.finish():
+            writer.write(told.topic, told.message.stamp, told.payload, told.message.stamp)
         writer.close(_other_attachments(bags), aborted=found.ended_early)
 
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.attached import attached_provenance
 from swarmabs_bag.figures import RealtimeFigures
 from swarmabs_config import configure
-from swarmabs_config.graph import REALTIME, RECORDER, STANDBY_TOPICS, Option, endpoints, usual_topic
+from swarmabs_config.graph import REALTIME, RECORDER, STANDBY_TOPICS, USUAL_TOPICS, Option, endpoints, usual_topic
 from swarmabs_core.cdr import misplaced
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (
     BASIS,
-    EVENTS,
+    BROADCASTS,
+    PLANE_STATE,
     AgentState,
     Basis,
     DesiredAbstractState,
@@ -24,7 +26,7 @@ from swarmabs_core.messages import (
     Topic,
 )
 from swarmabs_core.realtime.base import Realtime, Schedule
-from swarmabs_core.realtime.validation import Bounds, Refusals, Writers
+from swarmabs_core.realtime.validation import Bounds, Origin, Problem, Refusals, Writers
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
@@ -43,17 +45,70 @@ def recorded(*, paired: bool) -> tuple[Topic, ...]:
 
 RECORDED = recorded(paired=True)
 """All topics of a recording in real time."""
-_UNKNOWN_BOUNDS = Bounds(inf, inf)
+_UNKNOWN_BOUNDS, _LIMITS = Bounds(inf, inf), Realtime()
 MEMORY = 1000
 """Steps around the recorder's current one within which messages are recorded, and duplicates recognised."""
 DIFFERENT = "two different messages of this step on "
-"""Prefix of an event's detail that names a topic of which only the first message is recorded."""
+"""Prefix of an event's detail in bags of earlier versions: of that topic and step only the first message is there."""
+QUIET_STEPS = 100
+"""Steps without another dispute after which one is over; bounds the number of events about it."""
 
 
-def conflict(event: SwarmEvent) -> str | None:
-    """Return the topic of which, according to an event, only the first message of the step is recorded, or None."""
-    refused = event.kind == EventKind.REFUSED and event.detail.startswith(DIFFERENT)
-    return event.detail.removeprefix(DIFFERENT) if refused else None
+class Dispute(NamedTuple):
+    """What an event says of a dispute: messages of steps in it may differ from those that nodes have used.
+
+    Attributes
+    ----------
+    cause : str
+        One of `CAUSES`.
+    topic : str
+        The topic of the messages.
+    number : int
+        Robot of the messages, or source of provenances; 0 for others.
+    first, last : int or None
+        The first step of it; the last, with which it ends. One of them is None.
+    """
+
+    cause: str
+    topic: str
+    number: int
+    first: int | None
+    last: int | None
+
+
+SECOND_WRITER = "a second sender"
+TWO_MESSAGES = "different messages of a step"
+CAUSES = (SECOND_WRITER, TWO_MESSAGES)
+"""Why messages are disputed. One sender says different things of a step if its clock was set back."""
+_BEGINS, _ENDS = "from this step on ", "up to this step "
+_DISPUTE = re.compile(
+    rf"({_BEGINS}|{_ENDS})({'|'.join(CAUSES)}), of which the bag has only the first, "
+    r"on (\S+?)(?: of source (\d{1,3}))?"
+)
+
+
+def disputed(event: SwarmEvent) -> Dispute | None:
+    """Return what an event says of the beginning or the end of a dispute; None for other events."""
+    if event.kind != EventKind.REFUSED:
+        return None
+    if event.detail.startswith(DIFFERENT):
+        topic = event.detail.removeprefix(DIFFERENT)
+        return Dispute(TWO_MESSAGES, topic, event.agent_id, event.step, event.step)
+    if (found := _DISPUTE.fullmatch(event.detail)) is None:
+        return None
+    limit, cause, topic, source = found.groups()
+    steps = (event.step, None) if limit == _BEGINS else (None, event.step)
+    return Dispute(cause, topic, int(source or event.agent_id), *steps)
+
+
+@dataclass(slots=True)
+class _Disputed:
+    """A dispute that is not over: its first and last step, its number of messages, and when it last was renewed."""
+
+    first: int
+    last: int
+    count: int
+    renewed: int
 
 
 class RealtimeCollector:
@@ -61,24 +116,26 @@ class RealtimeCollector:
 
     It records the first message of each topic, step and robot, and of desired states the first of each mode, because
     the parent controller may change the mode within a step. Messages on robots' own topics are recorded on the usual
-    ones. Duplicates are dropped. Different messages for the same place, states of a robot from a second sender, and
-    messages of another swarm or time, are dropped too, but reported by an event. While a robot has a second sender, an
-    event marks each of its steps, because other receivers may follow the other sender.
+    ones. Duplicates are dropped.
+
+    As nodes do, it binds each topic and robot to a writer, and drops the messages of a second one. Different messages
+    for the same place, and messages of another swarm or time, are dropped too. Events report this: two for each
+    dispute, with its first and its last step, because other receivers may be bound to the other writer.
 
     Parameters
     ----------
     bounds : Bounds, optional
-        What is credible: as for the observer, only a credible state binds the id of a robot to its writer.
-    age_limit : float
-        Silence, s, after which another writer may speak for a robot.
+        What is credible: as for the nodes, only a credible message binds its origin to its writer.
+    limits : Realtime
+        Their age limits are the silence after which another writer may take the place of the first.
 
     Attributes
     ----------
     writers : Writers
-        Who speaks for which robot.
+        Who speaks for what.
     repeated, different, refused : int
-        Numbers of dropped messages: duplicates, different messages for the same place, and those of another swarm or
-        time.
+        Numbers of dropped messages: duplicates, different messages for the same place or of a second writer, and those
+        of another swarm or time.
     """
 
     def __init__(
@@ -86,15 +143,19 @@ class RealtimeCollector:
         members: Iterable[int],
         schedule: Schedule,
         bounds: Bounds = _UNKNOWN_BOUNDS,
-        age_limit: float = Realtime().state_age_limit,
+        limits: Realtime = _LIMITS,
     ) -> None:
         self._members = frozenset(members)
         self._schedule = schedule
         self._known: dict[int, dict[tuple[Topic, object], bytes]] = {}
         self._oldest = 0
         self._refusals = Refusals()
-        self._bounds, self._age = bounds, schedule.steps(age_limit)
-        self.writers = Writers(self._age)
+        self._bounds = bounds
+        broadcasts = dict.fromkeys((topic.name for topic in BROADCASTS), schedule.steps(limits.broadcast_age_limit))
+        plane = schedule.steps(limits.plane_age_limit)
+        self.writers = Writers(schedule.steps(limits.state_age_limit), {**broadcasts, PLANE_STATE.name: plane})
+        self._disputes: dict[tuple[str, Topic, int], _Disputed] = {}
+        self._now = 0
         self.repeated = self.different = 0
 
     @property
@@ -109,62 +170,90 @@ class RealtimeCollector:
 
     def add(self, record: Record, now: int, writer: bytes = b"") -> tuple[Record, ...]:
         """Process a message received at a time (ns since 1970) from a writer; return the records to write."""
-        step = self._schedule.step(now)
+        self._now, step = now, self._schedule.step(now)
         self._forget(step - MEMORY)
-        problem = self._problem(record, step)
+        self.writers.advance(step)
+        ended = self._end_disputes(step) if self._disputes else ()
+        problem = self._problem(record, step, writer)
         if problem:
-            return tuple(map(Record.of, self._refusals.add(problem, step, now)))
+            return (*ended, *map(Record.of, self._refusals.add(problem, step, now)))
         if record.topic.agent_id:
             record = record._replace(topic=usual_topic(record.topic))
-        topic, agent_id, message, payload, *_ = record
-        self.writers.advance(step)
+        topic, _, message, payload, *_ = record
         known = self._known.setdefault(message.step, {})
         place = (topic, payload if isinstance(message, SwarmEvent) else part(record))
         first = known.get(place)
+        second = self._is_of_second(record, step, writer)
         if first == payload:
             self.repeated += 1
-            return ()
-        second = isinstance(message, AgentState) and self._is_of_second(message, step, writer)
+            return ended
         if first is None and not second:
             known[place] = payload
-            # The observer may follow the other writer, whose state of this step need not arrive here.
-            doubtful = writer and self.writers.contested(agent_id)
-            return (record, *self._mark(known, place, record, now)) if doubtful else (record,)
+            return (*ended, record)
         self.different += 1
-        return self._mark(known, place, record, now)
+        return (*ended, *self._dispute(record, SECOND_WRITER if second else TWO_MESSAGES, step))
 
-    def _is_of_second(self, state: AgentState, step: int, writer: bytes) -> bool:
-        """Return whether a state is that of a second writer, by the rule of the observer."""
-        if self.writers.refuses(state.agent_id, writer):
+    def finish(self) -> tuple[Record, ...]:
+        """Return the events to write at the end of the recording."""
+        return self._end_disputes(None)
+
+    def _is_of_second(self, record: Record, step: int, writer: bytes) -> bool:
+        """Return whether a message is that of a second writer, by the rule of the nodes."""
+        message = record.message
+        if not writer or isinstance(message, SwarmEvent):
+            return False
+        origin = origin_of(record)
+        if self.writers.refuses(origin, writer):
             return True
-        if abs(state.step - step) <= self._age and not self._bounds.problem(state):
-            self.writers.hear(state.agent_id, writer)
+        if abs(message.step - step) <= self.writers.age(origin) and not self._bounds.problem(message):
+            self.writers.hear(origin, writer)
         return False
 
-    def _mark(
-        self, known: dict[tuple[Topic, object], bytes], place: tuple[Topic, object], record: Record, now: int
-    ) -> tuple[Record, ...]:
-        """Return an event that names a step with different messages, unless it has been named."""
-        mark = (EVENTS, place)
-        if mark in known:
+    def _dispute(self, record: Record, cause: str, step: int) -> tuple[Record, ...]:
+        """Note a dropped message; return the event with which a dispute begins."""
+        origin, of = origin_of(record), record.message.step
+        key, first, last = (cause, record.topic, origin.number), of, of
+        if cause == SECOND_WRITER:  # who follows it need not have received what is recorded of any step meanwhile
+            first, last = min(of, step), min(max(of, step), step + self.writers.age(origin))
+        known = self._disputes.get(key)
+        if known is None:
+            self._disputes[key] = _Disputed(first, last, 1, step)
+            return (self._told(_BEGINS, key, first, 1),)
+        known.last, known.count, known.renewed = max(known.last, last), known.count + 1, step
+        if first >= known.first:
             return ()
-        step, agent_id, detail = record.message.step, record.agent_id, DIFFERENT + record.topic.name
-        told = Record.of(SwarmEvent(now, step, agent_id, EventKind.REFUSED, 1.0, detail))
-        known[mark] = told.payload
-        return (told,)
+        known.first = step - MEMORY  # the oldest that are taken, so this is told at most twice
+        return (self._told(_BEGINS, key, known.first, known.count),)
 
-    def _problem(self, record: Record, step: int) -> str:
-        topic, agent_id = record.topic, record.agent_id
+    def _end_disputes(self, step: int | None) -> tuple[Record, ...]:
+        """Return the events with which disputes end that were not renewed for some time; without a step, of all."""
+        over = [key for key, found in self._disputes.items() if step is None or abs(step - found.renewed) > QUIET_STEPS]
+        ended = ((key, self._disputes.pop(key)) for key in over)
+        return tuple(self._told(_ENDS, key, found.last, found.count) for key, found in ended)
+
+    def _told(self, prefix: str, key: tuple[str, Topic, int], step: int, count: int) -> Record:
+        cause, topic, number = key
+        agent_id, of = (0, f" of source {number}") if topic.message is Basis else (number, "")
+        detail = f"{prefix}{cause}, of which the bag has only the first, on {topic.name}{of}"
+        return Record.of(SwarmEvent(self._now, max(0, step), agent_id, EventKind.REFUSED, float(count), detail))
+
+    def _problem(self, record: Record, step: int, writer: bytes) -> Problem | None:
+        topic, agent_id, message = record.topic, record.agent_id, record.message
         if topic.agent_id:
-            if problem := misplaced(record.message, topic):
-                return problem
+            if problem := misplaced(message, topic):
+                return Problem(problem)
         elif topic not in RECORDED:
-            return f"{topic.name}: not a topic that is recorded"
-        if (isinstance(record.message, AgentState) or agent_id) and agent_id not in self._members:
-            return f"{topic.name}: robot {agent_id} is not a member of this swarm"
-        if abs(record.message.step - step) > MEMORY:
-            return f"{topic.name}: a step far from now; of another swarm, or its clock is wrong"
-        return ""
+            return Problem("not a topic that is recorded").of(topic.name)
+        if (isinstance(message, AgentState) or agent_id) and agent_id not in self._members:
+            return Problem("a robot that is not a member of this swarm", f"robot {agent_id}").of(topic.name)
+        if abs(message.step - step) > MEMORY:
+            problem = "a step far from now; of another swarm, or its clock is wrong"
+            return Problem(problem, f"step {message.step}").of(topic.name)
+        if writer and not isinstance(message, SwarmEvent) and (impossible := self._bounds.problem(message)):
+            origin = origin_of(record)
+            # What the sender says whom the nodes hear is recorded, true or not.
+            return None if self.writers.is_bound(origin, writer) else impossible.of(origin)
+        return None
 
     def _forget(self, before: int) -> None:
         """Drop the steps before one, quickly even if the clock has jumped."""
@@ -174,6 +263,13 @@ class RealtimeCollector:
             for step in range(self._oldest, before):
                 self._known.pop(step, None)
         self._oldest = before
+
+
+def origin_of(record: Record) -> Origin:
+    """Return who is said to have sent a message."""
+    message, usual = record.message, usual_topic(record.topic)
+    number = message.source if isinstance(message, Basis) else record.agent_id
+    return Origin(usual.name, number, record.topic in USUAL_TOPICS)
 
 
 def part(record: Record) -> int:

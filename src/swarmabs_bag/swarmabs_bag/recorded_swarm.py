@@ -42,9 +42,10 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
+from swarmabs_core.ranges import Strays, reason_of, texts_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -94,6 +95,11 @@ class _Recorded(Generic[InstantT, ShownT]):
         for event in self.events:
             timeline.take(event)
         return timeline
+
+    @property
+    def strays(self) -> tuple[str, ...]:
+        """The robots that left the ranges of their coordinates, in words."""
+        return texts_of(Strays(self.events).summary())
 
     def time_of(self, event: SwarmEvent) -> float:
         """Return the time of an event's step, s, because the clock of its sender may be wrong."""
@@ -277,7 +283,7 @@ def recorded_swarm(bag: BagReader, messages: LoadedMessages, arrays: Any) -> Rec
     realtime = is_realtime(bag)
     if realtime:
         events = _since_first(events, tables)
-    status, reason = _ending(bag, scenario, None if realtime else len(tables[bag.family.parent]))
+    status, reason = _ending(bag, scenario, None if realtime else len(tables[bag.family.parent]), events)
     return (RecordedSwarm if bag.family is PLANE_FAMILY else RecordedSystem)(
         bag=bag.path,
         scenario=scenario,
@@ -313,17 +319,20 @@ def _since_first(events: tuple[SwarmEvent, ...], tables: Tables) -> tuple[SwarmE
     return tuple(event._replace(stamp=max(0, event.stamp - first)) for event in events)
 
 
-def _ending(bag: BagReader, scenario: AnyScenario, states: int | None) -> tuple[str, str | None]:
+def _ending(
+    bag: BagReader, scenario: AnyScenario, states: int | None, events: Iterable[SwarmEvent]
+) -> tuple[str, str | None]:
     """Return how the run ended; `states` is the number of plane states, None if steps may lack one."""
     if bag.problem is not None:
         return "damaged", f"the end of the bag is missing: {bag.problem}"
-    reason = bag.aborted()
-    if reason is not None:
-        return ("interrupted" if reason.startswith("interrupted") else "failed"), reason
+    aborted = bag.aborted()
+    if aborted is not None:
+        return ("interrupted" if aborted.startswith("interrupted") else "failed"), aborted
     of = "plane" if bag.family is PLANE_FAMILY else "parent"
     if states is not None and states != scenario.steps + 1:
         return "incomplete", f"{states} of {scenario.steps + 1} states of the {of} are recorded"
-    return "ok", None
+    reason = reason_of(Strays(events).summary())
+    return ("failed", reason) if reason else ("ok", None)
 
 
 def _drawable(run: Any) -> Any:

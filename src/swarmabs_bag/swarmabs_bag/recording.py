@@ -10,19 +10,20 @@ from swarmabs_core.messages import (
     FAMILIES,
     PARENT_STATES,
     ROBOT_STATES,
-    AgentState,
+    STANDING,
     AnyParentState,
     AnyRobotState,
     PlaneState,
     SwarmEvent,
     Topic,
+    coordinates_of,
 )
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-_NOT_IN_DIGEST = {EVENTS, *(topic for family in FAMILIES for topic in family.once)}
+_NOT_IN_DIGEST = {EVENTS, STANDING, *(topic for family in FAMILIES for topic in family.once)}
 
 
 class Step(Protocol):
@@ -127,11 +128,6 @@ class RecordedStep(NamedTuple):
         parent = self.parent
         time = parent.stamp if parent is not None else self.time
         return ((r.topic, r.message.stamp if time is None else time, r.payload) for r in self.records)
-
-
-def coordinates_of(state: AnyRobotState) -> tuple[float, ...]:
-    """Return the coordinates of a robot; on the plane its position, m."""
-    return (state.position,) if isinstance(state, AgentState) else state.coordinates
 
 
 class Digest:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, overload
 from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.recording import RecordedStep
-from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, FAMILIES, MAIN_TOPICS
+from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, FAMILIES, MAIN_TOPICS, STANDING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -20,8 +20,10 @@ WINDOW = 8
 REALTIME_WINDOW = 300
 """The same in real time, where topics are received independently of each other."""
 ORDER = {
-    topic: number for family in FAMILIES for number, topic in enumerate((*family.once, *family.main), -len(family.once))
-} | {EVENTS: len(MAIN_TOPICS)}
+    topic: number
+    for family in FAMILIES
+    for number, topic in enumerate((*family.once, *family.main[:-1], STANDING, family.desired), -len(family.once))
+} | {EVENTS: len(MAIN_TOPICS) + 1}
 """Place of each recorded topic within a step of a bag."""
 
 

@@ -147,13 +147,20 @@ def summed_up(
     run: Callable[[Callable[[Progress], None]], Outcome],
     more: Callable[[Outcome], Mapping[str, object]],
 ) -> tuple[Outcome, dict[str, Any]]:
-    """Run while showing the progress; return the outcome and the written summary, which includes `more`."""
+    """Run while showing the progress; return the outcome and the written summary, which includes `more`.
+
+    A run in which robots flew off has failed, unless it repeats what was recorded.
+    """
     try:
         loading = since_start()
         with shown_progress(scenario) as show:
-            outcome = run(show)
+            done = run(show)
             no_more_interrupts()
-        summary = {**summarise(scenario, outcome, times(loading, outcome)), **more(outcome)}
+        told = dict(more(done))
+        rerun: Any = told.get("rerun_of") or {}
+        outcome = done.judged(repeats="replay" in told or rerun.get("same") is True)
+        verdict = {"status": outcome.status, "reason": outcome.reason}
+        summary = {**summarise(scenario, done, times(loading, done)), **verdict, **told}
         folder.write_summary(summary)
     except OSError as error:
         raise RunError(f"{folder.path}: {error.strerror or error}; {remedy(error)}") from error

@@ -28,7 +28,7 @@ from swarmabs_core.faults import (
     RobotFault,
     SettingFault,
 )
-from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.membership import ALWAYS, SETTLING_NS, Change, ChangeKind
 from swarmabs_core.messages import Kind, RobotKind, word
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepChange, StepSchedule
 from swarmabs_core.swarm_law import LAWS
@@ -54,8 +54,12 @@ def plugins(scenario: AnyScenario) -> tuple[tuple[Registry[Any, Any], str], ...]
 
 
 def options_for(scenario: AnyScenario) -> frozenset[Option]:
-    """Return the options that the parent system of a scenario gives every node."""
-    return frozenset({Option.SYSTEM}) if isinstance(scenario, UncheckedSystemScenario) else frozenset()
+    """Return the options that a scenario gives every node."""
+    asked = {
+        Option.SYSTEM: isinstance(scenario, UncheckedSystemScenario),
+        Option.CHANGING: bool(schedule(scenario)) or division(scenario) == ALWAYS,
+    }
+    return frozenset(option for option, given in asked.items() if given)
 
 
 def members(scenario: AnyScenario) -> tuple[int, ...]:
@@ -108,12 +112,23 @@ def recording_window(scenario: AnyScenario) -> int:
     return graph.recording_window(len(scenario.agents))
 
 
+def may_change(scenario: AnyScenario, *, steered: bool) -> bool:
+    """Return whether robots may join, end or be dropped, by plan or on request, so that `swarm/standing` is there."""
+    return steered or Option.CHANGING in options_for(scenario)
+
+
+def division(scenario: AnyScenario) -> int:
+    """Return for how many steps from a change on the observer tells how the abstract state divides."""
+    return ALWAYS if scenario.lockstep.on_stall == "drop" else -(-SETTLING_NS // scenario.step_ns)
+
+
 def _run(scenario: AnyScenario) -> Run:
     return Run(
         period_ns=scenario.step_ns,
         last_step=scenario.steps,
         members=members(scenario),
         schedule=schedule(scenario),
+        division=division(scenario),
         seed=scenario.seed,
     )
 
@@ -146,7 +161,7 @@ def parent_config(scenario: AnyScenario) -> PlaneConfig | SystemParentConfig:
     if isinstance(scenario, UncheckedScenario):
         return plane_config(scenario)
     assert isinstance(scenario, UncheckedSystemScenario)  # noqa: S101 - there are two kinds
-    return gathered(SystemParentConfig, _run(scenario), **_system(scenario), **_changes(scenario))
+    return gathered(SystemParentConfig, _run(scenario), scenario.sensor, **_system(scenario), **_changes(scenario))
 
 
 def plane_config(scenario: UncheckedScenario) -> PlaneConfig:
@@ -169,7 +184,8 @@ def controller_config(scenario: AnyScenario, *, recording_window: int) -> Contro
     """Return the configuration of the parent controller's node."""
     own: dict[str, Any] = {"recording_window": recording_window, "offsets": step_changes(scenario, REFERENCE)}
     if isinstance(scenario, UncheckedSystemScenario):
-        return gathered(SystemControllerConfig, _run(scenario), **_system(scenario), **own)
+        swarm = scenario.swarm.gains, scenario.requests
+        return gathered(SystemControllerConfig, _run(scenario), *swarm, **_system(scenario), **own)
     assert isinstance(scenario, UncheckedScenario)  # noqa: S101 - there are two kinds
     return gathered(ControllerConfig, *declared(scenario), **own)
 

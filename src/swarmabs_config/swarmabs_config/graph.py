@@ -27,6 +27,7 @@ from functools import cache
 from typing import Literal
 
 from swarmabs_core import pair_role
+from swarmabs_core.membership import ALWAYS
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
@@ -36,10 +37,12 @@ from swarmabs_core.messages import (
     DESIRED_ABSTRACT_STATE,
     EVENTS,
     PARENT_STATE,
+    PLANE_FAMILY,
     PLANE_STATE,
     RECORDING_PROGRESS,
     REMOVALS,
     ROBOT_STATE,
+    STANDING,
     STEERING,
     SWARM_ABSTRACT,
     SWARM_AUXILIARY,
@@ -54,7 +57,8 @@ from swarmabs_core.realtime import leadership
 from swarmabs_core.steering import STEERER
 
 # Default names of the nodes; each robot's node has its own name (`agent_name`), and so have standbys (`standby_name`).
-PLANE, PLANE_DRIVER, OBSERVER, CONTROLLER = "plane_sim", "plane_driver", "abstraction_observer", "parent_controller"
+PLANE = PLANE_FAMILY.node  # under another parent system its process has the name of that family
+PLANE_DRIVER, OBSERVER, CONTROLLER = "plane_driver", "abstraction_observer", "parent_controller"
 RECORDER, ROBOT = "recorder", "agent_node"
 
 
@@ -70,15 +74,18 @@ LOCKSTEP, REALTIME = Driver
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """How a kind of node is started: its DDS participant id, or that of the first robot, and its module by driver."""
+    """How a kind of node is started: its module by driver, and its DDS participant id, or that of the first robot.
 
-    participant: int
+    Without an id of its own, a node has one behind those of the robots.
+    """
+
+    participant: int | None
     modules: Mapping[Driver, str]
 
 
 COORDINATORS = 8
-"""Participant ids below this one belong to coordinators, that is all nodes but the robots, to spares, and to tools."""
-FIRST_SPARE = 4
+"""Participant ids below this one belong to coordinators, and from `FIRST_TOOL` on to tools, which take a free one."""
+FIRST_TOOL = 4
 
 NODES = {
     PLANE: Node(0, {LOCKSTEP: "plane_sim.node", REALTIME: "plane_sim.realtime"}),
@@ -86,7 +93,7 @@ NODES = {
     OBSERVER: Node(1, {LOCKSTEP: "abstraction_observer.node", REALTIME: "abstraction_observer.realtime"}),
     CONTROLLER: Node(2, {LOCKSTEP: "parent_controller.node", REALTIME: "parent_controller.realtime"}),
     RECORDER: Node(3, {LOCKSTEP: "swarmabs_bag.recorder.node", REALTIME: "swarmabs_bag.recorder.realtime"}),
-    STEERER: Node(FIRST_SPARE, {LOCKSTEP: "swarmabs_run.steering.node"}),
+    STEERER: Node(None, {LOCKSTEP: "swarmabs_run.steering.node"}),
     ROBOT: Node(COORDINATORS, {LOCKSTEP: "agent_node.node", REALTIME: "agent_node.realtime"}),
 }
 """Every kind of node."""
@@ -122,6 +129,8 @@ class Option(Enum):
     """The observer estimates the swarm's torque from the motion of the plane."""
     FEELING = "feeling"
     """The tilt of the plane acts on the robot's drive."""
+    CHANGING = "changing"
+    """Robots may join, end or be dropped."""
     SYSTEM = "system"
     """The parent system is not the plane."""
     PAIRED = "paired"
@@ -340,7 +349,7 @@ GRAPH = (
         BROADCAST,
         {LOCKSTEP: Qos("best_effort", 10)},
         (End(CONTROLLER, only=Option.PACKED),),
-        (End(ROBOT, only=Option.PACKED),),
+        (End(ROBOT, only=Option.PACKED), End(RECORDER, 1000, only=Option.PACKED)),
         system=SWARM_BROADCAST,
     ),
     Link(
@@ -382,6 +391,18 @@ GRAPH = (
         (End(OBSERVER),),
         (End(OBSERVER, 100, reliable=True), *_recorder(reliable=True)),
     ),
+    Link(
+        STANDING,
+        _STATE,
+        (End(OBSERVER, driver=LOCKSTEP, only=Option.CHANGING), End(OBSERVER, driver=REALTIME)),
+        (
+            End(CONTROLLER, driver=LOCKSTEP, only=Option.CHANGING),
+            End(CONTROLLER, driver=REALTIME),
+            End(RECORDER, 1000, driver=LOCKSTEP, only=Option.CHANGING),
+            End(RECORDER, _RECORDED, reliable=True, driver=REALTIME),
+        ),
+        system=STANDING,
+    ),
 )
 """Every topic of the swarm, in the order of `swarmabs_core.messages.TOPICS`."""
 
@@ -398,7 +419,7 @@ def own_topic(topic: Topic, agent_id: int) -> Topic:
 _STANDBY = "standby/"
 STANDBY_TOPICS = {
     topic: Topic(f"{_STANDBY}{topic.name}", topic.message, topic.ros_type)
-    for topic in (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE, BASIS)
+    for topic in (ABSTRACT_STATE, AUXILIARY_STATE, STANDING, DESIRED_ABSTRACT_STATE, BASIS)
 }
 """The topics on which a standby coordinator publishes in real time, by the usual topic. Events have no second one."""
 USUAL_TOPICS = {standby: topic for topic, standby in STANDBY_TOPICS.items()}
@@ -538,6 +559,9 @@ def options_of(parameters: Mapping[str, object]) -> frozenset[Option]:
         Option.CREDITED: parameters.get("recording_window"),
         Option.WATCHING: parameters.get("type") == "parent_response",
         Option.FEELING: parameters.get("feels_gravity") and parameters.get("kind") == "double_integrator",
+        Option.CHANGING: parameters.get("schedule")
+        or parameters.get("steered")
+        or parameters.get("division") == ALWAYS,
         Option.SYSTEM: "system.type" in parameters,
         Option.OWN_TOPICS: parameters.get("own_topics"),
         Option.PAIRED: parameters.get("paired") or parameters.get("pair", "single") != "single",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
-from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenario import Scenario, SystemScenario
 from swarmabs_config.theory_setting import delay_of, setting
 from swarmabs_core.theory.check import check
 from swarmabs_core.theory.state_feedback import ANGLE_MAX
@@ -21,4 +21,6 @@ def check_scenario(scenario: AnyScenario, angle_max: float = ANGLE_MAX) -> Repor
     if isinstance(scenario, Scenario):
         return check(setting(scenario, angle_max))
     robots = tuple(robot for robot in configure.agent_configs(scenario) if robot.life.first_step == 0)
-    return check_system(SystemSetting(scenario.name, robots, delay_of(scenario), bool(scenario.faults)))
+    assert isinstance(scenario, SystemScenario)  # noqa: S101 - there are two kinds
+    faulty = bool(scenario.faults) or not scenario.sensor.perfect
+    return check_system(SystemSetting(scenario.name, robots, delay_of(scenario), faulty, scenario.requests))

@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from swarmabs_core.messages import AbstractState, AuxiliaryState, Kind
-from swarmabs_core.summation import Columns, Sums, robot_sums
+from swarmabs_core.messages import AbstractState, AgentState, AuxiliaryState, Kind, StandingState, Status
+from swarmabs_core.summation import Columns, Sums, exact_sum, robot_sums
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from swarmabs_core.messages import AgentState
+    from swarmabs_core.messages import AnyRobotState
 
 
 class Weight(NamedTuple):
@@ -141,6 +141,36 @@ def observed(
     return summed(stamp, step, len(weights), (weights, moved, damped), (gravity, ksd))
 
 
+def divided_load(stamp: int, step: int, robots: Iterable[AnyRobotState], gravity: float) -> StandingState:
+    """Return how torque and inertia divide between robots that stand and those that follow the law; gravity in m/s^2.
+
+    The robots are all whose weight is on the plane. Those that do not follow the law are assumed at rest.
+    """
+    parts: tuple[list[Weight], list[Weight]] = [], []
+    for state in robots:
+        if not isinstance(state, AgentState):
+            continue
+        parts[state.status == Status.ACTIVE].append(Weight(state.mass, state.position, state.velocity))
+    still, moving = (abstraction(part, gravity) for part in parts)
+    s0, s1, s2, _ = second_moments([(weight.mass, weight.position) for weight in parts[1]])
+    masses = [exact_sum(weight.mass for weight in part) for part in parts]
+    return StandingState(
+        stamp,
+        step,
+        0,
+        len(parts[0]),
+        len(parts[1]),
+        (still.torque, still.inertia),
+        (masses[0],),
+        (moving.torque, moving.inertia),
+        (moving.torque_rate, moving.inertia_rate),
+        (0.0, 2.0 * moving.q),
+        (gravity * gravity * s0, 2.0 * gravity * s1, 4.0 * s2),
+        float(len(parts[1])),
+        (masses[1],),
+    )
+
+
 def summed(
     stamp: int,
     step: int,
@@ -165,6 +195,30 @@ def summed(
     )
 
 
+LEAST_SPREAD = 1e-4
+"""Spread of the robots, in units of the plane's length, below which their inertia is no longer fully controlled."""
+_LEAST = 1e-9
+
+
+def _edge(s0: float, length: float) -> float:
+    """Return S3 at the least spread."""
+    return LEAST_SPREAD * LEAST_SPREAD * s0 * s0 * length * length
+
+
 def is_degenerate(s0: float, s3: float, length: float) -> bool:
-    """Return whether S3 is too small to divide by: all robots are at one point of a plane of this length (m)."""
-    return not s3 > 1e-12 * s0 * s0 * length * length
+    """Return whether S3 is too small to divide by: all robots are nearly at one point of a plane of this length (m)."""
+    return not s3 > _edge(s0, length)
+
+
+def conditioned(sums: AuxiliaryState, length: float) -> AuxiliaryState:
+    """Return sums with which the laws can compute: the given ones, unless the robots are nearly at one point.
+
+    There, S2 grows, and S3 with it, so that the laws still command the torque exactly and the inertia less and less:
+    by the factor S3/S3' of the new S3', which vanishes at one point. S0 must be positive; the length is in m.
+    """
+    s0, s1, s3 = sums.s0, sums.s1, sums.s3
+    if not is_degenerate(s0, s3, length):
+        return sums
+    edge = _edge(s0, length)
+    damped = edge * edge / max(s3, _LEAST * edge)
+    return sums._replace(s2=(damped + s1 * s1) / s0, s3=damped)

@@ -236,7 +236,7 @@ def _shape_of(layout: _Layout, data: bytes) -> _Shape:
     if not (size := shape.head.size) <= len(data) < size + _TRANSPORT_PADDING:
         raise MalformedMessageError(layout.message.__name__, f"{len(data)} bytes, expected {size}")
     if (head := shape.head.unpack_from(data)) != shape.expected:
-        _refuse_head(layout.message, head[0])
+        _refuse_head(layout.message.__name__, head[0])
     layout.latest[len(data)] = shape
     return shape
 
@@ -356,7 +356,7 @@ def decode(message_type: type[Message], data: bytes) -> Message:
         raise MalformedMessageError(message_type.__name__, f"{len(data)} bytes, expected {size}")
     values = layout.fixed.unpack_from(data)
     if values[0] != ENCAPSULATION or values[3] != FRAME:
-        _refuse_head(message_type, values[0])
+        _refuse_head(message_type.__name__, values[0])
     if layout.plain:
         return _new(message_type, (values[1] * SECOND + values[2], *values[4:]))  # type: ignore[no-any-return]
     first = place = 5
@@ -364,7 +364,7 @@ def decode(message_type: type[Message], data: bytes) -> Message:
     for part, count in layout.parts:
         seconds, nanoseconds, frame, *own = values[place : place + count]
         if frame != FRAME:
-            _refuse_head(message_type, values[0])
+            _refuse_head(message_type.__name__, values[0])
         parts.append(_new(part, (seconds * SECOND + nanoseconds, *own)))
         place += count
     return _new(message_type, (values[1] * SECOND + values[2], *values[4:first], *parts))  # type: ignore[no-any-return]
@@ -377,7 +377,7 @@ def _decode_tail(layout: _Layout, message_type: type[Message], data: bytes) -> M
         raise MalformedMessageError(name, f"{len(data)} bytes, expected at least {size}")
     values = layout.fixed.unpack_from(data)
     if values[0] != ENCAPSULATION or values[3] != FRAME:
-        _refuse_head(message_type, values[0])
+        _refuse_head(message_type.__name__, values[0])
     own = (values[1] * SECOND + values[2], *values[4:-1])
     read = _text if layout.text else _raw if layout.raw else _lists
     tail = read(layout, message_type, data, values[-1])
@@ -418,26 +418,30 @@ def _lists(layout: _Layout, message_type: type[Message], data: bytes, number: in
     return [values[begin + 1 : begin + 1 + number] for begin in begins]
 
 
-def _refuse_head(message_type: type[Message], encapsulation: bytes) -> None:
+def _refuse_head(message_type: str, encapsulation: bytes) -> None:
     if encapsulation != ENCAPSULATION:
-        raise MalformedMessageError(message_type.__name__, "not little-endian CDR")
-    raise MalformedMessageError(message_type.__name__, f"frame_id is not {FRAME_ID!r}")
+        raise MalformedMessageError(message_type, "not little-endian CDR")
+    raise MalformedMessageError(message_type, f"frame_id is not {FRAME_ID!r}")
 
 
-_STEP = struct.Struct(f"<{_BEGIN + 24}xQ")
+_STEP = struct.Struct(f"<2s10x{len(FRAME)}s6xQ")
+"""Encapsulation, frame and step, with which every message begins."""
 
 
-def step_of(data: bytes) -> int:
+def step_of(data: bytes, message_type: str = "message") -> int:
     """Return the step of a serialized message of the swarm without deserializing it.
 
     Raises
     ------
     MalformedMessageError
-        If it is too short to contain one.
+        If it does not begin as a message of this swarm: then the step is elsewhere.
     """
     if len(data) < _STEP.size:
-        raise MalformedMessageError("message", f"{len(data)} bytes, expected at least {_STEP.size}")
-    return int(_STEP.unpack_from(data)[0])
+        raise MalformedMessageError(message_type, f"{len(data)} bytes, expected at least {_STEP.size}")
+    encapsulation, frame, step = _STEP.unpack_from(data)
+    if encapsulation != ENCAPSULATION or frame != FRAME:
+        _refuse_head(message_type, encapsulation)
+    return int(step)
 
 
 def canonical(message_type: type[Message], data: bytes) -> bytes:

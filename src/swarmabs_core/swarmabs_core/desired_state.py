@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from math import exp, isfinite
-from typing import TYPE_CHECKING
+from math import exp, isfinite, sqrt
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.controllers import OffsetController
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.manifold import Load
 from swarmabs_core.messages import DesiredAbstractState, EventKind, Messages, Mode, PlaneState, SwarmEvent
 from swarmabs_core.plant import STEEPEST
 
 if TYPE_CHECKING:
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.manifold import Manifold
+    from swarmabs_core.messages import StandingState
+    from swarmabs_core.swarm_law import SwarmGains
 
 FALLEN = (
     "the swarm cannot hold the plane in this scenario; reduce its initial angle or the disturbance, raise "
@@ -32,6 +35,15 @@ def fallen(plane: PlaneState) -> str:
     return f"step {plane.step}: the plane's angle is {plane.angle:.4g} rad and a run ends at {STEEPEST} rad: {FALLEN}"
 
 
+TRANSITION = 3.0
+"""Corner frequency with which the desired abstract state moves to its curve after the swarm has changed, rad/s."""
+CLOSEST, WIDEST = 0.25, 4.0
+"""Second moment that is desired right after a change, in units of that of the robots, is within these bounds."""
+FASTEST, GROWTH = 0.1, 10.0
+"""Root mean square of speeds about the centre, m/s, and relative rate of the spread, 1/s, after a change."""
+_CLOSED = 1e-12
+
+
 class CommandFilter:
     """Critically damped filter, x'' = w^2 (u - x) - 2 w x', exact for a held command u; period in s, w in rad/s."""
 
@@ -49,17 +61,31 @@ class CommandFilter:
         return command + self._a11 * offset + self._a12 * rate, self._a21 * offset + self._a22 * rate
 
 
+class SwarmOnPlane(NamedTuple):
+    """What the desired state allows for of the swarm: gravity (m/s^2) and the gains of the robots' laws."""
+
+    gravity: float
+    gains: SwarmGains
+
+
 class DesiredStateGenerator:
     """Asks the law for a torque, limits and filters it, and lifts it onto the manifold, once per period (ns)."""
 
     no_offset = "the law has no method offset_torque"
     """Why the reference of a law cannot be offset."""
 
-    def __init__(self, period_ns: int, manifold: Manifold, law: ParentController) -> None:
+    def __init__(self, period_ns: int, manifold: Manifold, law: ParentController, plane: SwarmOnPlane) -> None:
         self._manifold = manifold
+        self._gravity, self._gains = plane
+        self._curve = manifold.curve
+        self._divided: StandingState | None = None
+        self._known: tuple[object, ...] = ()
+        # Distance of the desired inertia from the curve, and its rate, since the swarm has changed.
+        self._gap = (0.0, 0.0)
         self._law = law
         self._period = period_ns / 1e9
         self._filter = CommandFilter(self._period)
+        self._transition = CommandFilter(self._period, TRANSITION)
         self._state: tuple[float, float] | None = None
         self._clipped = False
 
@@ -68,14 +94,59 @@ class DesiredStateGenerator:
         """Whether the reference of the law can be offset."""
         return isinstance(self._law, OffsetController)
 
-    def resume(self, torque: float, rate: float) -> None:
-        """Continue from this state of the filter: torque (N m) and its rate (N m/s)."""
-        self._state = (torque, rate)
+    @property
+    def on_curve(self) -> bool:
+        """Whether the desired state is on the curve again after a change of the swarm."""
+        return self._gap == (0.0, 0.0)
+
+    def resume(self, desired: DesiredAbstractState) -> None:
+        """Continue with the step of this desired state, as if it had been computed here."""
+        self._state = (desired.torque, desired.torque_rate)
+        curve = self._curve
+        self._set_gap(
+            desired.inertia - curve.inertia(desired.torque),
+            desired.inertia_rate - curve.rate(desired.torque, desired.torque_rate),
+        )
 
     def follow(self, desired: DesiredAbstractState) -> None:
         """Continue from the desired state that another generator has computed for the latest step."""
-        torque = desired.torque + desired.mean_torque_rate * self._period
-        self.resume(torque, desired.torque_rate + desired.torque_acceleration * self._period)
+        period = self._period
+        torque = desired.torque + desired.mean_torque_rate * period
+        rate = desired.torque_rate + desired.torque_acceleration * period
+        self._state = (torque, rate)
+        self._set_gap(
+            desired.inertia + desired.mean_inertia_rate * period - self._curve.inertia(torque),
+            desired.inertia_rate + desired.inertia_acceleration * period - self._curve.rate(torque, rate),
+        )
+
+    def divide(self, divided: StandingState) -> None:
+        """Complete the desired state of the next step around the robots that stand.
+
+        If these have changed, the desired inertia continues without a jump, unless that would ask for much more or much
+        less spread than the robots have: these would be flung. From there it moves to the new curve.
+        """
+        self._divided = divided
+        known, self._known = self._known, (divided.standing_count, divided.moving_count, divided.standing)
+        if self._known == known or not divided.moving_count:
+            return
+        torque, rate = self._state or (0.0, 0.0)
+        before = self._curve.inertia(torque) + self._gap[0]
+        before_rate = self._curve.rate(torque, rate) + self._gap[1]
+        curve = self._curve = self._manifold.around(divided, self._gravity)
+        still = Load.of(divided.standing, divided.standing_constants)
+        moving = Load.of(divided.moving, divided.moving_constants)
+        needed = torque - still.torque
+        least = still.inertia + needed * needed / (self._gravity * self._gravity * moving.mass)
+        spread = moving.around_centre(self._gravity)
+        if CLOSEST * spread <= before - least <= WIDEST * spread:
+            self._set_gap(before - curve.inertia(torque), before_rate - curve.rate(torque, rate))
+        else:
+            within = min(max(before - least, CLOSEST * spread), WIDEST * spread)
+            self._set_gap(least + within - curve.inertia(torque), 0.0)
+
+    def _set_gap(self, gap: float, rate: float) -> None:
+        closed = max(abs(gap), abs(rate) / TRANSITION) <= _CLOSED
+        self._gap = (0.0, 0.0) if closed else (gap, rate)
 
     def advance(self, time_ns: int, plane: PlaneState, *, offset: float = 0.0) -> tuple[Messages, DesiredAbstractState]:
         """Return events, and the desired abstract state for a state of the plane, with the same step.
@@ -103,21 +174,80 @@ class DesiredStateGenerator:
         next_torque, next_rate = self._filter.advance(torque, rate, command)
         self._state = (next_torque, next_rate)
         acceleration = (next_rate - rate) / period
+        curve = self._curve
         desired = DesiredAbstractState(
             time_ns,
             step,
             Mode.RUN,
             torque,
-            manifold.inertia(torque),
+            curve.inertia(torque),
             rate,
-            manifold.inertia_rate(torque, rate),
+            curve.rate(torque, rate),
             # A robot holds its command for a period, so it needs means over the period, not initial values.
             (next_torque - torque) / period,
-            manifold.curvature * (next_torque * next_torque - torque * torque) / period,
+            curve.mean_rate(torque, next_torque, period),
             acceleration,
-            manifold.inertia_acceleration(torque, rate, acceleration),
+            curve.acceleration(torque, rate, acceleration),
         )
+        divided, self._divided = self._divided, None
+        beside = not self.on_curve
+        if beside:
+            desired = self._beside_curve(desired)
+        if divided is not None and divided.moving_count and (curve.slope or beside):
+            desired = self._bounded(desired, divided)
         return self._limit(raw, command, time_ns, step), desired
+
+    def _bounded(self, desired: DesiredAbstractState, divided: StandingState) -> DesiredAbstractState:
+        r"""Return a desired state whose rates ask for no more motion about the centre than robots can well perform.
+
+        While the laws let torque and inertia approach the desired ones in a straight line, the inertia of the centre is
+        quadratic in the torque; so the robots would have to spread and contract on the way, without bounds where they
+        are close together. With :math:`b = 2 (\tau_d - \tau_s)/(g^2 M_A)`, :math:`a = 1/(g^2 M_A)` and the error e of
+        the torque, the error of the inertia is that of the second moment about the centre plus :math:`b e - a e^2`.
+        The rates let the former decay as the laws prescribe it for the inertia; then they are bounded.
+        """
+        gains = self._gains
+        mass, still = divided.moving_constants[0], divided.standing[0]
+        a = 1.0 / (self._gravity * self._gravity * mass)
+        b = 2.0 * a * (desired.torque - still)
+        e = desired.torque - (still + divided.moving[0])
+        de = desired.torque_rate - divided.moving_rate[0]
+        (k0, k1), (kp0, kp1), (kd0, kd1) = gains.k, gains.kp, gains.kd
+        velocity = (k1 - k0) * b * e + a * (2.0 * k0 - k1) * e * e
+        squares = 2.0 * de * de + 2.0 * (kd1 - kd0) * e * de + (kp1 - 2.0 * kp0) * e * e
+        acceleration = b * ((kd1 - kd0) * de + (kp1 - kp0) * e) - a * squares
+        desired = desired._replace(
+            mean_inertia_rate=desired.mean_inertia_rate - velocity,
+            inertia_acceleration=desired.inertia_acceleration - acceleration,
+        )
+        g00, g10, g11 = divided.moving_gram
+        slope, pivot = g10 / g00, max(0.0, g11 - g10 * g10 / g00)
+        reach = sqrt(divided.moving_weight * pivot)
+        spread = Load.of(divided.moving, divided.moving_constants).around_centre(self._gravity)
+        error = desired.inertia - (divided.standing[1] + divided.moving[1])
+        error_rate = desired.inertia_rate - divided.moving_rate[1]
+        z = k1 * error + desired.mean_inertia_rate - slope * (k0 * e + desired.mean_torque_rate)
+        w = kp1 * error + kd1 * error_rate + desired.inertia_acceleration - divided.moving_curvature[1]
+        w -= slope * (kp0 * e + kd0 * de + desired.torque_acceleration)
+        # Robots that drift apart must be able to contract as fast as they can, as long as they do not meet.
+        least, least_w = -2.0 * GROWTH * spread, -2.0 * GROWTH * GROWTH * spread
+        most, most_w = min(FASTEST * reach, -least), min(GROWTH * FASTEST * reach, -least_w)
+        return desired._replace(
+            mean_inertia_rate=desired.mean_inertia_rate + min(max(z, least), most) - z,
+            inertia_acceleration=desired.inertia_acceleration + min(max(w, least_w), most_w) - w,
+        )
+
+    def _beside_curve(self, desired: DesiredAbstractState) -> DesiredAbstractState:
+        """Return a desired state at its distance from the curve, and bring the next one closer."""
+        (gap, rate), period = self._gap, self._period
+        next_gap, next_rate = self._transition.advance(gap, rate, 0.0)
+        self._set_gap(next_gap, next_rate)
+        return desired._replace(
+            inertia=desired.inertia + gap,
+            inertia_rate=desired.inertia_rate + rate,
+            mean_inertia_rate=desired.mean_inertia_rate + (next_gap - gap) / period,
+            inertia_acceleration=desired.inertia_acceleration + (next_rate - rate) / period,
+        )
 
     def _torque(self, time: float, plane: PlaneState, offset: float) -> float:
         if not offset:

@@ -5,8 +5,13 @@ from __future__ import annotations
 import sys
 from pathlib import PurePath
 from traceback import walk_tb
+from typing import TYPE_CHECKING
 
-_OWN = {"swarmabs_core", "swarmabs_config", "swarmabs_bag", "swarmabs_run"}
+if TYPE_CHECKING:
+    from types import TracebackType
+
+_OWN = {"swarmabs_core", "swarmabs_config", "swarmabs_bag", "swarmabs_run", "swarmabs_view", "numpy", "scipy"}
+"""Packages on the way to the code of another package, which their own errors do not blame."""
 
 
 class SwarmabsError(Exception):
@@ -40,3 +45,43 @@ def raised(error: BaseException) -> str:
         if package not in _OWN and package not in sys.stdlib_module_names:
             place = f" ({PurePath(frame.f_code.co_filename).name}:{line})"
     return place and " ".join(f"{type(error).__name__}: {error}{place}".split())
+
+
+def joined(problem: str, remedy: str) -> str:
+    """Return a problem and its remedy as one text; either may be empty."""
+    return "; ".join(filter(None, (problem, remedy)))
+
+
+def parts_of(error: InputError) -> tuple[str, str]:
+    """Return problem and remedy of an error, the remedy empty if its text has none."""
+    head, _, tail = str(error).rpartition("; ")
+    return (head, tail) if head else (tail, "")
+
+
+def one_line(error: BaseException) -> str:
+    """Return an error as one line: its text, with the type if it is foreign, and the place if `raised` knows it."""
+    if isinstance(error, SwarmabsError):
+        return " ".join(str(error).split())
+    return raised(error) or " ".join(f"{type(error).__name__}: {error}".split())
+
+
+class InStep:
+    """A context in which the code of another package is called for a step: what it raises becomes a `RunError`.
+
+    The text has the step, the type and text of the exception, and file and line in the package.
+    """
+
+    __slots__ = ("_step",)
+
+    def __init__(self, step: int) -> None:
+        self._step = step
+
+    def __enter__(self) -> None:
+        """Enter the context."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Replace an exception of another package."""
+        if isinstance(error, Exception) and not isinstance(error, SwarmabsError) and (what := raised(error)):
+            raise RunError(f"step {self._step}: {what}") from error

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 SILENT = "silent"
 """Reason for the end of a robot that was dropped because it did not answer."""
 
+ALWAYS = 2**62
+"""Steps for which the observer tells how the abstract state divides if robots may be dropped: only it knows when."""
+SETTLING_NS = 2_000_000_000
+"""Time from a change of the membership on for which the observer tells how the abstract state divides, ns."""
+
 UNPLANNED = 2**63 - 1
 """Step at which a robot joins that takes part only once it is added: later than any run."""
 
@@ -172,6 +177,14 @@ class Membership:
             if span.last is not None and span.last + 1 == step:
                 found.append((agent_id, EventKind.DEAD if span.stays else EventKind.LEFT, span.reason))
         return found
+
+    def divides(self, step: int, window: int) -> bool:
+        """Return whether the observer tells at a step how the abstract state divides (`StandingState`).
+
+        It does so for `window` steps from a change on, with `ALWAYS` in all but step 0, with 0 never.
+        """
+        first = self._around(step).first
+        return step > 0 and step - first < window and (first > 0 or window >= ALWAYS)
 
     def end(self, agent_id: int, last: int, *, stays: bool, reason: str) -> None:
         """Set the step `last` in which a robot publishes its last state; a known earlier end takes precedence."""

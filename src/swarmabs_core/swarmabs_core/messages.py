@@ -341,6 +341,28 @@ class RobotState(NamedTuple):
     constants: Annotated[Vector, Field("float64[<=16]", "by system", "constants of the robot")]
 
 
+class StandingState(NamedTuple):
+    """How the abstract state divides between robots that stand and robots that follow the law.
+
+    The rows are those of the abstract state; on the plane torque (N m) and inertia (kg m^2), with `system` 0. The
+    constants are sums over the robots in the order of the system; on the plane the mass (kg).
+    """
+
+    stamp: Stamp
+    step: StepNumber
+    system: SystemHash
+    standing_count: Annotated[int, Field("uint16", "1", "robots that contribute but do not follow the law")]
+    moving_count: Annotated[int, Field("uint16", "1", "robots that follow the law")]
+    standing: Annotated[Vector, Field("float64[<=16]", "by system", "contribution of robots that stand")]
+    standing_constants: Annotated[Vector, Field("float64[<=16]", "by system", "sums of their constants")]
+    moving: Annotated[Vector, Field("float64[<=16]", "by system", "contribution of robots that follow the law")]
+    moving_rate: Annotated[Vector, Field("float64[<=16]", "by system", "its rate of change")]
+    moving_curvature: Annotated[Vector, Field("float64[<=16]", "by system", "its acceleration at constant velocities")]
+    moving_gram: Annotated[Vector, Field("float64[<=136]", "by system", "lower triangle of their Gram matrix, by rows")]
+    moving_weight: Annotated[float, Field("float64", "by system", "sum of the weights of their motion, on the plane 1")]
+    moving_constants: Annotated[Vector, Field("float64[<=16]", "by system", "sums of their constants")]
+
+
 class ParentState(NamedTuple):
     """State x_p of a parent system."""
 
@@ -424,6 +446,7 @@ Message = (
     | SwarmDesired
     | SwarmBroadcast
     | SystemDescription
+    | StandingState
 )
 """Any message of the swarm."""
 
@@ -447,6 +470,10 @@ class Topic:
     def type_name(self) -> str:
         """The name of the type without its package."""
         return self.ros_type.rpartition("/")[2]
+
+    def __deepcopy__(self, _: object) -> Topic:
+        """Return the topic itself: a copy of a node is on the same topics."""
+        return self
 
 
 def fields_of(message: type[Message]) -> dict[str, Field | type[Message]]:
@@ -478,15 +505,18 @@ SWARM_DESIRED = _topic("swarm/desired", SwarmDesired)
 SWARM_BROADCAST = _topic("swarm/packed", SwarmBroadcast)
 SYSTEM = _topic("parent/system", SystemDescription)
 REMOVALS = Topic("swarm/removals", Removal, EVENTS.ros_type)
+STANDING = _topic("swarm/standing", StandingState)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
     """The topics by which a swarm controls the plane, or any other parent system.
 
-    Topics in `once` have one message per run, in step 0, which a bag holds before the others.
+    `node` names the process of the simulated parent. Topics in `once` have one message per run, in step 0, which a bag
+    holds before the others.
     """
 
+    node: str
     robot: Topic
     parent: Topic
     abstract: Topic
@@ -506,9 +536,18 @@ class Family:
         return (self.abstract, self.auxiliary, self.desired)
 
 
-PLANE_FAMILY = Family(AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE, BROADCAST)
+PLANE_FAMILY = Family(
+    "plane_sim", AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE, BROADCAST
+)
 SYSTEM_FAMILY = Family(
-    ROBOT_STATE, PARENT_STATE, SWARM_ABSTRACT, SWARM_AUXILIARY, SWARM_DESIRED, SWARM_BROADCAST, (SYSTEM,)
+    "parent_system",
+    ROBOT_STATE,
+    PARENT_STATE,
+    SWARM_ABSTRACT,
+    SWARM_AUXILIARY,
+    SWARM_DESIRED,
+    SWARM_BROADCAST,
+    (SYSTEM,),
 )
 FAMILIES = (PLANE_FAMILY, SYSTEM_FAMILY)
 
@@ -521,11 +560,17 @@ AnyBroadcast: TypeAlias = Broadcast | SwarmBroadcast
 ROBOT_STATES = (AgentState, RobotState)
 PARENT_STATES = (PlaneState, ParentState)
 
+
+def coordinates_of(state: AnyRobotState) -> Vector:
+    """Return the coordinates of a robot; on the plane its position, m."""
+    return (state.position,) if isinstance(state, AgentState) else state.coordinates
+
+
 TOPICS = (
     *MAIN_TOPICS,
     *(EVENTS, RECORDING_PROGRESS, BROADCAST, SWARM_STATES, BASIS, STEERING),
     *(*SYSTEM_FAMILY.main, SWARM_BROADCAST, SYSTEM),
-    REMOVALS,
+    *(REMOVALS, STANDING),
 )
 TOPIC_OF: dict[type[Message], Topic] = {topic.message: topic for topic in TOPICS}
 """The topic on which a message of a class is published, unless nodes publish it on topics of their own."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, joined
 
 Scalar = bool | int | float | str
 Value = Scalar | tuple[int, ...] | tuple[float, ...] | tuple[str, ...]
@@ -23,7 +23,7 @@ class SettingError(InputError):
 
     def __init__(self, name: str, problem: str, remedy: str) -> None:
         self.name, self.problem, self.remedy = name, problem, remedy
-        super().__init__(f"{name}: {problem}; {remedy}")
+        super().__init__(joined(f"{name}: {problem}", remedy))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, joined
 from swarmabs_core.parameters import Parameter, resolve
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class PluginError(InputError):
     def __init__(self, problem: str, remedy: str) -> None:
         self.problem = " ".join(problem.split())
         self.remedy = remedy
-        super().__init__(f"{self.problem}; {remedy}")
+        super().__init__(joined(self.problem, remedy))
 
 
 ContextT = TypeVar("ContextT")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import copysign, inf, isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_core.abstraction import is_degenerate
+from swarmabs_core.abstraction import conditioned
 from swarmabs_core.declaration import setting
 from swarmabs_core.drive import SingleIntegratorDrive, ideal_drive
 from swarmabs_core.messages import Kind
@@ -32,12 +32,13 @@ class Limits:
     force: float = setting(inf, "largest force of a double integrator, N", above=0.0, unset=0.0)
 
 
-HELD = "the swarm has no spread (S3 vanishes)"
+HELD = "no robot follows the law yet (S0 vanishes)"
 NOT_FINITE = "the law gives no finite command"
 STOPPED = "stop commanded"
 RESET = "reset commanded"
 COMMAND_LIMITED = "command limited"
-"""`SwarmEvent.detail` where a robot does not follow the broadcasts, or limits a command."""
+WITHIN_LIMITS = "command within its limits"
+"""`SwarmEvent.detail` where a robot does not follow the broadcasts, or begins or ends to limit commands."""
 
 
 class Decision(NamedTuple):
@@ -83,9 +84,10 @@ class RobotController:
 
     def decide(self, position: float, velocity: float, heard: Broadcast) -> Decision:
         """Return the robot's decision at a position (m) with a velocity (m/s)."""
-        if is_degenerate(heard.auxiliary.s0, heard.auxiliary.s3, self._length):
+        if heard.auxiliary.s0 == 0.0:
             return Decision(self.brake(velocity), 0.0, HELD)
-        wanted = self.follow(position, velocity, heard.abstract, heard.auxiliary, heard.desired)
+        sums = conditioned(heard.auxiliary, self._length)
+        wanted = self.follow(position, velocity, heard.abstract, sums, heard.desired)
         if not isfinite(wanted):
             return Decision(self.brake(velocity), wanted, NOT_FINITE)
         return Decision(self.limit(velocity, wanted), wanted)

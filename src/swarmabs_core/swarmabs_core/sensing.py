@@ -6,8 +6,12 @@ from dataclasses import dataclass
 from hashlib import blake2b
 from math import remainder
 from statistics import NormalDist
+from typing import TYPE_CHECKING
 
 from swarmabs_core.declaration import setting
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Pair = tuple[float, float]
 
@@ -26,14 +30,14 @@ def standard_normal(text: str) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """A sensor of a position or an angle and of its rate; without arguments it is perfect.
+    """A sensor of some quantities, such as a position and its rate; without arguments it is perfect.
 
-    White Gaussian noise is added, given by standard deviations in the units of value and rate. Then both are rounded to
-    a resolution, where 0 means no rounding.
+    White Gaussian noise is added, given by standard deviations in the units of the quantities. Then all are rounded to
+    a resolution, where 0 means no rounding. No numbers mean zeros.
     """
 
-    noise: Pair = (0.0, 0.0)
-    resolution: Pair = (0.0, 0.0)
+    noise: tuple[float, ...] = (0.0, 0.0)
+    resolution: tuple[float, ...] = (0.0, 0.0)
 
     @property
     def perfect(self) -> bool:
@@ -42,10 +46,16 @@ class Sensor:
 
     def measure(self, value: float, rate: float, draw: str) -> Pair:
         """Return the measured value and rate, with noise drawn from the strings ``draw:value`` and ``draw:rate``."""
-        return self._one(0, value, f"{draw}:value"), self._one(1, rate, f"{draw}:rate")
+        measured, measured_rate = self.measure_all((value, rate), draw, ("value", "rate"))
+        return measured, measured_rate
+
+    def measure_all(self, values: Sequence[float], draw: str, names: Sequence[str]) -> tuple[float, ...]:
+        """Return the measured values of quantities, with noise drawn from the strings ``draw:NAME``."""
+        pairs = enumerate(zip(values, names, strict=True))
+        return tuple(self._one(index, value, f"{draw}:{name}") for index, (value, name) in pairs)
 
     def _one(self, index: int, true: float, text: str) -> float:
-        sigma, step = self.noise[index], self.resolution[index]
+        sigma, step = (numbers[index] if numbers else 0.0 for numbers in (self.noise, self.resolution))
         measured = true + sigma * standard_normal(text) if sigma else true
         # The IEEE 754 remainder is exact and refers to the nearest multiple, ties to even.
         return measured - remainder(measured, step) if step else measured
@@ -73,6 +83,18 @@ class PlaneSensor(Sensor):
         "resolutions to which angle, rad, and angular velocity, rad/s, are rounded; 0: not rounded",
         minimum=0.0,
         length=2,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ParentSensor(Sensor):
+    """Measurement of the state of any parent system: noise is added, then the sum is rounded."""
+
+    noise: tuple[float, ...] = setting(
+        (), "standard deviations of white noise on the quantities of the parent; none: 0", item=0.0, minimum=0.0
+    )
+    resolution: tuple[float, ...] = setting(
+        (), "resolutions to which the quantities of the parent are rounded; none: not rounded", item=0.0, minimum=0.0
     )
 
 

@@ -9,7 +9,7 @@ from bisect import bisect_right
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, InStep
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import Action, EventKind
 
@@ -110,10 +110,12 @@ class OffsetReference:
 
     def __call__(self, time: float) -> Any:
         """Return the desired angle (rad), or a tuple of the wanted values, at the time (s) of a step."""
-        wanted = self._reference(time)
+        step = round(time * 1e9 / self._period_ns) if isfinite(time) else 0
+        with InStep(step):
+            wanted = self._reference(time)
         if not self._offsets or not isfinite(time):
             return wanted
-        offset = self._offsets.at(round(time * 1e9 / self._period_ns))
+        offset = self._offsets.at(step)
         return tuple(value + offset for value in wanted) if isinstance(wanted, tuple) else wanted + offset
 
     def shift(self, step: int, offset: float) -> None:

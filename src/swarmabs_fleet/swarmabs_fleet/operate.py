@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple
@@ -21,17 +22,27 @@ from std_srvs.srv import Trigger
 from swarmabs_config import realtime
 from swarmabs_config.fleet.loader import load_fleet
 from swarmabs_config.fleet.participants import DISCOVERY, node_plans, operator_hosts
-from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, REALTIME, RECORDER, agent_name, standby_name
+from swarmabs_config.graph import (
+    CONTROLLER,
+    OBSERVER,
+    PLANE,
+    REALTIME,
+    RECORDER,
+    agent_name,
+    own_topic,
+    requested,
+    standby_name,
+)
 from swarmabs_config.scenario import load_scenario
-from swarmabs_core.cdr import encode
-from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.messages import REMOVALS, EventKind, Removal
+from swarmabs_core.cdr import decode, encode, misplaced
+from swarmabs_core.errors import InputError, MalformedMessageError, RunError
+from swarmabs_core.messages import AGENT_STATE, REMOVALS, AgentState, EventKind, Removal, Status
 from swarmabs_core.realtime.base import Level
 from swarmabs_fleet.check import expiring
 from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.node_files import profile, tool_environment
 from swarmabs_fleet.own_address import problem_of
-from swarmabs_ros.endpoints import advertise
+from swarmabs_ros.endpoints import LoopGroup, WaitSetReceiver, advertise
 from swarmabs_run.orchestration.network import dds_environment
 from swarmabs_run.orchestration.run_files import environment_of_run, epoch_of, is_realtime, is_running
 from swarmabs_run.tracing_files import tracing_files_removed
@@ -45,7 +56,7 @@ if TYPE_CHECKING:
 
     from swarmabs_core.realtime.base import Schedule
 
-SLICE = 0.1
+SLICE = 0.01
 """Longest wait, s, before checking again whether enough has been received."""
 GRACE = 1.0
 """Time, s, for which the other services of several are still waited for when one has reported success."""
@@ -76,6 +87,8 @@ class Target:
         What will need attention, such as certificates that expire soon.
     elsewhere : str
         Why this host cannot join its network, empty if it can.
+    own_topics : bool
+        Whether each robot publishes its state on a topic of its own.
     """
 
     name: str
@@ -87,6 +100,7 @@ class Target:
     schedule: Schedule | None = None
     warnings: tuple[str, ...] = ()
     elsewhere: str = ""
+    own_topics: bool = False
 
     def robot(self, agent_id: int) -> str:
         """Return the name of a robot's node.
@@ -140,7 +154,7 @@ def target(path: Path) -> Iterator[Target]:
         schedule = realtime.schedule(loaded.scenario, fleet.epoch_ns)
         warnings = tuple(expiring(fleet, path))
         swarm = Target(fleet.name, fleet.namespace, hosts, robots, environment, schedule=schedule, warnings=warnings)
-        yield replace(swarm, elsewhere=elsewhere)
+        yield replace(swarm, elsewhere=elsewhere, own_topics=fleet.own_topics)
 
 
 def _run(folder: Path) -> Target:
@@ -197,6 +211,16 @@ class OperatorClient:
     def __init__(self, node: Node, target: Target) -> None:
         self._node = node
         self._target = target
+        self._clients: dict[str, Client] = {}
+
+    def finds(self, service: str) -> bool:
+        """Return whether a ``std_srvs/Trigger`` service of the swarm has been found; the first call starts to look."""
+        return bool(self._client(service).service_is_ready())
+
+    def _client(self, service: str) -> Client:
+        if service not in self._clients:
+            self._clients[service] = self._node.create_client(Trigger, service)
+        return self._clients[service]
 
     def call(self, service: str, patience: float) -> None:
         """Call a ``std_srvs/Trigger`` service of the swarm; `patience`, s, limits discovery and answer each.
@@ -220,23 +244,22 @@ class OperatorClient:
         RunError
             If the run has ended.
         """
-        calls: dict[str, _Call] = {}
-        try:
-            for name in services:
-                calls[name] = _Call(self._node.create_client(Trigger, name), patience, time.monotonic() + patience)
-            while any(call.waits(time.monotonic()) for call in calls.values()):
-                if any(call.begins() for call in calls.values()):
-                    self._target.check()
-                for call in calls.values():
-                    call.advance(time.monotonic())
-                rclpy.spin_once(self._node, timeout_sec=SLICE)
-                if not all(call.problem() for call in calls.values()):
-                    for call in calls.values():
-                        call.deadline = min(call.deadline, time.monotonic() + GRACE)
-            return {name: call.problem() and f"{self._target.name}: {call.problem()}" for name, call in calls.items()}
-        finally:
+        start = time.monotonic()
+        calls = {name: _Call(self._client(name), patience, start + patience) for name in services}
+        while any(call.waits(time.monotonic()) for call in calls.values()):
+            if any(call.begins() for call in calls.values()):
+                self._target.check()
             for call in calls.values():
-                self._node.destroy_client(call.client)
+                call.advance(time.monotonic())
+            rclpy.spin_once(self._node, timeout_sec=SLICE)
+            if not all(call.problem() for call in calls.values()):
+                for call in calls.values():
+                    call.deadline = min(call.deadline, time.monotonic() + GRACE)
+        return {name: call.problem() and f"{self._target.name}: {call.problem()}" for name, call in calls.items()}
+
+    def watch(self) -> RobotWatch:
+        """Subscribe to the states of all robots of the swarm."""
+        return RobotWatch(self._node, self._target)
 
     @contextmanager
     def announced(self, agent_id: int, detail: str, patience: float) -> Iterator[None]:
@@ -289,6 +312,108 @@ class OperatorClient:
                 rclpy.spin_once(self._node, timeout_sec=SLICE)
         finally:
             self._node.destroy_subscription(subscription)
+
+
+@dataclass(slots=True)
+class StopMonitor:
+    """Keeps which robots are in their safe stop, by their states; times are monotonic, s.
+
+    Parameters
+    ----------
+    robots : tuple of int
+        Ids of the robots.
+    """
+
+    robots: tuple[int, ...]
+    _asked: float = 0.0
+    _confirmed: float = 0.0
+    _latest: dict[int, float] = field(default_factory=dict)
+    _stopped: dict[int, float] = field(default_factory=dict)
+
+    def ask(self, now: float) -> None:
+        """Note that the robots are told to stop: what they reported before does not count."""
+        self._asked, self._confirmed = now, inf
+        self._latest.clear()
+        self._stopped.clear()
+
+    def confirm(self, now: float) -> None:
+        """Note that the controller has confirmed the stop; only robots heard after that are known to have stopped."""
+        self._confirmed = now
+
+    def hear(self, robot: int, status: int, now: float) -> None:
+        """Take the status in a robot's state; a drained robot has stopped, too."""
+        self._latest[robot] = now
+        if status in (Status.SAFE_STOP, Status.LEFT):
+            self._stopped.setdefault(robot, now)
+        else:
+            self._stopped.pop(robot, None)
+
+    def heard(self) -> int:
+        """Return of how many robots a state has arrived."""
+        return sum(robot in self._latest for robot in self.robots)
+
+    def problem(self, robot: int) -> str:
+        """Return why a robot is not known to have stopped, empty if it is."""
+        if self._latest.get(robot, -inf) <= self._confirmed:
+            return "not heard"
+        return "" if robot in self._stopped else "not stopped"
+
+    def problems(self) -> dict[int, str]:
+        """Return the robots that are not known to have stopped, with the reasons."""
+        return {robot: problem for robot in self.robots if (problem := self.problem(robot))}
+
+    def delay(self, robot: int) -> float:
+        """Return the time, s, after which a robot that has stopped reported it."""
+        return self._stopped[robot] - self._asked
+
+
+class RobotWatch:
+    """Passes the states of robots to a `StopMonitor`, without callbacks: in large fleets they would take too long."""
+
+    def __init__(self, node: Node, target: Target) -> None:
+        self.monitor = StopMonitor(target.robots)
+        self._target = target
+        topics = [own_topic(AGENT_STATE, robot) for robot in target.robots] if target.own_topics else [AGENT_STATE]
+        depth = max(100, 4 * len(target.robots))
+        states = {topic: requested(topic, REALTIME, depth=depth) for topic in topics}
+        self._depths = dict.fromkeys(topics, depth)
+        self._receiver = WaitSetReceiver(node, states, LoopGroup())
+
+    def ask(self) -> None:
+        """Tell the monitor that the robots are about to be told to stop."""
+        self._take()
+        self.monitor.ask(time.monotonic())
+
+    def confirm(self) -> None:
+        """Tell the monitor that the controller has confirmed the stop."""
+        self._take()
+        self.monitor.confirm(time.monotonic())
+
+    def listen(self, patience: float, enough: Callable[[], bool]) -> None:
+        """Take states until `enough` returns true or `patience`, s, has passed.
+
+        Raises
+        ------
+        RunError
+            If the run has ended.
+        """
+        deadline = time.monotonic() + patience
+        self._take()
+        while not enough() and time.monotonic() < deadline:
+            self._target.check()
+            self._receiver.wait(tuple(self._depths), SLICE)
+            self._take()
+
+    def _take(self) -> None:
+        for topic, depth in self._depths.items():
+            for _ in range(depth):
+                payload = self._receiver.take(topic)
+                if payload is None:
+                    break
+                with suppress(MalformedMessageError):
+                    state = decode(AgentState, payload)
+                    if isinstance(state, AgentState) and not misplaced(state, topic):
+                        self.monitor.hear(state.agent_id, state.status, time.monotonic())
 
 
 @contextmanager

@@ -34,6 +34,12 @@ def stop(found: Target, client: OperatorClient, patience: float) -> list[str]:
     return missed
 
 
+def can_stop(found: Target, client: OperatorClient) -> bool:
+    """Return whether the controller or its standby can be told to stop at once."""
+    ready = [client.finds(service) for service in _of_controllers(found, STOP)]
+    return any(ready)
+
+
 def reset(found: Target, client: OperatorClient, patience: float) -> list[str]:
     """Tell the controller and its standby to resume; return what went wrong with the one that does not lead.
 

@@ -16,11 +16,13 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_core.cdr import decode, encode, step_of
-from swarmabs_core.messages import TOPIC_OF
+from swarmabs_core.messages import TOPIC_OF, SwarmEvent
+from swarmabs_ros.announcements import send_events
+from swarmabs_ros.inputs import Inputs
 from swarmabs_ros.pairs import EarlyMessages, OwnMessages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Mapping
+    from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 
     from rclpy.publisher import Publisher
 
@@ -78,6 +80,8 @@ class NodeSpec:
         A topic that the node reads and publishes, and on which it handles only the messages of others.
     on_silence : callable, optional
         Takes the time, s, since the last answer; called like `on_idle`, and what it returns is an answer.
+    compares : bool
+        Whether the behaviour itself compares the messages that it has used with those that arrive later.
     on_peer_end : callable, optional
         Called when the process of another node has ended that does the same (SIGUSR1); a `pair` has its own reaction.
     """
@@ -94,6 +98,7 @@ class NodeSpec:
     pair: LockstepLeadership | None = None
     echoed: Topic | None = None
     on_silence: Callable[[float], Messages] | None = None
+    compares: bool = False
     on_peer_end: Callable[[], None] | None = None
 
 
@@ -168,8 +173,9 @@ class Repeater:
 class Lockstep:
     """Passes awaited messages to the behaviour, publishes its answers, and repeats them if nothing arrives.
 
-    A silence of `stall_timeout` s is reported to `status` as a stall; 0 disables this. `Repeater` decides on
-    repetitions. `clock` returns a time, s, by default that of a `RunningClock`; `sleep` waits for a time, s.
+    The node reads `topics`. A silence of `stall_timeout` s is reported to `status` as a stall; 0 disables this.
+    `Repeater` decides on repetitions. `clock` returns a time, s, by default that of a `RunningClock`; `sleep` waits for
+    a time, s.
     """
 
     def __init__(
@@ -179,6 +185,7 @@ class Lockstep:
         publishers: Mapping[Topic, Publisher],
         status: StatusChannel,
         *,
+        topics: Collection[Topic],
         stall_timeout: float,
         repeat_after: float = FIRST,
         repeat_steps: int = WINDOW,
@@ -196,6 +203,8 @@ class Lockstep:
         self._repeater: Repeater
         self._hear = spec.hear or self._decoded
         self._pair, self._early = spec.pair, EarlyMessages()
+        self._inputs = None if spec.compares else Inputs(2 * WINDOW)
+        self._topics = topics
         self._echoed = spec.echoed if spec.pair is None else spec.pair.topic
         self._own = OwnMessages()
         self._sent: deque[tuple[int, Topic, bytes]] = deque()
@@ -234,8 +243,10 @@ class Lockstep:
         self._publish(behaviour.start())
         while not self._stopping:
             topics = behaviour.awaits()
-            if not topics and not spec.lingers:
-                return
+            if not topics:
+                self._compare_late()
+                if not spec.lingers:
+                    return
             if self._pair is not None and self._waits_for_peer(self._pair):
                 topics = (self._pair.topic,)
             elif self._drain(topics):
@@ -253,6 +264,7 @@ class Lockstep:
             if topics:
                 self._check_stall(now)
             self._repeat(repeater.due(now))
+        self._compare_late()
 
     def _waits_for_peer(self, pair: LockstepLeadership) -> bool:
         """Take what the peer has published; return whether the run must not be further ahead of it."""
@@ -264,11 +276,21 @@ class Lockstep:
         return pair.waits(self._clock())
 
     def _taken(self, topic: Topic) -> bytes | None:
-        """Return the next message of a topic, without own ones."""
+        """Return the next message of a topic, without own ones; raises `ConflictError` if it differs from another."""
         while (data := self._receiver.take(topic)) is not None:
             if topic is not self._echoed or not self._own.returned(data):
+                if self._inputs is not None:
+                    self._inputs.compare(topic, data)
                 return data
         return None
+
+    def _compare_late(self) -> None:
+        """Compare what has arrived after the node has finished with what it has used."""
+        for topic in self._topics:
+            if self._pair is not None and topic is self._pair.topic:  # read to follow the peer
+                continue
+            late = iter(partial(self._taken, topic), None) if self._inputs is not None else self._answers(topic)
+            deque(late, maxlen=0)
 
     def _drain(self, topics: tuple[Topic, ...]) -> bool:
         """Handle messages of these topics while they are the awaited ones; return whether to look again at once.
@@ -288,12 +310,10 @@ class Lockstep:
 
     def _answers(self, topic: Topic) -> Iterator[Messages]:
         """Take the messages of a topic, one after the other or all at once, and yield the answers."""
-        take, hear, hear_all = self._receiver.take, self._hear, self._spec.hear_all
+        take, hear, hear_all = self._taken, self._hear, self._spec.hear_all
         if self._pair is not None:
             yield from self._answers_in_order(topic, self._pair.current)
             return
-        if topic is self._echoed:
-            take = self._taken
         if hear_all is not None:
             payloads = list(iter(partial(take, topic), None))
             if payloads:
@@ -320,6 +340,7 @@ class Lockstep:
         return self._behaviour.handle(decode(topic.message, data))
 
     def _publish(self, messages: Messages) -> None:
+        send_events(self._status, "publishes", [message for message in messages if isinstance(message, SwarmEvent)])
         for message in messages:
             topic = TOPIC_OF[type(message)]
             data = encode(message)

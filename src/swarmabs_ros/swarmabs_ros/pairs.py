@@ -60,6 +60,18 @@ class OwnMessages:
             del self._expected[data]
 
 
+class _FarAhead:
+    """Tells where a swarm is by messages of steps far ahead: one may be a stray one, so a second has to confirm it."""
+
+    def __init__(self) -> None:
+        self._step: int | None = None
+
+    def confirmed(self, step: int) -> bool:
+        """Return whether the last message was of another step, close to this one."""
+        known, self._step = self._step, step
+        return known is not None and 0 < abs(known - step) <= MOST_EARLY
+
+
 class LockstepLeadership:
     """What one of a pair knows of the other one, and whether it publishes.
 
@@ -97,7 +109,7 @@ class LockstepLeadership:
         self._standby = standby
         self._window, self._every = window, max(1, window // SIGNS)
         self._patience = patience
-        self._peer = -1
+        self._peer, self._far = -1, _FarAhead()
         self._waiting_since: float | None = None
         self._lost = self._ended = False
 
@@ -109,6 +121,8 @@ class LockstepLeadership:
 
     def hear(self, step: int) -> None:
         """Take the step of a message of the peer; a standby falls silent when its primary is as far as itself."""
+        if step > self.step + MOST_EARLY and not self._far.confirmed(step):
+            return
         self._peer = max(self._peer, step)
         if step >= self.step - self._window:
             self._lost = False
@@ -142,18 +156,25 @@ class EarlyMessages:
 
     def __init__(self) -> None:
         self._kept: dict[int, deque[tuple[Topic, bytes]]] = {}
+        self._far = _FarAhead()
 
     def keep(self, topic: Topic, data: bytes, step: int) -> bool:
         """Keep a message if it is of a later step than the current one; return whether it is.
 
+        One that is so late that the messages before it will not be repeated is not kept.
+
         Raises
         ------
         BehindError
-            If it is so late that the messages before it will not be repeated.
+            If the swarm is so far ahead.
+        MalformedMessageError
+            If it is not a message of this swarm.
         """
-        ahead = 0 if topic is RECORDING_PROGRESS else step_of(data) - step
+        ahead = 0 if topic is RECORDING_PROGRESS else step_of(data, topic.type_name) - step
         if ahead > MOST_EARLY:
-            raise BehindError(step, step + ahead)
+            if self._far.confirmed(step + ahead):
+                raise BehindError(step, step + ahead)
+            return True
         if ahead > 0:
             self._kept.setdefault(step + ahead, deque()).append((topic, data))
         return ahead > 0

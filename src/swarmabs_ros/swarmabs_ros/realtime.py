@@ -15,12 +15,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from swarmabs_config.graph import USUAL_TOPICS
+from swarmabs_config.graph import OFFERED, REALTIME, USUAL_TOPICS
 from swarmabs_core.cdr import decode, encode, misplaced
 from swarmabs_core.errors import MalformedMessageError, RunError
-from swarmabs_core.messages import AGENT_STATE, TOPIC_OF, SwarmEvent
+from swarmabs_core.messages import TOPIC_OF, SwarmEvent
 from swarmabs_core.realtime.base import Health, Level, Sender
-from swarmabs_core.realtime.validation import Refusals
+from swarmabs_core.realtime.validation import Problem, Refusals
 from swarmabs_ros.timing import Reading, StepClock
 
 if TYPE_CHECKING:
@@ -41,8 +41,8 @@ HALTS_WITHIN = 5.0
 """Time limit, s, of halting for any reason; a drive that takes longer to stop is considered hung."""
 TOLERATED = 0.01
 """Fraction of periods that may be missed between two health reports without a warning."""
-IDENTIFIED = (AGENT_STATE,)
-"""Topics whose receivers distinguish the writers: many nodes publish on them, each for itself."""
+IDENTIFIED = tuple(topic for topic in OFFERED[REALTIME] if not issubclass(topic.message, SwarmEvent))
+"""Topics whose receivers distinguish the writers; of events all may speak."""
 _NOTHING: Wait = ((), 0.0)
 _PAIRED = 100_000
 """Longest time, ns, between the readings of two clocks that count as simultaneous."""
@@ -177,7 +177,7 @@ class Activity:
                 continue
             problem = misplaced(message, topic)
             if problem:
-                self._publish(self._misplaced.add(problem, engine.clock.step(now), now))
+                self._publish(self._misplaced.add(Problem(problem), engine.clock.step(now), now))
             else:
                 self._publish(engine.behaviour.hear(message, now, Sender(topic in USUAL_TOPICS, writer)))
 

@@ -191,6 +191,7 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
         inbox,
         publishers,
         status,
+        topics=tuple(ends.subscriptions),
         stall_timeout=settings.number("stall_timeout"),
         repeat_after=settings.number("repeat_after"),
         repeat_steps=settings.integer("repeat_steps"),

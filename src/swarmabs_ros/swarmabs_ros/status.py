@@ -36,6 +36,8 @@ Report = Literal[
     "leads",
     "yields",
     "behind",
+    "publishes",
+    "recorded",
 ]
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from swarmabs_bag.run_folder import ONE_FILE, Split
+from swarmabs_core.ranges import reason_of, texts_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -125,3 +126,15 @@ class Outcome:
     warnings: tuple[str, ...] = ()
     packed: bool = False
     standby: dict[str, Any] | None = None
+
+    def judged(self, *, repeats: bool) -> Outcome:
+        """Return the outcome by the robots that left their ranges: a complete run has failed if any flew off.
+
+        A run that `repeats` a recorded one has done what was asked, so these robots are only a warning.
+        """
+        strays = self.figures.get("out_of_range")
+        if self.status != "ok" or not strays:
+            return self
+        if strays["flown_off"] and not repeats:
+            return replace(self, status="failed", reason=reason_of(strays))
+        return replace(self, warnings=(*self.warnings, *texts_of(strays)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,7 +19,7 @@ from swarmabs_config.scenario import AnyScenario, Scenario, dump_scenario, parse
 from swarmabs_config.scenarios import as_override
 from swarmabs_core.arrays import RunArrays, RunEvent, run_arrays, run_event, table
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
-from swarmabs_core.errors import RunError, SwarmabsError, raised
+from swarmabs_core.errors import RunError
 from swarmabs_core.membership import with_ends
 from swarmabs_core.messages import PLANE_STATE, SYSTEM_FAMILY, TOPIC_OF
 from swarmabs_core.publishers import NodeKind, NodeName
@@ -44,14 +45,21 @@ class NodeInProcess(NamedTuple):
     hears: Collection[Topic]
 
 
-def nodes_in_process(scenario: AnyScenario) -> dict[NodeName, NodeInProcess]:
-    """Return all nodes of a scenario by name: observer, plane, parent controller, robots."""
-    controller = Controller(configure.controller_config(scenario, recording_window=0))
-    watching = configure.observer_config(scenario)
+def nodes_in_process(scenario: AnyScenario, division: int | None = None) -> dict[NodeName, NodeInProcess]:
+    """Return all nodes of a scenario by name: observer, plane, parent controller, robots.
+
+    The `division` is the number of steps from a change on in which the observer tells how the abstract state divides,
+    by default that of the scenario.
+    """
+    division = configure.division(scenario) if division is None else division
+    controller = Controller(
+        replace(configure.controller_config(scenario, recording_window=0), division=division),
+    )
+    watching = replace(configure.observer_config(scenario), division=division)
     also = configure.options_for(scenario) | ({Option.WATCHING} if watching.watches_plane else set())
     nodes = {
         NodeName(NodeKind.OBSERVER): _node(Observer(watching), OBSERVER, also),
-        NodeName(NodeKind.PLANE): _node(Parent(configure.parent_config(scenario)), PLANE, also),
+        NodeName(NodeKind.PARENT): _node(Parent(configure.parent_config(scenario)), PLANE, also),
         NodeName(NodeKind.CONTROLLER): _node(controller, CONTROLLER, also),
     }
     for config in configure.agent_configs(scenario):
@@ -70,24 +78,72 @@ def _node(behaviour: Behaviour, name: str, options: Collection[Option]) -> NodeI
     return NodeInProcess(behaviour, tuple(endpoints(name, LOCKSTEP, frozenset(options)).subscriptions))
 
 
-class Simulation:
-    """Nodes connected by a queue: those of a scenario, or some of them with substitutes for the others.
+class Network:
+    """Nodes of one process connected by a queue; a copy (`copy.deepcopy`) continues independently.
 
-    The nodes start and answer in the given order; the default is all nodes of the scenario. `ends` adds ends of robots
-    that the scenario does not plan.
+    The nodes start and answer in the given order.
+
+    Attributes
+    ----------
+    pending : deque of Message
+        The messages that are not delivered yet.
     """
 
-    def __init__(
-        self, scenario: AnyScenario, nodes: Iterable[NodeInProcess] | None = None, ends: Iterable[Change] = ()
-    ) -> None:
-        self._nodes = tuple(nodes_in_process(scenario).values() if nodes is None else nodes)
+    def __init__(self, nodes: Iterable[NodeInProcess]) -> None:
+        self._nodes = tuple(nodes)
         self._subscribers: dict[Topic, list[Callable[[Message], Messages]]] = {topic: [] for topic in OFFERED[LOCKSTEP]}
         for node in self._nodes:
             for topic in node.hears:
                 self._subscribers[topic].append(node.behaviour.handle)
+        self.pending: deque[Message] = deque()
+
+    def start(self) -> None:
+        """Let every node publish its first messages."""
+        for node in self._nodes:
+            self.pending.extend(node.behaviour.start())
+
+    def disconnect(self, node: NodeInProcess) -> None:
+        """Deliver nothing more to a node."""
+        for topic in node.hears:
+            self._subscribers[topic].remove(node.behaviour.handle)
+
+    def deliver(self, hold: Callable[[Message], bool] | None = None) -> Iterator[Message]:
+        """Yield each message and then deliver it, until none is pending except those that `hold` selects."""
+        held: list[Message] = []
+        while self.pending:
+            message = self.pending.popleft()
+            if hold is not None and hold(message):
+                held.append(message)
+                continue
+            yield message
+            for handle in self._subscribers[TOPIC_OF[type(message)]]:
+                self.pending.extend(handle(message))
+        self.pending.extend(held)
+
+
+class Simulation:
+    """Nodes connected by a queue: those of a scenario, or some of them with substitutes for the others.
+
+    The nodes start and answer in the given order; the default is all nodes of the scenario. `ends` adds ends of robots
+    that the scenario does not plan; `division` is as for `nodes_in_process`.
+    """
+
+    def __init__(
+        self,
+        scenario: AnyScenario,
+        nodes: Iterable[NodeInProcess] | None = None,
+        ends: Iterable[Change] = (),
+        division: int | None = None,
+    ) -> None:
+        self._network = Network(nodes_in_process(scenario, division).values() if nodes is None else nodes)
         schedule = with_ends(configure.schedule(scenario), ends)
         self._collector = RunCollector(
-            configure.members(scenario), schedule, scenario.steps, memory=2, family=scenario.family
+            configure.members(scenario),
+            schedule,
+            scenario.steps,
+            memory=2,
+            division=configure.division(scenario) if division is None else division,
+            family=scenario.family,
         )
 
     def steps(self, on_idle: Callable[[], Messages] = tuple, name: str = "run") -> Iterator[RecordedStep]:
@@ -96,23 +152,12 @@ class Simulation:
         When no messages are pending, `on_idle` supplies the next ones; if it returns none, the run ends. Raises
         `RunError` if the run fails, such as when the plane turns over, or stalls; `name` names the run in that error.
         """
-        queue: deque[Message] = deque()
-        try:
-            for node in self._nodes:
-                queue.extend(node.behaviour.start())
-            while queue:
-                message = queue.popleft()
+        network = self._network
+        network.start()
+        while network.pending:
+            for message in network.deliver():
                 yield from self._collector.add(Record.of(message))
-                for handle in self._subscribers[TOPIC_OF[type(message)]]:
-                    queue.extend(handle(message))
-                if not queue:
-                    queue.extend(on_idle())
-        except SwarmabsError:
-            raise
-        except Exception as error:
-            if what := raised(error):  # by a part from an installed package
-                raise RunError(f"step {self._collector.step}: {what}") from error
-            raise
+            network.pending.extend(on_idle())
         if not self._collector.finished:
             missing = ", ".join(self._collector.missing())
             raise RunError(f"the {name} stalls at step {self._collector.step}; missing: {missing}")

@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from swarmabs_bag.figures import PLANE_TRACKING
+from swarmabs_core.ranges import texts_of
 from swarmabs_run.roles import LOST, Role
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def summarise(scenario: AnyScenario, outcome: Outcome, times: Times) -> dict[str
         "agents": len(scenario.agents),
         **{name: figures.get(name) for name in FIGURES},
         "events": figures.get("events", []),
+        **({"out_of_range": figures["out_of_range"]} if "out_of_range" in figures else {}),
         "status": outcome.status,
         "reason": outcome.reason,
         "rerun_of": None,
@@ -94,6 +96,8 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Track
         rows["packed"] = "broadcasts, and states for plane and recorder (--no-packed: one message each)"
     if "standby" in summary:
         rows["standby"] = _standby(summary["standby"])
+    if "out_of_range" in summary:
+        rows["out of range"] = "\n".join(texts_of(summary["out_of_range"]))
     if summary["events"]:
         rows["events"] = "\n".join(summary["events"])
     if summary["rerun_of"] is not None:

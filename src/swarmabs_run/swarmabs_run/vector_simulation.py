@@ -13,17 +13,18 @@ from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.arrays import LAYOUT, table
 from swarmabs_core.behaviours import Controller
 from swarmabs_core.cdr import encode
+from swarmabs_core.membership import ALWAYS
 from swarmabs_core.messages import (
     AGENT_STATE,
     MAIN_TOPICS,
     AbstractState,
     AuxiliaryState,
     DesiredAbstractState,
-    EventKind,
     PlaneState,
     SwarmEvent,
 )
 from swarmabs_core.plant import PlaneDynamics, SwarmLoad
+from swarmabs_core.ranges import RangeMonitor, lane
 from swarmabs_core.record import Record
 from swarmabs_run.swarm_columns import SwarmColumns, on_columns
 
@@ -48,8 +49,11 @@ class NotVectorisableError(Exception):
 
 
 def vectorisable(scenario: Scenario) -> bool:
-    """Return whether all robots of a scenario always behave alike and use laws that support arrays."""
-    return not scenario.faults and on_columns(scenario)
+    """Return whether all robots of a scenario always behave alike and use laws that support arrays.
+
+    If robots may be dropped, each step has a message of the observer more, which arrays do not provide.
+    """
+    return not scenario.faults and configure.division(scenario) < ALWAYS and on_columns(scenario)
 
 
 class Motion(NamedTuple):
@@ -139,7 +143,7 @@ class VectorSimulation:
         )
         self._dynamics = PlaneDynamics(scenario.plane, scenario.period)
         self._swarm = _Swarm(scenario)
-        self._outside: set[int] = set()
+        self._ranges = RangeMonitor(lane(scenario.plane.length))
 
     def steps(self) -> Iterator[Step]:
         """Run, and yield the steps in blocks, a step with events on its own.
@@ -170,7 +174,7 @@ class VectorSimulation:
             answers = self._controller.handle(plane)
             desired = answers[-1]
             assert isinstance(desired, DesiredAbstractState)  # noqa: S101 - the last message of the controller
-            yield (plane, abstract, sums, desired), [*self._limits(step, stamp), *answers[:-1]]
+            yield (plane, abstract, sums, desired), [*self._crossings(step, stamp), *answers[:-1]]
             if step == scenario.steps:
                 return
             if is_degenerate(sums.s0, sums.s3, length):
@@ -178,15 +182,10 @@ class VectorSimulation:
             load = swarm.move(abstract, sums, desired)
             angle, angular_velocity = self._dynamics.advance(angle, angular_velocity, stamp / 1e9, load)
 
-    def _limits(self, step: int, stamp: int) -> list[SwarmEvent]:
-        """Return an event for each robot that has just crossed the end of the plane."""
-        position, half = self._swarm.position, 0.5 * self._scenario.plane.length
-        if not self._outside and np.abs(position).max() <= half:
+    def _crossings(self, step: int, stamp: int) -> list[SwarmEvent]:
+        """Return an event for each robot that has just crossed an end of the plane."""
+        position = self._swarm.position
+        if self._ranges.quiet(float(np.abs(position).max())):
             return []
-        outside = {self._swarm.columns.ids[i]: float(position[i]) for i in np.flatnonzero(np.abs(position) > half)}
-        new = sorted(outside.keys() - self._outside)
-        self._outside = set(outside)
-        return [
-            SwarmEvent(stamp, step, agent_id, EventKind.LIMIT_HIT, outside[agent_id], "off the plane's end")
-            for agent_id in new
-        ]
+        places = zip(self._swarm.columns.ids, position.tolist(), strict=True)
+        return self._ranges.watch([(robot, (place,)) for robot, place in places], step, stamp)

@@ -12,6 +12,7 @@ import signal
 from contextlib import suppress
 from importlib.resources import files
 from typing import TYPE_CHECKING
+from weakref import WeakSet
 
 from aiohttp import WSCloseCode, WSMsgType, web
 from pydantic import ValidationError
@@ -33,6 +34,10 @@ LONGEST_REQUEST = 4096
 """Largest request of a page, bytes."""
 PING = 20.0
 """Interval of the pings that detect a dead page, s."""
+MOST_CONNECTIONS = 64
+"""Most connections at the same time: those of the pages, and those over which they load files."""
+PATIENCE = 10.0
+"""Time, s, for a connection to send its first request, to take an answer, and to stay without another request."""
 END_SECONDS = 2.0
 """Time that open connections have to close at the end, s."""
 
@@ -93,10 +98,15 @@ def load_files() -> dict[str, tuple[str, bytes]]:
 
 
 class ViewServer:
-    """Serves pages on a socket of 127.0.0.1 until it is stopped; `session` creates the session of a new page."""
+    """Serves pages on a socket of 127.0.0.1 until it is stopped; `session` creates the session of a new page.
 
-    def __init__(self, listener: socket, session: Callable[[], Session]) -> None:
+    A connection that sends no request, or does not take the answer, is closed after `patience` s.
+    """
+
+    def __init__(self, listener: socket, session: Callable[[], Session], *, patience: float = PATIENCE) -> None:
         self._listener = listener
+        self._patience = patience
+        self._heard: WeakSet[asyncio.BaseTransport] = WeakSet()
         self._port: int = listener.getsockname()[1]
         self._session = session
         self._files = load_files()
@@ -109,9 +119,12 @@ class ViewServer:
         app.router.add_get("/socket", self._socket)
         app.router.add_get("/{path:.*}", self._file)
         app.on_shutdown.append(self._close)
-        runner = web.AppRunner(app, access_log=None, shutdown_timeout=END_SECONDS)
+        runner = web.AppRunner(
+            app, access_log=None, shutdown_timeout=END_SECONDS, keepalive_timeout=self._patience, lingering_time=0.0
+        )
         await runner.setup()
-        running = [asyncio.ensure_future(one) for one in tasks]
+        assert runner.server is not None  # noqa: S101 - it is set up
+        running = [asyncio.ensure_future(one) for one in (*tasks, self._close_idle(runner.server))]
         try:
             await web.SockSite(runner, self._listener).start()
             done, _ = await asyncio.wait([asyncio.ensure_future(ended), *running], return_when=asyncio.FIRST_COMPLETED)
@@ -122,10 +135,29 @@ class ViewServer:
                 task.cancel()
             await runner.cleanup()
 
+    async def _close_idle(self, server: web.Server) -> None:
+        """Close connections without a request, or whose answer is not taken, and those beyond the limit."""
+        clock, waiting = asyncio.get_running_loop().time, dict[asyncio.Transport, tuple[int, float]]()
+        while True:
+            known = [c.transport for c in server.connections if isinstance(c.transport, asyncio.Transport)]
+            now, before = clock(), waiting
+            waiting = {}
+            for number, transport in enumerate(known):
+                unsent = transport.get_write_buffer_size()
+                if transport in self._heard and not unsent:
+                    continue
+                size, since = before.get(transport, (unsent, now))
+                waiting[transport] = unsent, since if unsent >= size else now
+                if now - since >= self._patience or number >= MOST_CONNECTIONS:
+                    transport.abort()
+            await asyncio.sleep(self._patience / 10.0)
+
     @web.middleware
     async def _guarded(
         self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
     ) -> web.StreamResponse:
+        if request.transport is not None:
+            self._heard.add(request.transport)
         why = refusal(request.headers, self._port, websocket=request.path == "/socket")
         if why is not None:
             return web.Response(status=403, text=why + "\n", headers=self._headers)

@@ -87,6 +87,7 @@ def _terminal(scenario: AnyScenario) -> Iterator[Callable[[Progress], None]]:
         yield _lines(scenario)
         return
     panel = RunPanel(scenario)
+    news = Warnings().of
     shown = 0.0
     # Drawn by the function itself, not by a thread, because this process forks the launcher.
     with Live(panel, console=console, auto_refresh=False, transient=True) as live:
@@ -94,6 +95,8 @@ def _terminal(scenario: AnyScenario) -> Iterator[Callable[[Progress], None]]:
         def show(progress: Progress) -> None:
             nonlocal shown
             now = time.monotonic()
+            for text in news(progress):
+                console.print(Text(text))
             if now - shown >= _TERMINAL_INTERVAL:
                 shown = now
                 panel.take(progress, describe(progress, scenario))
@@ -104,15 +107,31 @@ def _terminal(scenario: AnyScenario) -> Iterator[Callable[[Progress], None]]:
 
 def _lines(scenario: AnyScenario) -> Callable[[Progress], None]:
     shown, phase = time.monotonic(), ""
+    news = Warnings().of
 
     def show(progress: Progress) -> None:
         nonlocal shown, phase
+        for text in news(progress):
+            click.echo(text, err=True)
         now = time.monotonic()
         if progress.phase != phase or now - shown >= _LINE_INTERVAL:
             shown, phase = now, progress.phase
             click.echo(describe(progress, scenario), err=True)
 
     return show
+
+
+class Warnings:
+    """The warnings of a running run, each once: about the first robots that leave the ranges of their coordinates."""
+
+    def __init__(self) -> None:
+        self._told: set[str] = set()
+
+    def of(self, progress: Progress) -> list[str]:
+        """Return the warnings that are new."""
+        strays = [] if progress.robots is None else [text for text in progress.robots.strays if text not in self._told]
+        self._told.update(strays)
+        return [f"warning: {text}" for text in strays]
 
 
 class RunPanel:

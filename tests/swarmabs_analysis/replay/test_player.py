@@ -11,7 +11,7 @@ from swarmabs_bag.recording import RecordedStep
 from swarmabs_core import messages as msg
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
 from swarmabs_core.errors import RunError
-from swarmabs_core.publishers import CONTROLLER, OBSERVER, PLANE, NodeKind, NodeName, publisher_of
+from swarmabs_core.publishers import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName, publisher_of
 from swarmabs_run.simulation import Simulation
 
 ROBOT = NodeName(NodeKind.AGENT, 3)
@@ -87,7 +87,7 @@ def test_repetitions_and_its_own_messages_change_nothing_and_an_answer_may_come_
     ]
 
 
-ALL = (PLANE, OBSERVER, CONTROLLER, *(NodeName(NodeKind.AGENT, number) for number in (1, 2, 3, 4)))
+ALL = (PARENT, OBSERVER, CONTROLLER, *(NodeName(NodeKind.AGENT, number) for number in (1, 2, 3, 4)))
 
 
 def test_nodes_that_do_not_wait_for_the_player_may_be_any_number_of_steps_ahead() -> None:
@@ -119,7 +119,7 @@ def test_the_nodes_left_go_on_without_the_player_once_its_robots_are_gone() -> N
     assert tried.awaits() == ()
 
 
-@pytest.mark.parametrize("node", [PLANE, OBSERVER, CONTROLLER, ROBOT])
+@pytest.mark.parametrize("node", [PARENT, OBSERVER, CONTROLLER, ROBOT])
 def test_an_answer_to_what_is_not_yet_published_is_refused(node: NodeName) -> None:
     """Whether the next step has anything of the player in it is known when it comes to it."""
     tried = started(*(name for name in ALL if name.agent_id != 4))

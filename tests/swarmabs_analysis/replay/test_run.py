@@ -16,7 +16,7 @@ from swarmabs_analysis.replay.source import open_source
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.recording import RecordedStep
-from swarmabs_bag.run_folder import RunFolder
+from swarmabs_bag.run_folder import RunFolder, new_run_folder
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_core import messages as msg
@@ -24,7 +24,7 @@ from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.faults import RobotFault
 from swarmabs_core.membership import SILENT, Change, ChangeKind
-from swarmabs_core.publishers import PLANE, NodeName
+from swarmabs_core.publishers import PARENT, NodeName
 from swarmabs_core.record import Record
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 from swarmabs_run.simulation import Simulation
@@ -46,7 +46,9 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(tmp_path_factory.mktemp("recorded") / "run", "pd_het_4", *SETTINGS)
 
 
-ALL = (*msg.MAIN_TOPICS, msg.EVENTS)
+ALL = (*msg.MAIN_TOPICS, msg.STANDING, msg.EVENTS)
+EARLIER = (*msg.MAIN_TOPICS, msg.EVENTS)
+"""The topics of bags without the division of the abstract state."""
 NODE = (NodeName.parse("controller"),)
 STEPS = list(Simulation(builtin("pd_het_4", *SETTINGS)).steps())
 
@@ -141,6 +143,7 @@ def test_an_unplanned_end_is_found_unless_it_is_of_a_stranger(tmp_path: Path) ->
         (["step=0.02"], "--set changes the control period, .*; use run instead"),
         (["swarm.agents.4={id: 9, kind: single_integrator, mass: 0.4, position: 0.1}"], "--set changes the robots"),
         (["faults.0.at=0.2"], "--set changes the faults that end robots or let them join"),
+        (["lockstep.on_stall=drop"], "--set changes the reaction to silent robots"),
         (["controller.gains.x=1"], "controller.gains"),
     ],
 )
@@ -185,9 +188,9 @@ RUNS = {
     "torque from the plane": ("observer.type=parent_response",),
     "robots feel gravity": ("plane.robot_gravity=true",),
 }
-ALONE = [(node,) for node in ("controller", "observer", "plane", "agent:1", "agent:3")]
-EVERYBODY = ("controller", "observer", "plane", *(f"agent:{number}" for number in (1, 2, 3, 4)))
-NODES = (*ALONE, ("plane", "observer"), EVERYBODY)
+ALONE = [(node,) for node in ("controller", "observer", "parent", "agent:1", "agent:3")]
+EVERYBODY = ("controller", "observer", "parent", *(f"agent:{number}" for number in (1, 2, 3, 4)))
+NODES = (*ALONE, ("parent", "observer"), EVERYBODY)
 
 
 def names(*texts: str) -> list[NodeName]:
@@ -219,11 +222,33 @@ def test_the_same_code_gives_the_same_messages_and_events(case: str) -> None:
 
 def test_a_robot_that_was_dropped_is_dropped_again() -> None:
     """To all others it is the same as if it had been killed by plan."""
-    _, steps = run("faults=[{at: 0.5, kind: kill, agent: 3}]")
+    _, steps = run("faults=[{at: 0.5, kind: kill, agent: 3}]", "lockstep.on_stall=drop")
     recorded = [RecordedStep(step.step, tuple(map(silenced, step.records))) for step in steps]
-    scenario, end = builtin("pd_het_4", "duration=1").resolved(), Change(50, 3, ChangeKind.KILL)
+    scenario = builtin("pd_het_4", "duration=1", "lockstep.on_stall=drop").resolved()
+    end = Change(50, 3, ChangeKind.KILL)
     for nodes in NODES:
         assert list(replayed_steps(scenario, names(*nodes), iter(recorded), [end])) == recorded, nodes
+
+
+@pytest.mark.parametrize("nodes", NODES)
+@pytest.mark.parametrize("on_stall", ["fail", "drop"])
+def test_an_earlier_bag_is_replayed_without_the_division_that_it_lacks(
+    nodes: tuple[str, ...], on_stall: str, tmp_path: Path
+) -> None:
+    settings = (*SETTINGS, f"lockstep.on_stall={on_stall}")
+    scenario = builtin("pd_het_4", *settings).resolved()
+    steps = list(Simulation(scenario, division=0).steps())
+    source = open_source(write(tmp_path / "bag", records(61, steps), *settings, topics=EARLIER))
+    assert list(source.steps()) == steps
+    replay, folder = ReplayRun(source, tuple(names(*nodes)), (), scenario), new_run_folder(tmp_path / "run")
+    result = replay.result(folder, replay.in_process(folder).figures["digest"])
+    assert (result["same"], result["first_difference"]) == (True, None)
+    assert open_bag(folder.path).topics() == EARLIER
+    tested = [process for process in replay.plan(plan(scenario, folder)) if "division" in process.parameters]
+    assert [process.parameters["division"] for process in tested] == [0] * len(tested)
+    wanted = {"observer": "abstraction_observer", "controller": "parent_controller"}
+    assert {process.name for process in tested} == {"recorder", *(wanted[name] for name in nodes if name in wanted)}
+    assert all("swarm/standing" not in matches(process) for process in tested if process.name != "recorder")
 
 
 def test_changed_gains_are_what_the_node_would_have_said_and_nobody_reacts() -> None:
@@ -284,7 +309,7 @@ def matches(process: ProcessPlan) -> dict[str, int]:
 def test_there_are_the_player_the_nodes_under_test_and_the_recorder(recorded: Path) -> None:
     for nodes, programs in (
         (("controller",), ["parent_controller"]),
-        (("agent:3", "plane"), ["agent_003", "plane_sim"]),
+        (("agent:3", "parent"), ["agent_003", "plane_sim"]),
     ):
         processes = planned(recorded, *nodes)
         assert list(processes) == ["replay_player", *programs, "recorder"]
@@ -303,6 +328,7 @@ def test_each_waits_for_the_counterparts_that_there_are(recorded: Path) -> None:
         "swarm/events": 1,  # the recorder
         "swarm/desired_abstract_state": 2,  # player and recorder
         "plane/state": 1,
+        "swarm/standing": 1,
         "recording/progress": 1,
     }
     assert matches(processes["recorder"])["swarm/desired_abstract_state"] == 1
@@ -319,7 +345,7 @@ def test_a_missing_message_is_said_to_be_missing(tmp_path: Path, lacks: str) -> 
     long = record(tmp_path / "long", "pd_het_4")
     recorded, replayed = (long, short) if lacks == "replay" else (short, long)
     scenario = attached_scenario(open_bag(long)).resolved()
-    run = ReplayRun(open_source(recorded), (PLANE,), (), scenario)
+    run = ReplayRun(open_source(recorded), (PARENT,), (), scenario)
     result = run.result(RunFolder(replayed), None)
     first = result["first_difference"]
     assert (first["step"], first["topic"], first["field"]) == (21, "plane/state", "message")

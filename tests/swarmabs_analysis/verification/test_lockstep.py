@@ -15,6 +15,7 @@ from tests.swarmabs_core.realtime.bags import Stored
 
 from swarmabs_analysis.difference import Difference
 from swarmabs_analysis.verification.base import Verification, VerificationResult
+from swarmabs_analysis.verification.earlier import are_earlier
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_bag.blocks import Block
 from swarmabs_bag.grouping import Published, TopicMessages, in_blocks
@@ -25,7 +26,8 @@ from swarmabs_core import desired_state, messages as msg
 from swarmabs_core.behaviours import Agent, AgentConfig
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import MalformedMessageError, RunError
-from swarmabs_core.membership import SILENT
+from swarmabs_core.membership import ALWAYS, SILENT
+from swarmabs_core.ranges import crossing_of
 from swarmabs_run import simulation
 from swarmabs_run.simulation import Simulation
 
@@ -60,6 +62,8 @@ WORLDS: dict[str, tuple[str, ...]] = {
     "gravity on robots": ("pd_di_4", SHORT, "plane.robot_gravity=true"),
     "end stop": ("pd_het_4", SHORT, "plane.angle=0.05", "plane.angular_velocity=4", "plane.end_stop=0.06"),
     "torque from the plane": ("pd_si_4", SHORT, "observer={type: parent_response}"),
+    "robots that fly off": ("pd_het_4", SHORT, "swarm.gains={k: [199, 199], kp: [20000, 20000]}"),
+    "robots that touch the end": ("arise_di_4", "duration=0.9", "plane.length=0.28"),
     "safe stop": ("pd_het_4", SHORT, "plane.length=115000"),
 }
 
@@ -78,9 +82,9 @@ def flipped(stored: Stored, bit: int) -> Stored:
     return stored._replace(payload=bytes(data))
 
 
-def record(scenario: Scenario) -> list[Stored]:
-    """Return what a bag of the scenario holds."""
-    return [Stored(*stored) for step in Simulation(scenario).steps() for stored in step.stored()]
+def record(scenario: Scenario, division: int | None = None) -> list[Stored]:
+    """Return what a bag of the scenario holds; the division is that of `Simulation`."""
+    return [Stored(*stored) for step in Simulation(scenario, division=division).steps() for stored in step.stored()]
 
 
 @cache
@@ -97,7 +101,7 @@ def in_chunks(
     scenario: Scenario, bag: Sequence[Stored], random: Random, sizes: Sequence[int] = (7, 100, 1000)
 ) -> Iterator[Block | Published]:
     """Return messages as they are read from chunks of so many of them."""
-    topics = dict(enumerate((*scenario.family.main, msg.EVENTS)))
+    topics = dict(enumerate((*scenario.family.main, msg.STANDING, msg.EVENTS)))
     numbers = {topic: number for number, topic in topics.items()}
 
     def chunks() -> Iterator[TopicMessages]:
@@ -168,7 +172,8 @@ def test_a_right_run_is_found_right_and_has_its_digest(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["membership", "many robots, on arrays", "adaptive controller and disturbance"])
 def test_most_steps_without_disturbance_are_verified_at_once(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    scenario, bag = whole(*WORLDS[name])
+    # Steps in which the observer tells how the abstract state divides, 2 s from a change on, are verified one by one.
+    scenario, bag = whole(*WORLDS[name], *(("duration=5",) if name == "membership" else ()))
     single: list[bytes] = []
     add = Verification.add
     monkeypatch.setattr(Verification, "add", lambda self, *given: single.append(given[2]) or add(self, *given))
@@ -177,6 +182,37 @@ def test_most_steps_without_disturbance_are_verified_at_once(name: str, monkeypa
     verification.finish()
     assert verification.found.complete
     assert len(single) < (0.6 if name == "membership" else 0.2) * len(bag)
+
+
+@pytest.mark.parametrize("name", ["robots that fly off", "robots that touch the end", "faults"])
+def test_a_bag_of_a_version_before_the_ranges_has_its_own_events(name: str) -> None:
+    """Those versions told of each crossing outwards, and of nothing else."""
+    scenario, bag = whole(*WORLDS[name])
+    half, outside, earlier = scenario.plane.length / 2, set[int](), []
+    for stored in bag:
+        message: Any = stored.message
+        if isinstance(message, msg.AgentState):
+            gone, was = abs(message.position) > half, message.agent_id in outside
+            (outside.add if gone else outside.discard)(message.agent_id)
+            if gone and not was:
+                place = msg.EventKind.LIMIT_HIT, message.position, "off the plane's end"
+                earlier.append(msg.SwarmEvent(message.stamp, message.step, message.agent_id, *place))
+    others = [s for s in bag if not isinstance(s.message, msg.SwarmEvent) or crossing_of(s.message) is None]
+    told = [Stored(msg.EVENTS, event.stamp, encode(event)) for event in earlier]
+    old = sorted([*others, *told], key=lambda s: s.time)
+    assert bool(told) is (name != "faults")
+    for events, of_earlier in ((bag, False), (old, True)):
+        known = [s.message for s in events if isinstance(s.message, msg.SwarmEvent)]
+        if told:
+            assert are_earlier(known, scenario) is of_earlier
+        verification = LockstepVerification(scenario, earlier=of_earlier)
+        for stored in events:
+            verification.add(*stored)
+        verification.finish()
+        assert verification.found.difference is None
+    if told:
+        assert first_difference(scenario, old).topic == "swarm/events"
+    assert are_earlier((), scenario)
 
 
 # A bit is changed
@@ -321,8 +357,8 @@ def test_a_robot_that_is_not_the_one_of_the_scenario_is_found_although_all_that_
 
 
 def test_a_robot_that_was_dropped_is_taken_from_the_record() -> None:
-    """To all others it is the same as if the robot had been killed by plan."""
-    _, bag = whole("pd_het_4", SHORT, "faults=[{at: 0.29, kind: kill, agent: 2}]")
+    """To others it is as if the robot had been killed by plan, but the observer always tells who stands."""
+    bag = record(world("pd_het_4", SHORT, "faults=[{at: 0.29, kind: kill, agent: 2}]"), ALWAYS)
     (index,) = (n for n, s in enumerate(bag) if s.topic is msg.EVENTS)
     bag[index] = changed(bag[index], detail=SILENT)
     scenario = world("pd_het_4", SHORT, "lockstep.on_stall=drop")
@@ -331,7 +367,10 @@ def test_a_robot_that_was_dropped_is_taken_from_the_record() -> None:
     assert place(first_difference(scenario, elsewhere)) == ("swarm/events", 30, 2, "value")
     unannounced = bag[:index] + bag[index + 1 :]
     assert place(first_difference(scenario, unannounced)) == ("swarm/agent_state", 30, 2, "message")
-    assert place(first_difference(world("pd_het_4", SHORT), bag)) == ("swarm/agent_state", 30, 2, "message")
+    undivided = [stored for stored in bag if stored.topic is not msg.STANDING]
+    assert place(first_difference(scenario, undivided)) == ("swarm/standing", 1, None, "message")
+    assert place(first_difference(world("pd_het_4", SHORT), bag)) == ("swarm/standing", 1, None, "message")
+    assert place(first_difference(world("pd_het_4", SHORT), undivided)) == ("swarm/agent_state", 30, 2, "message")
 
 
 def test_a_bag_that_says_so_may_break_off_within_its_last_step() -> None:

@@ -14,16 +14,19 @@ from tests.swarmabs_core.realtime.bags import WORLDS, Stored, messages, record, 
 from tests.transport.fleet import EPOCH, VirtualFleet
 
 from swarmabs_analysis.verification.base import VerificationResult
-from swarmabs_analysis.verification.history import WAIT
+from swarmabs_analysis.verification.history import AMBIGUOUS, WAIT
 from swarmabs_analysis.verification.realtime import RealtimeVerification
-from swarmabs_bag.realtime import RealtimeWorld
+from swarmabs_analysis.verification.realtime_nodes import NO_ANSWER_BEFORE
+from swarmabs_bag.realtime import RealtimeCollector, RealtimeWorld
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
 from swarmabs_config.graph import CONTROLLER
 from swarmabs_config.scenario import Scenario
 from swarmabs_core import messages as msg
+from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.realtime import agent
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
+from swarmabs_core.record import Record
 
 
 def verify(scenario: Scenario, bag: Iterable[Stored], *, tolerance: float = 0.0, **differs: Any) -> VerificationResult:
@@ -36,8 +39,8 @@ def verify(scenario: Scenario, bag: Iterable[Stored], *, tolerance: float = 0.0,
     return verification.found
 
 
-def of_main_topics(bag: Iterable[Stored]) -> int:
-    return sum(stored.topic in msg.MAIN_TOPICS for stored in bag)
+def judged(bag: Iterable[Stored]) -> int:
+    return sum(stored.topic in {*msg.MAIN_TOPICS, msg.STANDING} for stored in bag)
 
 
 @pytest.mark.parametrize("name", WORLDS)
@@ -47,11 +50,54 @@ def test_a_right_run_is_found_right_whatever_the_recorder_lost(name: str, way: d
     # Bodies follow the clock of their node, but virtual ones that of the world: robot 1, whose clock is set, does not.
     found = verify(scenario, bag, robots=(2, 3, 4) if name == "clocks" else members(scenario))
     assert found.difference is None
-    assert found.messages + found.not_checkable.total() == of_main_topics(bag)
+    assert found.messages + found.not_checkable.total() == judged(bag)
+    # Where robots stand for a moment, each desired state continues from the one before for seconds.
+    unknown = found.not_checkable.total() - found.not_checkable[NO_ANSWER_BEFORE]
     if way:
-        assert 0 < found.not_checkable.total() < 0.5 * found.messages
-    else:  # where a clock is set back, steps come twice, and the bag has the first of each
-        assert found.not_checkable.total() <= (500 if name == "clocks" else 0)
+        assert 0 < unknown < (0.6 if name == "clocks" else 0.5) * found.messages
+    elif name == "clocks":  # where a clock is set back, steps come twice, and the bag has the first of each
+        assert unknown <= 600
+    else:
+        assert found.not_checkable.total() == 0
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_what_a_second_sender_may_have_changed_is_not_checked_and_no_bag_with_one_is_ok(*, ended: bool) -> None:
+    """As the recorder reports it, with two events; without the second one it lasts until the end."""
+    scenario, bag, *_ = world("quiet")
+    kept = RealtimeCollector(members(scenario), configure.schedule(scenario, EPOCH))
+    stored: list[Stored] = []
+    for each in bag:
+        forged = 40 <= each.message.step < 60 and each.topic in {msg.PLANE_STATE, msg.BASIS}
+        writer = each.topic.name.encode()
+        for message, of in ((each.message, writer), *([(each.message._replace(stamp=1), b"forger")] if forged else [])):
+            found = kept.add(Record.of(message), each.time, of)
+            stored += [Stored(record.topic, each.time, record.payload) for record in found]
+    events = [place for place, each in enumerate(stored) if b"second sender" in each.payload]
+    assert len(events) == 2 * 4
+    if not ended:
+        stored = [each for each in stored if b"up to this step" not in each.payload]
+    result = verify(scenario, stored)
+    last = 59 if ended else max(each.message.step for each in bag)
+    whose = ("/plane/state", *(f"/recording/basis of the {name}" for name in ("controller", "observer", "plane")))
+    assert {of: steps[1] for of, steps in result.second_senders.items()} == dict.fromkeys(whose, last)
+    assert {steps[0] for steps in result.second_senders.values()} == {40}
+    assert (result.difference, result.ok, result.complete) == (None, False, False)
+    assert result.not_checkable[AMBIGUOUS] >= 0
+    checkable = result.messages / (result.messages + result.not_checkable.total())
+    assert checkable > 0.8 if ended else checkable < 0.8
+
+
+def renames_division(one: Stored, other: Stored) -> bool:
+    """Return whether messages differ only in the step of the standing state that the controller names."""
+    basis: Any = one.message
+    if not isinstance(basis, msg.Basis) or basis.source != msg.Source.CONTROLLER:
+        return False
+    try:
+        found: Any = other.message
+    except MalformedMessageError:
+        return False
+    return found != basis and found._replace(state_steps=basis.state_steps) == basis
 
 
 @settings(max_examples=50)
@@ -65,7 +111,9 @@ def test_a_changed_bit_anywhere_is_found(data: st.DataObject) -> None:
     bit = data.draw(st.integers(0, 8 * len(bag[number].payload) - 1))
     if bag[number].topic is msg.AGENT_STATE and 4 <= bit // 8 < 12:
         return  # when within its step a robot has measured, nobody knows
-    bag[number] = flipped(bag[number], bit)
+    original, bag[number] = bag[number], flipped(bag[number], bit)
+    if renames_division(original, bag[number]):
+        return  # of two that say the same, nobody knows which one was used
     found = verify(recorded.scenario, bag)
     if found.difference is None:  # a step or a time that now belongs to nothing: then something else lacks it
         assert found.not_checkable.total() > 0
@@ -138,6 +186,12 @@ def edited(
         (msg.Basis, {"source": msg.Source.PLANE, "state_steps": (100, 100, 100, 99)}, "angle"),
         (msg.Basis, {"source": msg.Source.OBSERVER, "standing": (0, 1, 0, 0)}, "torque_rate"),
         (msg.Basis, {"source": msg.Source.OBSERVER, "state_steps": (100, 50, 100, 100)}, "standing"),
+        (msg.Basis, {"source": msg.Source.PLANE, "standing": (0, 1, 0, 0)}, "standing"),
+        (msg.Basis, {"source": msg.Source.CONTROLLER, "agent_ids": (1,)}, "agent_ids"),
+        (msg.Basis, {"source": msg.Source.CONTROLLER, "standing": (2,)}, "standing"),
+        (msg.Basis, {"source": msg.Source.CONTROLLER, "state_steps": (50,)}, "state_steps"),
+        (msg.StandingState, {"moving_count": 3}, "moving_count"),
+        (msg.StandingState, {"moving_gram": (1.0, 0.0, 1.0)}, "moving_gram[0]"),
         (msg.Basis, {"source": msg.Source.PLANE, "begun": 50}, "begun"),
         (msg.Basis, {"source": msg.Source.PLANE, "begun": 100}, "begun"),
         (msg.AgentState, {"broadcast_step": msg.NEVER}, "status"),
@@ -186,7 +240,7 @@ def test_without_bases_only_the_robots_are_checked_and_what_was_measured_is_not_
     recorded = world("quiet")
     found = verify(recorded.scenario, [s for s in recorded.bag if s.topic is not msg.BASIS])
     robots = sum(s.topic is msg.AGENT_STATE for s in recorded.bag)
-    unknown = {"its provenance is not in the bag": of_main_topics(recorded.bag) - robots}
+    unknown = {"its provenance is not in the bag": judged(recorded.bag) - robots}
     assert (found.difference, found.messages, dict(found.not_checkable)) == (None, robots, unknown)
     bag = edited(recorded.bag, msg.PlaneState, 150, stamp=EPOCH)
     found = verify(recorded.scenario, bag, robots=(), plane=False)
@@ -212,7 +266,9 @@ def test_a_law_with_memory_is_followed_again_after_a_reset() -> None:
         recorded = world(name)
         found = verify(recorded.scenario, without(recorded.bag, msg.PLANE_STATE, 50))
         assert found.difference is None
-        assert found.not_checkable.total() <= 4
+        # With losses robots stand for a moment, and for seconds the desired state is on its way to its curve.
+        continued = found.not_checkable[NO_ANSWER_BEFORE] if name == "noisy plane" else 0
+        assert found.not_checkable.total() - continued <= 4
 
 
 def test_what_comes_from_nowhere_gives_a_difference_and_no_error() -> None:

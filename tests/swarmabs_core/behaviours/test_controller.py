@@ -11,12 +11,14 @@ from swarmabs_core import messages as msg
 from swarmabs_core.behaviours import Controller, ControllerConfig
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError
 from swarmabs_core.controllers import StateFeedback
-from swarmabs_core.desired_state import DesiredStateGenerator
+from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.manifold import Manifold
+from swarmabs_core.swarm_law import SwarmGains
 
 H = PERIOD_NS / 1e9
 MANIFOLD = Manifold(0.0125, 0.025, 5.0)
+ON_PLANE = SwarmOnPlane(9.81, SwarmGains())
 
 
 @dataclass
@@ -36,7 +38,7 @@ class Given:
 
 def controller(torques: list[float], *, window: int = 0, last_step: int | None = None) -> tuple[Controller, Given]:
     law = Given(torques)
-    return Controller(ControllerConfig(PERIOD_NS, MANIFOLD, window, last_step), law), law
+    return Controller(ControllerConfig(PERIOD_NS, MANIFOLD, recording_window=window, last_step=last_step), law), law
 
 
 def plane(step: int, angle: float = 0.1) -> msg.PlaneState:
@@ -143,14 +145,14 @@ def test_run_stays_within_the_recorders_credit() -> None:
 
 def test_a_generator_resumes_from_a_state_of_its_filter_and_offsets_the_reference_of_a_law_that_knows_how() -> None:
     law = StateFeedback(3.0, 2.0)
-    first, second, third = (DesiredStateGenerator(PERIOD_NS, MANIFOLD, law) for _ in range(3))
+    first, second, third = (DesiredStateGenerator(PERIOD_NS, MANIFOLD, law, ON_PLANE) for _ in range(3))
     first.advance(0, plane(0, 0.3))
     _, wanted = first.advance(PERIOD_NS, plane(1, 0.2))
-    second.resume(wanted.torque, wanted.torque_rate)
+    second.resume(wanted)
     assert second.advance(PERIOD_NS, plane(1, 0.2)) == ((), wanted)
     _, wanted = third.advance(0, msg.PlaneState(0, 0, 0.3, 0.1), offset=0.1)
     assert wanted.torque == pytest.approx(3.0 * (0.3 - 0.1) + 2.0 * 0.1, rel=1e-15)
-    other = DesiredStateGenerator(PERIOD_NS, MANIFOLD, Given([nan]))
+    other = DesiredStateGenerator(PERIOD_NS, MANIFOLD, Given([nan]), ON_PLANE)
     with pytest.raises(InputError, match="has no method offset_torque"):
         other.advance(0, plane(7), offset=0.1)
     with pytest.raises(RunError, match=r"step 7: .* a torque of nan N m at an angle of 0\.1 rad"):
@@ -168,5 +170,5 @@ def test_rates_on_the_manifold_are_the_derivatives_along_a_path(t: float, a: flo
     """tau(t) = a + b t + t^2, exactly differentiated and lifted numerically."""
     tau, rate, acceleration = a + b * t + t * t, b + 2.0 * t, 2.0
     _, first, second = taylor(lambda z: 0.0125 * (a + b * z + z * z) ** 2 + 0.025, t, 2)
-    assert MANIFOLD.inertia_rate(tau, rate) == pytest.approx(first, abs=1e-10)
-    assert MANIFOLD.inertia_acceleration(tau, rate, acceleration) == pytest.approx(second, abs=1e-9)
+    assert MANIFOLD.curve.rate(tau, rate) == pytest.approx(first, abs=1e-10)
+    assert MANIFOLD.curve.acceleration(tau, rate, acceleration) == pytest.approx(second, abs=1e-9)

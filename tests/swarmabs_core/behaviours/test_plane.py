@@ -126,7 +126,7 @@ def test_an_end_that_the_observer_tells_holds_unless_the_plane_has_moved_on() ->
     dead = msg.SwarmEvent(PERIOD_NS, 1, 3, msg.EventKind.DEAD, 0.3, "silent")
     node = plane()
     feed(node, robots(0) + robots(1))
-    with pytest.raises(RunError, match=r"robot 3 is reported to be out from step 1 on \(silent\), but the plane has"):
+    with pytest.raises(RunError, match=r"robot 3 is reported to be out from step 1 on \(silent\), but the parent has"):
         node.handle(dead)
     node = plane()
     feed(node, robots(0))
@@ -153,6 +153,7 @@ def test_end_of_the_plane_is_told_once_per_crossing() -> None:
         found += [event for event in answers if isinstance(event, msg.SwarmEvent)]
     assert [(e.step, e.agent_id, e.kind, e.value) for e in found] == [
         (2, 1, msg.EventKind.LIMIT_HIT, 0.51),
+        (4, 1, msg.EventKind.LIMIT_HIT, 0.4),
         (5, 1, msg.EventKind.LIMIT_HIT, -0.6),
     ]
 

@@ -36,7 +36,7 @@ from time import process_time
 from typing import Any, NamedTuple
 
 from swarmabs_core.messages import AbstractState, AuxiliaryState, DesiredAbstractState, Message, Mode
-from swarmabs_core.realtime.base import Schedule, StepCounter
+from swarmabs_core.realtime.base import Schedule, Sender, StepCounter
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 from swarmabs_core.realtime.leadership import AGREED, PRIMARY, SINGLE, STANDBY, Leadership
 from swarmabs_core.realtime.modes import ModeLatch, PublishedMode
@@ -308,7 +308,7 @@ def listened(number: int, heard: tuple[Said, ...]) -> Robot:
     now = CLOCK.begin(NOW)
     for said in heard:
         for message in messages(said):
-            inbox.add(message, now, standby=said.standby)
+            inbox.add(message, now, Sender(said.standby))
     problem, found = inbox.problem(now), inbox.newest
     if not problem and found is not None:
         observers = {found.abstract.agent_count, found.auxiliary.s0, inbox.followed.observer}

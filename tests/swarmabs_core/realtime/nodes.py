@@ -114,7 +114,8 @@ def sums_in(answer: Iterable[msg.Message]) -> bool:
 
 
 def sums(answer: tuple[msg.Message, ...]) -> tuple[msg.AbstractState, msg.AuxiliaryState]:
-    abstract, auxiliary = answer[-2:]
+    abstract, auxiliary, divided = answer[-3:]
+    assert isinstance(divided, msg.StandingState)
     assert isinstance(abstract, msg.AbstractState)
     assert isinstance(auxiliary, msg.AuxiliaryState)
     return abstract, auxiliary

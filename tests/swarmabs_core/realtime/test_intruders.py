@@ -135,7 +135,7 @@ def test_a_robot_that_cannot_be_so_is_named_and_counts_as_silent(word: str, lie:
     assert refused.detail.startswith("robot 3: a ")
     assert word in refused.detail
     assert node.roles[3] is Role.SILENT
-    assert [configure.bounds(nodes.scenario()).problem(m) for m in nodes.sums(answer)] == ["", ""]
+    assert [configure.bounds(nodes.scenario()).problem(m) for m in nodes.sums(answer)] == [None, None]
 
 
 def test_robots_at_their_bounds_make_broadcasts_that_are_believed() -> None:
@@ -148,24 +148,24 @@ def test_robots_at_their_bounds_make_broadcasts_that_are_believed() -> None:
             nodes.observer(), [state._replace(mass=m) for state, m in zip(at_bounds, masses, strict=True)], 5
         )
         assert msg.EventKind.REFUSED not in nodes.kinds(answer)
-        assert [bounds.problem(m) for m in nodes.sums(answer)] == ["", ""]
+        assert [bounds.problem(m) for m in nodes.sums(answer)] == [None, None]
 
 
 def test_what_is_just_beyond_the_bounds_is_refused() -> None:
     bounds = configure.bounds(nodes.scenario())
     torque, inertia = 9.81 * bounds.swarm_mass * bounds.reach, bounds.swarm_mass * bounds.reach**2
     most = (torque, inertia, 9.81 * bounds.swarm_mass * bounds.fastest, 2.0 * inertia / bounds.reach * bounds.fastest)
-    assert bounds.problem(msg.AbstractState(0, 5, 4, *most)) == ""
+    assert bounds.problem(msg.AbstractState(0, 5, 4, *most)) is None
     for index in range(4):
         for sign in (1.0, -1.0):
             beyond = [value * (1.001 * sign if index == place else 1.0) for place, value in enumerate(most)]
             problem = bounds.problem(msg.AbstractState(0, 5, 4, *beyond))
-            assert "robots too fast" in problem if index > 1 else problem
+            assert problem is not None and ("robots too fast" in problem.reason) is (index > 1)
             limitless = Bounds(9.81, 1.0, inf).problem(msg.AbstractState(0, 5, 4, *most[:2], *beyond[2:]))
-            assert limitless == ""
+            assert limitless is None
     assert not Bounds(9.81, 1.0).problem(msg.PlaneState(0, 5, 0.1, FASTEST_TURN))
-    assert "angular velocity" in Bounds(9.81, 1.0).problem(msg.PlaneState(0, 5, 0.1, 1.01 * FASTEST_TURN))
-    assert "an angle of" in Bounds(9.81, 1.0).problem(msg.PlaneState(0, 5, -3.3, 0.0))
+    assert "angular velocity" in str(Bounds(9.81, 1.0).problem(msg.PlaneState(0, 5, 0.1, 1.01 * FASTEST_TURN)))
+    assert "an angle beyond" in str(Bounds(9.81, 1.0).problem(msg.PlaneState(0, 5, -3.3, 0.0)))
 
 
 def test_a_robot_that_leaves_makes_room_for_its_mass() -> None:

@@ -111,19 +111,19 @@ def inbox_of() -> BroadcastInbox:
 
 def tell(to: BroadcastInbox, step: int, *, observer: bool, controller: bool, torque: float = 0.5) -> None:
     abstract, sums, asked = broadcasts(step, torque=torque)
-    to.add(abstract, at(step + 0.6), standby=observer)
-    to.add(sums, at(step + 0.6), standby=observer)
-    to.add(asked, at(step + 0.6), standby=controller)
+    to.add(abstract, at(step + 0.6), Sender(standby=observer))
+    to.add(sums, at(step + 0.6), Sender(standby=observer))
+    to.add(asked, at(step + 0.6), Sender(standby=controller))
 
 
 def test_a_robot_never_mixes_and_stays_with_whom_it_follows() -> None:
     box = inbox_of()
     abstract, sums, asked = broadcasts(5)
-    box.add(abstract, at(5.6), standby=False)
-    box.add(sums, at(5.6), standby=True)
-    box.add(asked, at(5.6), standby=False)
+    box.add(abstract, at(5.6), Sender(standby=False))
+    box.add(sums, at(5.6), Sender(standby=True))
+    box.add(asked, at(5.6), Sender(standby=False))
     assert box.problem(at(6)) == "no complete broadcasts yet"
-    box.add(sums, at(5.6), standby=False)
+    box.add(sums, at(5.6), Sender(standby=False))
     assert box.problem(at(6)) == ""
     for step in range(6, 9):  # both speak, and the standby is up to three steps ahead
         tell(box, step, observer=True, controller=False)
@@ -136,7 +136,7 @@ def test_a_robot_never_mixes_and_stays_with_whom_it_follows() -> None:
     tell(box, 10, observer=False, controller=False)
     tell(box, 10, observer=True, controller=False)
     assert box.followed == Coordinators(observer=True, controller=False)
-    box.add(broadcasts(10)[0]._replace(stamp=1), at(10.7), standby=True)
+    box.add(broadcasts(10)[0]._replace(stamp=1), at(10.7), Sender(standby=True))
     assert box.problem(at(11)) == ""
     assert box.followed == Coordinators(observer=False, controller=False)
 
@@ -144,7 +144,7 @@ def test_a_robot_never_mixes_and_stays_with_whom_it_follows() -> None:
 def test_a_stop_counts_whoever_sends_it() -> None:
     box = inbox_of()
     tell(box, 5, observer=False, controller=False)
-    box.add(broadcasts(5, msg.Mode.STOP)[2], at(5.7), standby=True)
+    box.add(broadcasts(5, msg.Mode.STOP)[2], at(5.7), Sender(standby=True))
     tell(box, 6, observer=False, controller=False)
     assert box.problem(at(7)) == "stop commanded"
 
@@ -275,7 +275,7 @@ def test_robots_obey_a_stop_of_a_controller_whose_clock_is_ahead() -> None:
                 said += node.stop(at(step + ahead + 0.8))
             for message in said:
                 if isinstance(message, msg.DesiredAbstractState):
-                    assert box.add(message, at(step + 0.8)) == ""
+                    assert box.add(message, at(step + 0.8)) is None
         assert box.stopped
 
 

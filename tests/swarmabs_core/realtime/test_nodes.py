@@ -11,7 +11,7 @@ from swarmabs_core.messages import NEVER, Basis, EventKind, Message, Mode, Plane
 from swarmabs_core.realtime.base import Level, StepCounter
 from swarmabs_core.realtime.observer import Role
 from swarmabs_core.realtime.plane import RealtimePlane
-from swarmabs_core.realtime.validation import QUIET_NS, Refusals
+from swarmabs_core.realtime.validation import QUIET_NS, Problem, Refusals
 from swarmabs_core.swarm_law import LAWS
 
 
@@ -216,13 +216,38 @@ def test_the_plane_is_held_until_a_robot_follows_and_then_makes_up_for_being_lat
     assert late.tick(nodes.at(20.5))[1] == expected
 
 
+def test_the_plane_tells_of_robots_beyond_its_end_and_of_their_return() -> None:
+    node = RealtimePlane(configure.plane_config(nodes.scenario(), nodes.CLOCK))
+    told = []
+    for step, position in enumerate((0.4, 0.51, 0.52, 0.6, 0.3)):  # too far to be credible in step 3
+        first, *others = nodes.states(step)
+        answer = nodes.hear(node, (first._replace(position=position), *others), step)
+        told += [(e.step, e.agent_id, e.value, e.detail) for e in answer if "range" in getattr(e, "detail", "")]
+    robot = first.agent_id
+    assert [each[1:] for each in told] == [
+        (robot, 0.51, "out of range: position above 0.5 m"),
+        (robot, 0.3, "back in range: position"),
+    ]
+
+
 def test_refusals_are_counted_and_reported_now_and_then() -> None:
-    book = Refusals(7)
-    assert [first[2:] for first in book.add("nonsense", 3, 0)] == [(7, EventKind.REFUSED, 1.0, "nonsense")]
-    assert all(book.add("nonsense", 3, k) == () for k in range(1, 100))
-    assert [again[2:] for again in book.add("nonsense", 3, QUIET_NS)] == [(7, EventKind.REFUSED, 100.0, "nonsense")]
-    reported = sum(bool(book.add(f"reason {k}", 3, 0)) for k in range(10_000))
-    assert reported < 200
+    book, nonsense = Refusals(7), Problem("nonsense", "0", "plane/state")
+    said = "plane/state: nonsense (0)"
+    assert [first[2:] for first in book.add(nonsense, 3, 0)] == [(7, EventKind.REFUSED, 1.0, said)]
+    others = [nonsense._replace(shown=f"{k}") for k in range(1, 100)]
+    assert all(book.add(problem, 3, k) == () for k, problem in enumerate(others)), "it is the same reason"
+    assert [again[2:] for again in book.add(nonsense, 3, QUIET_NS)] == [(7, EventKind.REFUSED, 100.0, said)]
+    assert book.values() == (("refused", "101"), ("last refusal", said))
+
+
+def test_no_number_of_refusals_silences_a_reason_that_is_new() -> None:
+    node = nodes.controller()
+    told = [event.detail for k in range(1, 1001) for event in node.hear(PlaneState(0, 5, 4.0 + k, 0.0), nodes.at(5.5))]
+    told += [event.detail for event in node.hear(PlaneState(0, 5, 0.0, 200.0), nodes.at(5.5))]
+    assert told == [
+        "plane/state: an angle beyond 3.2 rad (5 rad)",
+        "plane/state: an angular velocity beyond 100 rad/s (200 rad/s)",
+    ]
 
 
 def test_steps_are_made_once() -> None:

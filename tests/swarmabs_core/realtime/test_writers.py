@@ -10,7 +10,7 @@ from swarmabs_core import messages as msg
 from swarmabs_core.realtime.base import Level, Sender
 from swarmabs_core.realtime.observer import RealtimeObserver, Role
 from swarmabs_core.realtime.plane import RealtimePlane
-from swarmabs_core.realtime.validation import SECOND_SENDER, HeardStates, Writers
+from swarmabs_core.realtime.validation import SECOND_SENDER, HeardStates, Origin, Writers
 
 AGE = 10
 HONEST, INTRUDER, RESTARTED = b"h" * 16, b"i" * 16, b"r" * 16
@@ -107,9 +107,9 @@ def test_different_states_of_one_writer_and_of_unknown_writers_still_contradict(
     for writer in (HONEST, b""):
         heard = HeardStates(AGE, 2)
         state = nodes.states(50)[2]
-        assert not heard.problem(state, 50, "", writer)
-        assert "two different states" in heard.problem(state._replace(position=FORGED), 50, "", writer)
-        assert "two different states" in heard.problem(state._replace(step=51), 51, "", writer)
+        assert not heard.problem(state, 50, None, writer)
+        assert "two different states" in str(heard.problem(state._replace(position=FORGED), 50, None, writer))
+        assert "two different states" in str(heard.problem(state._replace(step=51), 51, None, writer))
 
 
 @pytest.mark.parametrize("seed", range(200))
@@ -131,17 +131,93 @@ def test_in_no_schedule_does_an_intruder_speak_for_a_robot_that_lives(seed: int)
         for writer in arriving:
             state = nodes.states(clock + draw.randrange(-1, 3))[2]
             changed = state._replace(position=FORGED if writer == INTRUDER else 0.1 + 1e-6 * state.step)
-            problem = heard.problem(changed, clock, "", writer)
-            assert (SECOND_SENDER in problem) == (writer == INTRUDER)
+            problem = heard.problem(changed, clock, None, writer)
+            assert (SECOND_SENDER in str(problem)) == (writer == INTRUDER)
         if leap < 0:
             heard.forget()
 
 
+def broadcasts(step: int, torque: float, *, forged: bool) -> list[msg.Message]:
+    """Return broadcasts of a step, as a forger says them or as they are."""
+    abstract, sums, desired = nodes.broadcasts(step, torque=torque)
+    return [abstract._replace(agent_count=4), sums._replace(d0=0.4), desired] if forged else [abstract, sums, desired]
+
+
+@pytest.mark.parametrize("lead", [0, 1, 2])
+@pytest.mark.parametrize("part", [0, 1, 2], ids=["abstract", "sums", "desired"])
+def test_a_robot_never_acts_on_broadcasts_of_a_second_sender_and_names_it(lead: int, part: int) -> None:
+    body, node = nodes.robot()
+    alone_body, alone = nodes.robot()
+    answers: list[msg.Message] = []
+    for step in range(100, 180):
+        forging = 110 <= step < 140
+        genuine = broadcasts(step, 0.3, forged=False)
+        for message in genuine:
+            alone.hear(message, nodes.at(step + 0.6), Sender(writer=HONEST))
+        spoken = [(message, HONEST) for message in genuine]
+        if forging:
+            spoken.insert(0, (broadcasts(step + lead, -3.0, forged=True)[part], INTRUDER))
+        if step == 112 + lead:  # of what is missing of a step nothing forged takes the place
+            spoken = [(message, writer) for message, writer in spoken if message is not genuine[part]]
+        for message, writer in spoken:
+            answers += node.hear(message, nodes.at(step + 0.6), Sender(writer=writer))
+        answers += node.tick(nodes.at(step + 1))
+        alone.tick(nodes.at(step + 1))
+        if step == 125:
+            health = node.health(nodes.at(step + 1))
+            assert "safe stop: the broadcasts contradict each other" in health.text
+            assert f"a second sender speaks for {msg.BROADCASTS[part].name}" in health.text
+    assert set(body.commands) <= {0.0, *alone_body.commands}
+    assert body.commands[-1] == alone_body.commands[-1] != 0.0, "it follows again"
+    assert min(details(answers)) == f"{msg.BROADCASTS[part].name}: {SECOND_SENDER}"
+    assert len(details(answers)) == 2
+
+
+@pytest.mark.parametrize("lead", [0, 1, 2])
+def test_the_controller_never_answers_a_second_plane_and_names_it(lead: int) -> None:
+    node = nodes.controller()
+    answers: list[msg.Message] = []
+    asked: list[int] = []
+    for step in range(100, 160):
+        forging = 110 <= step < 130
+        spoken = [(msg.PlaneState(0, step, 0.05, 0.0), HONEST)]
+        if forging:
+            spoken.insert(0, (msg.PlaneState(0, step + lead, 1.0, 0.0), INTRUDER))
+        for plane, writer in spoken:
+            answer = node.hear(plane, nodes.at(step + 0.55), Sender(writer=writer))
+            asked += [m.step for m in answer if isinstance(m, msg.DesiredAbstractState)]
+            answers += answer
+            assert writer == HONEST or not any(isinstance(m, msg.DesiredAbstractState) for m in answer)
+        answers += node.tick(nodes.at(step + 0.75))
+        if step == 125:
+            health = node.health(nodes.at(step + 0.8))
+            assert health.level is Level.ERROR
+            assert "a second sender speaks for plane/state" in health.text
+    assert asked == [*range(100, 110 + lead), *range(140 + lead, 160)]
+    assert details(answers)[0] == f"plane/state: {SECOND_SENDER}"
+
+
+def test_coordinators_that_restart_take_the_place_of_their_old_writers() -> None:
+    controller, (body, robot) = nodes.controller(), nodes.robot()
+    asked = []
+    for step in range(100, 160):
+        sender = Sender(writer=HONEST if step < 110 else RESTARTED)
+        if not 110 <= step < 125:
+            answer = controller.hear(msg.PlaneState(0, step, 0.05, 0.0), nodes.at(step + 0.55), sender)
+            asked += [m.step for m in answer if isinstance(m, msg.DesiredAbstractState)]
+            for message in nodes.broadcasts(step, torque=0.3):
+                robot.hear(message, nodes.at(step + 0.6), sender)
+        controller.tick(nodes.at(step + 0.75))
+        robot.tick(nodes.at(step + 1))
+    assert asked == [*range(100, 110), *range(125, 160)]
+    assert controller.health(nodes.at(160)).text == "running"
+    assert (body.commands[-36] == 0.0, body.commands[-35] != 0.0) == (True, True)
+
+
 def test_memory_is_bounded_however_many_writers_there_are() -> None:
-    writers = Writers(AGE)
-    assert not writers.hear(1, HONEST)
+    writers, origin = Writers(AGE), Origin("plane/state")
+    assert not writers.hear(origin, HONEST)
     for number in range(10_000):
-        assert writers.refuses(1, number.to_bytes(16, "big"))
-    assert writers.contested(1)
+        assert writers.refuses(origin, number.to_bytes(16, "big"))
     sizes = [len(value) for value in vars(writers).values() if isinstance(value, dict)]
-    assert sizes == [1, 1]
+    assert sizes == [0, 1, 1]

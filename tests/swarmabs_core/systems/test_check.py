@@ -8,9 +8,12 @@ from tests.swarmabs_core.systems.helpers import PERIOD, Robot, robots, rotors
 from tests.systems import BEAM_SCENARIO
 
 from swarmabs_config.scenario import ScenarioError, parse_scenario
+from swarmabs_core.messages import RobotKind
+from swarmabs_core.parameters import SettingError
+from swarmabs_core.registry import PluginError
 from swarmabs_core.systems.check import Problem, problems_of
 from swarmabs_core.systems.interface import NamedSystem
-from swarmabs_core.systems.law import SystemGains
+from swarmabs_core.systems.law import RobotLaw, SystemGains
 
 pytestmark = pytest.mark.usefixtures("systems")
 LINE = robots((0.125,), (-0.125,), (0.2,), (-0.12,))
@@ -32,6 +35,16 @@ SAID = {
     "ask_size": r"ask\(\) of the controller is \(0\.0, 0\.0\); it must be a tuple with one .* such as \(0\.0,\)",
     "ask_number": r"ask\(\) of the controller is 0\.0; ",
     "contribution_moved": r"the way to complete\(\(0\.\d+,\)\) raises ZeroDivisionError: .* \(systems_of_tests\.py:\d",
+    "impure_derivative": r"derivative\(\) is \(0\.0, 0\.0\) and, for equal arguments, \(1e-15, 0\.0\)$",
+    "impure_weight": r"weight\(\) of robot 1 is 1\.0 and, for equal arguments, 1\.0+1\d*$",
+    "impure_reference": r"reference\(\) is \(0\.0,\) and, for equal arguments, \(1e-15,\)$",
+    "impure_reach": r"reach\(\) is True and, for equal arguments, False$",
+    "impure_outline": r"outline\(\) is \[\(0\.0, 1\.0\)\] and, for equal arguments, \[\(0\.0, 2\.0\)\]$",
+    "shared_controller": r"ask\(\) of the controller is \(0\.00\d+,\) and, for equal arguments, \(0\.00\d+,\)$",
+    "offset_ask": r"offset_ask\(\) of the controller is 0\.0; it must be a tuple with one",
+    "refuses": r"^parent system 'faulty': no wheel is left$",
+    "refuses_plainly": r"^parent system 'faulty': no wheel is left$",
+    "limits_of_kinds": r"limits\(\) of robot 1 raises KeyError: 'single_integrator' \(systems_of_tests\.py:\d+\)$",
     "outline": r"outline\(\) raises TypeError: cannot unpack",
     "robot_place": r"robot_place\(\) is \(0\.0, 0\.0, 0\.0\); it must be a tuple of 1 or 2 finite numbers",
     "controller_raises": r"controller\(\) raises KeyError: 'x'",
@@ -50,6 +63,9 @@ SAID = {
     "parent_text": r"parent is \('angle', 'rate'\); it must be a tuple of Quantity",
     "robot_none": r"robot is None; it must be a tuple of Quantity",
     "name": r"robot has a row 'the position'; each needs its own name",
+    "ends": r"robot 'position' has the ends \(0\.5, -0\.5\); only rows of robot have ends, low < high",
+    "ends_text": r"robot 'position' has the ends \(-inf, '0\.5'\); only rows of robot",
+    "ends_of_parent": r"parent 'angle' has the ends \(-1\.0, inf\); only rows of robot have ends",
     "twice": r"parent has a row 'angle'; each needs its own name",
     "scale": r"abstract 'torque' has \('N m', 0\.0\), which is out of range",
     "scale_text": r"parent 'angle' has \('rad', '0\.1'\), which is out of range",
@@ -64,6 +80,9 @@ SAID = {
 }
 
 
+REMEDIES = {"impure": "make it a pure function, ", "shared": "make it a pure function, ", "refuses": "add a wheel"}
+
+
 def found(name: str, given: Sequence[Robot], gains: SystemGains | None = None, **settings: str) -> list[Problem]:
     return problems_of(NamedSystem(name, settings), given, gains or SystemGains(), PERIOD)
 
@@ -74,6 +93,10 @@ def test_a_faulty_system_is_refused_in_one_line(fault: str) -> None:
     assert problem[0] == ("system",)
     assert problem[1].startswith("parent system 'faulty'")
     assert "\n" not in problem[1]
+    remedy = next((text for start, text in REMEDIES.items() if fault.partition("_")[0] == start), "correct the parent ")
+    if fault in {"no_method", "refuses_plainly"}:
+        remedy = {"no_method": "repair the package"}.get(fault, "correct the parent system")
+    assert problem[2].startswith(remedy)
     with pytest.raises(AssertionError, match=SAID[fault]):
         raise AssertionError(problem[1])
 
@@ -95,6 +118,16 @@ def test_sound_systems_are_accepted(name: str, given: list[Robot]) -> None:
     assert found(name, given, SystemGains((1.0,), (2.0,), (3.0,))) == []
 
 
+def test_robots_start_within_the_ends_of_their_coordinates() -> None:
+    assert found("faulty", robots((0.2,), (-0.2,)), fault="lane") == []
+    (problem,) = found("faulty", robots((0.1,), (-0.21,)), fault="lane")
+    assert problem == (
+        ("swarm", "agents", 1, "coordinates"),
+        "-0.21 m is out of the range of position",
+        "give a number from -0.2 to 0.2",
+    )
+
+
 def test_a_start_without_control_is_refused_with_the_row_that_is_lost() -> None:
     (problem,) = found("sheet", robots(*((x, 2.0 * x + 0.1) for x in (0.1, 0.2, 0.3, -0.4))))
     assert problem[1] == "the robots cannot control row 'inertia_xy': their Gram matrix is singular at the start"
@@ -102,6 +135,29 @@ def test_a_start_without_control_is_refused_with_the_row_that_is_lost() -> None:
     (problem,) = problems_of(NamedSystem("beam"), LINE, SystemGains(), PERIOD, later=(2, 4, 3))
     assert "row 'inertia'" in problem[1], "the others join later"
     assert found("lift", rotors(0.5, 0.5, 0.5))[0][1].startswith("the robots cannot control row 'torque'")
+
+
+def test_a_row_that_no_robot_can_change_is_refused_with_its_name() -> None:
+    """Rotors in the middle of the lift have no torque, wherever they start; robots at rest on the beam can move."""
+    (problem,) = found("lift", rotors(0.0, 0.0, 0.0))
+    assert problem[1].startswith("no robot can change row 'torque' of the abstract state: ")
+    assert problem[2] == "add a robot that can, or remove the row from the system's table abstract"
+    (problem,) = found("beam", robots((0.0,), (0.0,)))
+    assert problem[1].startswith("the robots cannot control row 'inertia'")
+    assert "spread" in problem[2]
+
+
+def test_limits_depend_on_the_kind_of_robot() -> None:
+    assert found("faulty", robots((0.1,), (-0.3,), kind="double_integrator"), fault="limits_of_kinds") == []
+    system = NamedSystem("faulty", {"fault": "limits_of_kinds"})
+    law = RobotLaw(system, RobotKind.DOUBLE_INTEGRATOR, (0.5, 0.0, 0.05), SystemGains(), PERIOD)
+    assert law.limited((3.0,)) == (1.0,)
+
+
+def test_an_error_without_a_remedy_has_no_empty_part() -> None:
+    assert str(ScenarioError("ship.yaml", "it sinks", "", line=3)) == "ship.yaml:3: it sinks"
+    assert str(PluginError("it sinks", "")) == "it sinks"
+    assert str(SettingError("mass", "it sinks", "")) == "mass: it sinks"
 
 
 def test_a_completion_that_no_robots_can_have_is_refused() -> None:

@@ -22,7 +22,7 @@ from swarmabs_core.abstraction import Weight, is_degenerate, observed as plane_o
 from swarmabs_core.messages import AgentState, DesiredAbstractState, Kind, RobotStatus, Status, SwarmBroadcast
 from swarmabs_core.swarm_law import SwarmGains, double_integrator_command, single_integrator_command
 from swarmabs_core.systems.interface import NamedSystem, Quantity
-from swarmabs_core.systems.law import Gram, SystemGains
+from swarmabs_core.systems.law import LEAST_PIVOT, Gram, SystemGains
 from swarmabs_core.systems.swarm import observed
 
 pytestmark = pytest.mark.usefixtures("systems")
@@ -117,7 +117,7 @@ def test_the_gram_matrix_is_solved() -> None:
         columns = draw.normal(size=(size, size + 3)) * scales[:, None]
         gram, right = columns @ columns.T, draw.normal(size=size) * scales
         found = Gram(gram[np.tril_indices(size)].tolist(), [Quantity(f"r{n}", "1", s) for n, s in enumerate(scales)])
-        assert not found.singular
+        assert not found.uncontrolled
         solved = np.linalg.solve(gram / np.outer(scales, scales), right / scales) / scales
         assert found.solve(right.tolist()) == pytest.approx(solved.tolist(), rel=1e-7)
         if size > 1:
@@ -125,11 +125,36 @@ def test_the_gram_matrix_is_solved() -> None:
             gram[-1, -1] = gram[0, 0]
             rows = [Quantity(f"r{n}", "1", s) for n, s in enumerate([*scales[:-1], scales[0]])]
             singular = Gram(gram[np.tril_indices(size)].tolist(), rows)
-            assert singular.singular
-            assert len(singular.pivots) == size, "the last row is the one that is lost"
+            assert singular.uncontrolled == [size - 1], "the last row is the one that is lost"
             assert singular.least < 1e-12
-    assert Gram([float("nan")], [Quantity("r", "1")]).singular
-    assert Gram([0.0], [Quantity("r", "1")]).singular
+    assert Gram([float("nan")], [Quantity("r", "1")]).uncontrolled == [0]
+    assert Gram([0.0], [Quantity("r", "1")]).empty
+
+
+@pytest.mark.parametrize("share", [1e-3, 1e-6, 0.0])
+def test_rows_that_robots_cannot_control_give_way_and_the_others_are_exact(share: float) -> None:
+    """Their own part of the right side is met by the square of the pivot, in units of the one below which it is damped.
+
+    Both follow from the damped matrix of numpy: S + Delta with Delta = D0^2/p - p in the place of the small pivot p.
+    """
+    draw, size, weak = np.random.default_rng(8), 4, 2
+    columns = draw.normal(size=(size, 9))
+    columns[weak] = columns[0] + columns[1]
+    left = draw.normal(size=9)
+    left -= columns[[0, 1]].T @ np.linalg.lstsq(columns[[0, 1]].T, left, rcond=None)[0]
+    edge = LEAST_PIVOT * max(np.sum(columns * columns, axis=1))
+    columns[weak] += np.sqrt(share * edge) * left / np.linalg.norm(left)
+    gram, right = columns @ columns.T, draw.normal(size=size)
+    y = Gram(gram[np.tril_indices(size)].tolist(), [Quantity(f"r{n}", "1") for n in range(size)]).solve(right.tolist())
+    met = gram @ y
+    others = [0, 1, 3]
+    assert met[others] == pytest.approx(right[others], rel=1e-5)
+    lacks = right[weak] - right[0] - right[1]  # what it asks for beyond the rows before, here
+    assert abs(met[weak] - right[0] - right[1]) <= 1.1 * share * share * abs(lacks) + 1e-5
+    # The motion itself stays below that at the edge, however small the pivot is.
+    assert np.linalg.norm(columns.T @ y) < np.linalg.norm(np.linalg.pinv(columns[others]) @ right[others]) + 1.1 * abs(
+        lacks
+    ) / np.sqrt(edge)
 
 
 def test_the_pivot_rule_is_the_planes_rule_for_s3() -> None:
@@ -139,22 +164,38 @@ def test_the_pivot_rule_is_the_planes_rule_for_s3() -> None:
     for _ in range(300):
         masses = draw.uniform(0.1, 1.0, 5)
         # Cancellation leaves about 1e-16 of S2, so spreads below 1e-8 L are not resolved by a sum that is not centred.
-        spread = 10.0 ** draw.uniform(-8.5, -3.5)
+        spread = 10.0 ** draw.uniform(-6.5, -1.5)
         places = draw.uniform(-1e-3, 1e-3) + spread * draw.uniform(-1.0, 1.0, 5)
         s0, s1, s2, s3 = second_moments(zip(masses.tolist(), places.tolist(), strict=True))
-        if 0.9 < s3 / (1e-12 * s0 * s0 * length * length) < 1.1:
+        if 0.9 < s3 / (LEAST_PIVOT * s0 * s0 * length * length) < 1.1:
             continue
         gram = Gram([9.81**2 * s0, 2.0 * 9.81 * s1, 4.0 * s2], rows)
         verdicts.append(is_degenerate(s0, s3, length))
-        assert gram.singular == verdicts[-1], (s3 / s0**2, spread)
+        assert (gram.least < LEAST_PIVOT) == verdicts[-1], (s3 / s0**2, spread)
     assert 50 < sum(verdicts) < 250
 
 
-def test_without_control_of_a_row_there_is_no_rate() -> None:
+def test_robots_at_one_place_control_the_first_row_and_without_any_there_is_no_rate() -> None:
     system = NamedSystem("beam")
     states = [s._replace(coordinates=(0.1,)) for s in random_states(system, 4, "single_integrator")]
     broadcast = heard(system, states)
-    assert law(system, states[0], GAINS).rate(*states[0][7:9], broadcast) is None
+    wanted = 4.0 * (broadcast.desired.value[0] - broadcast.abstract.value[0]) + broadcast.desired.mean_rate[0]
+    found = rates(system, states, broadcast, GAINS)
+    assert np.einsum("nkd,nd->k", jacobians(system, states), found)[0] == pytest.approx(wanted, rel=1e-9)
+    nobody = broadcast._replace(auxiliary=broadcast.auxiliary._replace(gram=(0.0, 0.0, 0.0)))
+    assert law(system, states[0], GAINS).rate(*states[0][7:9], nobody) is None
+
+
+@pytest.mark.parametrize("name", ["beam", "sheet", "lift"])
+def test_a_robot_at_its_limit_asks_what_the_law_would_be_with_it(name: str) -> None:
+    system = NamedSystem(name)
+    states = random_states(system, 9, KINDS[name])
+    held = tuple(0.1 for _ in states[0].coordinates)
+    limited = [states[0]._replace(status=RobotStatus.LIMITED, velocities=held), *states[1:]]
+    without, whole = heard(system, limited), heard(system, states)
+    asked = law(system, states[0], GAINS).rate(*states[0][7:9], without, held)
+    same = whole._replace(abstract=without.abstract, desired=without.desired)
+    assert asked == pytest.approx(law(system, states[0], GAINS).rate(*states[0][7:9], same), rel=1e-9)
 
 
 @pytest.mark.parametrize("bound", [1e-3, 1e3])

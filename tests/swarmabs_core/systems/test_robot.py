@@ -12,7 +12,7 @@ pytestmark = pytest.mark.usefixtures("systems")
 
 
 def rotor(thrust: float) -> tuple[SystemRobot, SwarmBroadcast, SwarmBroadcast]:
-    """Return a rotor of a lift with a thrust, and broadcasts with a usable and with a singular Gram matrix."""
+    """Return a rotor of a lift with a thrust, and broadcasts with a usable and with an empty Gram matrix."""
     system = NamedSystem("lift", {})
     states = initial_states(system, rotors(-0.5, 0.1, 0.5))
     usable = heard(system, states)
@@ -28,13 +28,22 @@ def rotor(thrust: float) -> tuple[SystemRobot, SwarmBroadcast, SwarmBroadcast]:
     return SystemRobot(config), usable, singular
 
 
-def test_a_limited_robot_returns_if_the_others_cannot_control_all_rows() -> None:
-    robot, usable, singular = rotor(14.0)
+def test_a_limited_robot_stays_with_the_others_if_these_need_it() -> None:
+    """Alone they cannot control all rows, so it takes part with what it can do, without a break."""
+    robot, usable, alone = rotor(14.0)
     assert robot.decide(usable, "", 0).beyond is not None
-    limited = robot.state(1, 0, Status.ACTIVE)
-    assert (limited.status, limited.command) == (RobotStatus.LIMITED, (15.0,))
-    assert robot.decide(singular, "", 1).problem == ""
-    again = robot.state(2, 1, Status.ACTIVE)
-    assert (again.status, again.command) == (RobotStatus.ACTIVE, (15.0,))
-    assert robot.decide(singular, "", 2).problem == HELD  # it was not limited, so its return cannot help
-    assert robot.state(3, NEVER, Status.SAFE_STOP).command == (14.0,)
+    assert robot.state(1, 0, Status.ACTIVE).status == RobotStatus.LIMITED, "three control two rows without one"
+    outcome = robot.decide(alone, "", 1)
+    assert (outcome.problem, outcome.beyond is not None) == ("", True)
+    state = robot.state(2, 0, Status.ACTIVE)
+    assert (state.status, state.command) == (RobotStatus.ACTIVE, (15.0,))
+    less = usable._replace(desired=usable.desired._replace(mean_rate=(0.0, 0.0), value=usable.abstract.value))
+    assert robot.decide(less, "", 2).beyond is None
+
+
+def test_a_robot_is_held_while_no_robot_follows_and_follows_with_the_next_sums() -> None:
+    robot, usable, nobody = rotor(14.0)
+    outcome = robot.decide(nobody, "", 0)
+    assert (outcome.problem, outcome.held) == (HELD, True)
+    assert robot.state(1, NEVER, Status.ACTIVE).command == (14.0,)
+    assert not robot.decide(usable, "", 1).problem

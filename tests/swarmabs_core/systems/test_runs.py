@@ -8,7 +8,6 @@ from tests.systems import BEAM_SCENARIO
 
 from swarmabs_config.configure import controller_settings
 from swarmabs_config.scenario import parse_scenario
-from swarmabs_core.behaviours.systems import HELD
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
     AgentState,
@@ -20,6 +19,8 @@ from swarmabs_core.messages import (
     SwarmAbstract,
     SwarmDesired,
 )
+from swarmabs_core.sensing import standard_normal
+from swarmabs_run.simulation import simulate
 
 pytestmark = pytest.mark.usefixtures("systems")
 
@@ -34,8 +35,8 @@ def vectors(run: Run, kind: type, field: str) -> Array:
 
 @pytest.mark.parametrize("name", ["pd_si_4", "arise_si_4"])
 def test_the_plane_through_the_general_path_is_the_plane_to_rounding(name: str) -> None:
-    """The scenario kills a robot, which then stands, and loses broadcasts; only the law's parent differs."""
-    faults = "faults=[{kind: loss, probability: 0.2}, {kind: kill, agent: 3, at: 1.0}]"
+    """The scenario loses broadcasts; only the law's parent differs."""
+    faults = "faults=[{kind: loss, probability: 0.2}]"
     scenario = builtin(name, "duration=6", faults, "controller.type=pd", "plane.disturbance.amplitude=0")
     agents = [
         f"    - {{id: {a.id}, kind: {a.kind}, coordinates: [{a.position!r}], constants: {{mass: {a.mass!r}}}}}"
@@ -64,11 +65,51 @@ def test_the_plane_through_the_general_path_is_the_plane_to_rounding(name: str) 
     [
         ("ask_late", r"step 5: ZeroDivisionError: float division by zero \(systems_of_tests\.py:\d+\)"),
         ("ask_late_number", r"step 5: the controller of faulty returned 1\.0; it must return torque"),
+        ("derivative_late", r"step 5: ZeroDivisionError: float division by zero \(systems_of_tests\.py:\d+\)"),
+        ("derivative_late_size", r"derivative\(\) returned \(0\.0,\) at 0\.05 s; it must return 2 numbers"),
+        ("disturbed_late", r"step 4: ZeroDivisionError: float division by zero \(systems_of_tests\.py:\d+\)"),
+        ("failed_late", r"step 1: KeyError: 'x' \(systems_of_tests\.py:\d+\)"),
     ],
 )
 def test_what_a_system_raises_in_the_middle_fails_the_run_in_one_line(fault: str, problem: str) -> None:
-    with pytest.raises(RunError, match=problem):
-        ran(BEAM_SCENARIO.replace("beam", "faulty"), f"system.fault={fault}")
+    with pytest.raises(RunError, match=f"^{problem}$"):
+        ran(
+            BEAM_SCENARIO.replace("beam", "faulty"),
+            f"system.fault={fault}",
+            "faults=[{kind: disturbance, at: 0.03, torque: 1}]" if fault == "disturbed_late" else "duration=1",
+        )
+
+
+def test_what_a_reference_raises_in_the_middle_fails_the_simulation_in_one_line() -> None:
+    """The controller does not use it, but the figures of the run do."""
+    scenario = parse_scenario(BEAM_SCENARIO.replace("beam", "faulty"), overrides=["system.fault=reference_late"])
+    with pytest.raises(RunError, match=r"^step 5: ZeroDivisionError: .* \(systems_of_tests\.py:\d+\)$"):
+        simulate(scenario)
+
+
+def test_the_parent_is_measured_with_the_noise_and_the_resolution_of_the_plane() -> None:
+    """Without feedback the noise changes nothing else, so it is the difference of two runs."""
+    overrides = ("duration=0.5", "system.added=0", "seed=4")
+    sensor = "sensor={noise: [0.01, 0.0], resolution: [0.0, 0.25]}"
+    true, measured = (vectors(ran(BEAM_SCENARIO, *overrides, *more), ParentState, "state") for more in ((), (sensor,)))
+    draws = [standard_normal(f"4:{step}:parent:angle") for step in range(51)]
+    assert np.allclose(measured[:, 0], true[:, 0] + 0.01 * np.array(draws), rtol=0.0, atol=1e-15)
+    assert np.array_equal(measured[:, 1], 0.25 * np.round(true[:, 1] / 0.25))
+
+
+def test_requests_are_limited_and_filtered_as_the_scenario_says() -> None:
+    """What is requested follows from the measured rate by the discrete filter; it overshoots no limit."""
+    overrides = ("duration=2", "system.added=20", "requests={bandwidth: 4.0, low: [-1.0], high: [0.5]}")
+    run = ran(BEAM_SCENARIO, *overrides)
+    torque, rate = (vectors(run, SwarmDesired, name)[:, 0] for name in ("value", "rate"))
+    assert torque.min() >= -1.0 and torque.max() <= 0.5
+    assert torque.min() < -0.5, "the lower limit is not that of the other side"
+    asked = np.clip(20.0 * vectors(run, ParentState, "state")[:, 1], -1.0, 0.5)
+    z = 4.0 * 0.01
+    offset = torque - asked
+    after = asked + np.exp(-z) * ((1.0 + z) * offset + 0.01 * rate)
+    assert np.allclose(torque[1:], after[:-1], rtol=0.0, atol=1e-12)
+    assert {e.detail for e in run.events() if e.kind == EventKind.LIMIT_HIT} == {"torque limited"}
 
 
 def test_a_robot_at_its_limit_says_so_and_the_others_take_over() -> None:
@@ -96,19 +137,18 @@ def test_a_robot_at_its_limit_says_so_and_the_others_take_over() -> None:
     assert abs(vectors(run, ParentState, "state")[-1][0] - 1.0) < 0.1
 
 
-def test_robots_that_lose_control_of_a_row_are_held_and_say_so() -> None:
-    """Of two robots one leaves; the other cannot control torque and inertia."""
+def test_robots_that_lose_control_of_a_row_control_those_before_it() -> None:
+    """Of two robots one leaves; the other controls the torque, but not the inertia as well."""
     run = ran(
         BEAM_SCENARIO, "duration=1", "faults=[{kind: leave, agent: 2, at: 0.5}, {kind: leave, agent: 3, at: 0.5}]"
     )
     assert not [e for e in run.events() if e.kind == EventKind.SAFE_STOP]
     all_but_one = "faults=[" + ", ".join(f"{{kind: leave, agent: {n}, at: 0.5}}" for n in (2, 3, 4)) + "]"
-    run = ran(BEAM_SCENARIO, "duration=1", all_but_one)
-    (event,) = [e for e in run.events() if e.kind == EventKind.SAFE_STOP]
-    assert (event.agent_id, event.detail) == (1, HELD)
-    assert 49 <= event.step <= 53
-    places = [s.coordinates for s in run.of(RobotState) if s.agent_id == 1 and s.step > event.step]
-    assert len(set(places)) == 1, "it stands"
+    run = ran(BEAM_SCENARIO, "duration=3", all_but_one)
+    assert not [e for e in run.events() if e.kind in (EventKind.SAFE_STOP, EventKind.HELD)]
+    abstract, wanted = (vectors(run, kind, "value") for kind in (SwarmAbstract, SwarmDesired))
+    assert np.abs(wanted - abstract)[-1, 0] < 1e-3 * np.abs(wanted[:, 0]).max(), "the torque"
+    assert np.abs(wanted - abstract)[-1, 1] > 1e-3, "not the inertia"
 
 
 def test_a_completion_that_becomes_unreachable_is_held_or_slowed_by_the_effort_bound() -> None:
@@ -137,3 +177,18 @@ def test_every_mixture_of_robots_follows_the_request(law: str, forces: tuple[int
     alone = vectors(ran(BEAM_SCENARIO, "duration=4"), ParentState, "state")
     assert np.abs(vectors(run, ParentState, "state") - alone).max() < 0.06
     assert not [e for e in run.events() if e.kind == EventKind.SAFE_STOP]
+
+
+@pytest.mark.parametrize(("fault", "end"), [("lane", "0.2 m"), ("none", "100 m, as assumed")])
+def test_robots_that_leave_their_range_are_told_of_whether_its_ends_are_stated_or_assumed(fault: str, end: str) -> None:
+    faulty = BEAM_SCENARIO.replace("beam", "faulty")
+    gone = "[{id: 9, kind: double_integrator, coordinates: [0.19], velocities: [20000.0], constants: {mass: 0.001}}]"
+    agents = faulty.partition("  agents:\n")[2]
+    text = faulty.replace(agents, f"{agents.rstrip()}\n    - {gone[1:-1]}\n")
+    run = ran(text, f"system.fault={fault}", "duration=0.1")
+    found = [e for e in run.events() if e.agent_id == 9 and "range" in e.detail]
+    (first, *_) = found
+    places = {s.step: s.coordinates[0] for s in run.of(RobotState) if s.agent_id == 9}
+    assert first.value == places[first.step]
+    assert first.detail.endswith(f"out of range: position above {end}")
+    assert all(abs(place) <= float(end.split(maxsplit=1)[0]) for step, place in places.items() if step < first.step)

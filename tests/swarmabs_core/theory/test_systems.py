@@ -1,14 +1,15 @@
 """The theory for parent systems: the sampled loop against poles of the continuous one, and what fails when it must."""
 
+import re
 from math import exp
 
 import numpy as np
 import pytest
-from tests.systems import BEAM_SCENARIO
+from tests.systems import BEAM_SCENARIO, SATELLITE_SCENARIO
 
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.theory import check_scenario
-from swarmabs_core.theory.report import Condition, Report, Verdict
+from swarmabs_core.theory.report import Condition, Coverage, Report, Verdict
 
 pytestmark = pytest.mark.usefixtures("systems")
 LIFT = """
@@ -32,9 +33,9 @@ def conditions(text: str, *overrides: str) -> dict[str, Condition]:
     return {one.name: one for theorem in (*found.theorems, found.beyond) for one in theorem.conditions}
 
 
-def slowest(integral: float = 0.0) -> float:
+def slowest(integral: float = 0.0, bandwidth: float = 50.0) -> float:
     """Return the largest real part of the poles of beam, filter and damper, whose mass is that at rest, 1/s."""
-    filtered = np.polymul([1.0, 50.0], [1.0, 50.0])
+    filtered = np.polymul([1.0, bandwidth], [1.0, bandwidth]) * 2500.0 / bandwidth**2
     # J s^3 + c s^2 + k s before the filter, and damping s^2 + integral behind it
     closed = np.polyadd(np.polymul([0.8 + 0.025, 0.3, 5.0, 0.0], filtered), 2500.0 * np.array([2.0, 0.0, integral]))
     roots = np.roots(closed)
@@ -48,6 +49,14 @@ def test_the_spectral_radius_is_that_of_the_slowest_pole(integral: float) -> Non
     assert np.log(loop.corrected.value) / 0.002 == pytest.approx(slowest(integral), rel=0.02)
     assert loop.inputs["unseen"] == 4 - 2 + (not integral), "an integral that is not used is not seen either"
     assert loop.inputs["numbers"] == 2 + 2 + 1 + 4
+
+
+def test_the_loop_and_the_completions_know_the_requests_of_the_scenario() -> None:
+    given = "requests={bandwidth: 3.0, low: [-0.5], high: [0.25]}"
+    loop = conditions(BEAM_SCENARIO, "step=0.002", given)["loop"]
+    assert np.log(loop.corrected.value) / 0.002 == pytest.approx(slowest(bandwidth=3.0), rel=0.02)
+    assert abs(slowest(bandwidth=3.0) / slowest() - 1.0) > 0.1
+    assert conditions(BEAM_SCENARIO, "system.far=0.026", given)["reach"].inputs["first_outside"] == (-0.5,)
 
 
 def test_an_integral_that_is_too_strong_is_unstable() -> None:
@@ -115,15 +124,44 @@ def test_requests_that_the_robots_cannot_reach_fail() -> None:
     assert conditions(BEAM_SCENARIO, "system.far=0.1")["reach"].inputs["first_outside"] == (-5.0,)
 
 
-def test_a_loop_without_rest_fails_with_the_reason() -> None:
-    loop = conditions(BEAM_SCENARIO, "system.hit=8e-4", "system.angle=5e-4")["loop"]
-    assert loop.verdict is Verdict.FAILS
-    assert loop.note == "RunError: step 1: the beam hit the ground"
+def test_a_satellite_that_turns_slowly_on_fast_wheels_is_covered() -> None:
+    """The scaled slope of one step has a singular value of 2e-9 of the largest one; the slowest pole is known."""
+    assert report(SATELLITE_SCENARIO).verdict is Coverage.COVERED
+    slow = min(abs(root) for root in np.roots([1.0, 0.4, 1e-4]))
+    assert conditions(SATELLITE_SCENARIO)["loop"].corrected.value == pytest.approx(exp(-slow * 0.01), abs=1e-8)
 
 
-def test_a_system_that_raises_away_from_the_start_fails_the_condition() -> None:
-    found = conditions(BEAM_SCENARIO, "system.type=faulty", "system.fault=far_out")["completion"]
-    assert (found.verdict, found.note) == (Verdict.FAILS, "ValueError: too far out")
+@pytest.mark.parametrize(
+    ("text", "overrides", "name", "reason"),
+    [
+        (SATELLITE_SCENARIO, ["system.push=0.01"], "loop", r"no state of rest was found near the start"),
+        (BEAM_SCENARIO, ["system.hit=8e-4", "system.angle=5e-4"], "loop", r"step 1: the beam hit the ground"),
+        (
+            BEAM_SCENARIO,
+            ["system.type=faulty", "system.fault=far_out"],
+            "completion",
+            r"ValueError: too far out \(systems_of_tests\.py:\d+\)",
+        ),
+    ],
+)
+def test_what_could_not_be_evaluated_is_neither_covered_nor_refuted(
+    text: str, overrides: list[str], name: str, reason: str
+) -> None:
+    found = report(text, *overrides)
+    assert found.verdict is Coverage.UNKNOWN
+    assert not found.failed
+    assert [condition.name for _, condition in found.unknown] == [name]
+    (condition,) = (condition for _, condition in found.unknown)
+    assert condition.verdict is Verdict.UNKNOWN
+    assert re.fullmatch(reason, condition.note)
+    if name == "loop":
+        assert found.theorems[0].note == "no state of rest is known"
+
+
+def test_a_condition_that_fails_decides_whatever_else_could_not_be_evaluated() -> None:
+    found = report(SATELLITE_SCENARIO, "system.push=0.01", "swarm.gains.k=250")
+    assert found.unknown and found.failed
+    assert found.verdict is Coverage.NOT_COVERED
 
 
 def test_the_loop_of_a_large_swarm_is_left_out_with_a_note() -> None:

@@ -10,6 +10,7 @@ import sys
 from contextlib import ExitStack, suppress
 from xml.etree import ElementTree as ET
 
+import psutil
 import pytest
 import rclpy
 from rclpy.duration import Duration
@@ -28,13 +29,17 @@ from swarmabs_run.orchestration.network import (
     GROUP_VARIABLE,
     PARTICIPANT_VARIABLE,
     claimed_domain,
+    held_port,
     multicast_group,
     multicast_works,
     profile_xml,
+    udp_ports,
 )
 
 NAMESPACE = {"d": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
 LARGE_SWARM = COORDINATORS + 195
+LARGEST_SWARM = 950
+"""Participants whose ports span four claims."""
 MULTICAST = {"multicast": True}
 HOLDER = """
 import sys
@@ -108,11 +113,12 @@ def test_the_profile_says_who_hears_whom_and_how(options: dict[str, object], pat
 
 
 def test_robots_share_a_group_and_so_do_those_who_hear_them_while_others_have_their_own() -> None:
-    robots = {multicast_group(participant, gathers=False) for participant in range(COORDINATORS, LARGE_SWARM)}
-    gatherers = {multicast_group(participant, gathers=True) for participant in range(COORDINATORS)}
-    others = {multicast_group(participant, gathers=False) for participant in range(COORDINATORS)}
-    assert (len(robots), len(gatherers), len(others)) == (1, 1, COORDINATORS)
-    assert len(robots | gatherers | others) == 2 + COORDINATORS
+    participants = range(LARGE_SWARM + 100)
+    robots = {multicast_group(participant, gathers=False, robot=True) for participant in participants}
+    gatherers = {multicast_group(participant, gathers=True, robot=False) for participant in participants}
+    others = {multicast_group(participant, gathers=False, robot=False) for participant in participants}
+    assert (len(robots), len(gatherers), len(others)) == (1, 1, len(participants))
+    assert len(robots | gatherers | others) == 2 + len(participants)
     assert all(ipaddress.ip_address(group).is_multicast for group in robots | gatherers | others)
 
 
@@ -168,13 +174,31 @@ def test_claims_differ_and_are_five_apart() -> None:
 
 
 def test_a_claim_over_many_ports_needs_them_all() -> None:
-    with claimed_domain(4 * ports.SPACING) as first:
+    with claimed_domain(LARGEST_SWARM) as first:
         pass
     taken = first + 2 * ports.SPACING
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as foreign:
         foreign.bind(("127.0.0.1", ports.PORT_BASE + ports.DOMAIN_GAIN * taken + ports.GUARD_OFFSET))
-        with claimed_domain(4 * ports.SPACING) as second:
+        with claimed_domain(LARGEST_SWARM) as second:
             assert not second <= taken < second + 4 * ports.SPACING
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "0.0.0.0", "::", "239.255.83.1"])
+def test_a_domain_of_which_a_stranger_holds_a_port_is_not_claimed(address: str) -> None:
+    """Whichever it is, and however it is held, as by a daemon of a former run."""
+    with claimed_domain(LARGE_SWARM) as first:
+        used = udp_ports(first, range(LARGE_SWARM))
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    assert len(used) == 1 + 2 * LARGE_SWARM
+    assert set(used) <= used_ports(first, LARGE_SWARM) | {ports.multicast_port(first)}
+    for port in (*used[:20], used[-1]):
+        with socket.socket(family, socket.SOCK_DGRAM) as stranger:
+            stranger.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            stranger.bind((address, port))
+            assert held_port({port}) == f"{port} of process {os.getpid()} ({psutil.Process().name()})"
+            assert held_port({port}, {os.getpid()}) == ""
+            with claimed_domain(LARGE_SWARM) as claimed:
+                assert claimed != first, port
 
 
 def test_a_claim_ends_with_its_holder_however_that_ends() -> None:

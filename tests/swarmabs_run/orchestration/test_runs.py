@@ -3,7 +3,7 @@
 import os
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from signal import SIGCONT, SIGINT, SIGKILL, SIGSEGV, SIGSTOP, SIGTERM, SIGUSR1
@@ -14,6 +14,7 @@ from tests.frozen.command import swarm
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_bag.run_folder import RunFolder, new_run_folder
+from swarmabs_config import ports
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
@@ -87,6 +88,7 @@ class FakeMachine:
     dead: bool = False
     asked: bool = False
     stopped: tuple[str, ...] = ()
+    taken: tuple[int, ...] = ()
     recorded: bool = False
     spawned: list[str] = field(default_factory=list)
     logs: set[Path] = field(default_factory=set)
@@ -117,6 +119,10 @@ class FakeMachine:
 
     def state_of(self, pid: int) -> str:
         return "stopped" if pid in {self.pids[name] for name in self.stopped} else f"{pid} stopped"
+
+    def held_port(self, udp: Collection[int], own: Collection[int]) -> str:
+        assert set(own) == set(self.pids.values())
+        return next((f"{port} of process 4711 (daemon)" for port in self.taken if port in udp), "")
 
     def listen(self) -> list[Report]:
         self.clock = min([self.clock + POLL, *(max(time, self.clock) for time, _ in self.due)]) + 1e-6
@@ -286,6 +292,13 @@ def test_how_a_run_ends(tmp_path: Path, kind: type[ProcessRun], name: str) -> No
     assert not reason or f"] {reason.splitlines()[0]}\n" in noted(tmp_path)
 
 
+def test_a_port_that_another_process_has_taken_since_the_claim_is_named_where_the_run_stalls(tmp_path: Path) -> None:
+    outcome = drive(FakeMachine(WAITED_FOR, taken=(ports.multicast_port(5),)), tmp_path)
+    assert outcome.reason is not None
+    held = "; UDP port 7505 of process 4711 (daemon) is not free; end that process\n"
+    assert SILENT.partition("\n")[0] + held in outcome.reason
+
+
 @pytest.mark.parametrize("text", ["soon", "-1", "nan", "inf"])
 def test_a_bad_time_to_end_is_refused(tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(TO_END, text)
@@ -327,6 +340,11 @@ def test_a_late_robot_is_restarted(tmp_path: Path, machine: FakeMachine, spawned
             FakeMachine(hangs=Counter(NAMES)),
             f"{', '.join(NAMES[:5])} and 3 more: counterparts not found; .*{log_of(PLANE)}{log_of(OBSERVER)}$",
             START_SILENCE,
+        ),
+        (
+            FakeMachine(hangs=Counter(recorder=9), taken=(7512, 7517)),  # that of the observer, and of the recorder
+            r"recorder: UDP port 7517 of process 4711 \(daemon\) is not free; end that process; no progress",
+            READY + START_SILENCE,
         ),
         (FakeMachine(hangs=Counter(NAMES[:5] * 9)), "recorder, agent_001: .*\nlast", READY + 3 * START_SILENCE + 0.1),
         (FakeMachine(due=[(BEGUN + 0.2, end_asked(0.0)[1])]), "interrupted", 0.3),

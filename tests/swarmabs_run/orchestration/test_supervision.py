@@ -9,6 +9,7 @@ from typing import Any, cast
 import pytest
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER
+from swarmabs_core.messages import SYSTEM_FAMILY, EventKind
 from swarmabs_run.orchestration.machine import ThisMachine, woken_by_signals
 from swarmabs_run.orchestration.supervision import Failure, Supervision, how_it_ended, last_lines
 
@@ -95,6 +96,20 @@ def test_where_everybody_waits_the_waits_are_told() -> None:
     )
 
 
+def test_an_event_that_no_node_has_published_ends_the_run() -> None:
+    state = started()
+    own, foreign = ["aa", 7, 2, EventKind.DEAD], ["bb", 8, 0, EventKind.LIMIT_HIT]
+    state.take({"node": OBSERVER, "event": "publishes", "events": [own]})
+    for _ in range(2):  # as the recorders of a pair do
+        state.take({"node": RECORDER, "event": "recorded", "events": [own]})
+    assert state.failure is None
+    state.take({"node": RECORDER, "event": "recorded", "events": [own, foreign]})
+    assert state.failure == Failure(
+        "recorder: swarm/events: an event 'limit hit' of step 8 that no node of this run has published; is a second "
+        "swarm in this namespace?"
+    )
+
+
 def test_last_lines_of_logs() -> None:
     text = "\n".join(f"line {number}" for number in range(20)) + "\n\n  \n"
     assert last_lines([("agent_003", text), ("silent", ""), ("plane_sim", "one\n")], count=2) == (
@@ -133,3 +148,15 @@ def test_listening_ends_with_a_report_or_a_signal(monkeypatch: pytest.MonkeyPatc
         signal.signal(signal.SIGUSR1, before)
         os.close(reports)
         os.close(write)
+
+
+def test_who_does_not_answer_is_found_on_any_parent_system() -> None:
+    family = SYSTEM_FAMILY
+    state = Supervision((family.node, OBSERVER, CONTROLLER, "agent_001"))
+    state.take(waits(CONTROLLER, family.node))
+    state.take(waits("agent_001", family.parent.name))
+    state.take(waits(OBSERVER, family.parent.name))
+    assert state.diagnose({}).culprits == ("parent_system",)
+    state = Supervision((family.node, OBSERVER, CONTROLLER, "agent_001"))
+    state.take(waits("agent_001", family.abstract.name))
+    assert state.diagnose({}).culprits == (OBSERVER,)

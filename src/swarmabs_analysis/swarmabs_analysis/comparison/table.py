@@ -137,7 +137,7 @@ def _named(topic: str, field: str, system: SystemTables | None) -> str:
     if system is None or index < 0:
         return field
     message = next(each.message for each in TOPICS if each.name == topic)
-    named = components(system, message)[vector]
+    named = components(system, message).get(vector, ())
     return _shown(f"{field} {named[index].name}, {named[index].unit}") if index < len(named) else field
 
 

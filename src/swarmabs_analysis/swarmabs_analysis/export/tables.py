@@ -83,7 +83,7 @@ def _table(name: str, topic: Topic, system: SystemTables | None = None) -> BagTa
     columns = {"time": _TIME} | {field: _column(field, each) for field, each in declared.items() if field not in parts}
     vectors = {}
     for field, several in parts.items():
-        for index, (quantity, unit, _) in enumerate(several):
+        for index, (quantity, unit, *_) in enumerate(several):
             key = quantity if field in MAIN_FIELDS or system is None else f"{field}_{quantity}"
             while key in columns or key in declared:
                 key = f"{field}_{key}"

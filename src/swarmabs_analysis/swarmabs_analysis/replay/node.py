@@ -20,7 +20,7 @@ from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (
     Parameter("bag", "", "bag to replay"),
-    Parameter("nodes", ("controller",), "nodes under test: plane, observer, controller, agent:N"),
+    Parameter("nodes", ("controller",), "nodes under test: parent, observer, controller, agent:N"),
     Parameter("window", 0, "steps by which the replay may be ahead of the recorder; 0: not recorded", minimum=0),
     Parameter("overrides", (), "changes of the bag's scenario, each a.b=value"),
     Parameter("ends", (), "ends of robots that the bag's scenario does not plan, each 'KIND AGENT STEP'"),

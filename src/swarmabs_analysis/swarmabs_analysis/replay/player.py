@@ -16,6 +16,7 @@ from swarmabs_core.messages import (
     NEVER,
     PLANE_FAMILY,
     RECORDING_PROGRESS,
+    STANDING,
     TOPIC_OF,
     Family,
     Message,
@@ -35,14 +36,14 @@ if TYPE_CHECKING:
 def answered(live: Collection[NodeName], family: Family = PLANE_FAMILY) -> tuple[Topic, ...]:
     """Return the topics on which the nodes under test answer."""
     robots = any(name.kind is NodeKind.AGENT for name in live)
-    topics = (*family.main, *family.once)
+    topics = (*family.main, *family.once, STANDING)
     return tuple(topic for topic in topics if (topic is family.robot and robots) or PUBLISHER.get(topic) in live)
 
 
 def played(live: Collection[NodeName], family: Family = PLANE_FAMILY) -> tuple[Topic, ...]:
     """Return the topics that the player publishes: all others, and those of robots and events, which are shared."""
     others = set(answered(live, family)) - {family.robot}
-    return (EVENTS, *(topic for topic in (*family.main, *family.once) if topic not in others))
+    return (EVENTS, *(topic for topic in (*family.main, *family.once, STANDING) if topic not in others))
 
 
 class _Key(NamedTuple):

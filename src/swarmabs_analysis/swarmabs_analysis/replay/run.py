@@ -13,10 +13,10 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_config import configure
-from swarmabs_config.graph import CONTROLLER, FIRST_SPARE, OBSERVER, PLANE, RECORDER, agent_name
+from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, agent_name
 from swarmabs_core.behaviours import LifeSpan, Observer
 from swarmabs_core.membership import SILENT, ChangeKind
-from swarmabs_core.messages import EVENTS, RECORDING_PROGRESS
+from swarmabs_core.messages import EVENTS, RECORDING_PROGRESS, STANDING
 from swarmabs_core.publishers import NodeKind, NodeName, publisher_of
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
 from swarmabs_run.orchestration.plan import ProcessPlan, expect_counterparts
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.membership import Change
-    from swarmabs_core.messages import Messages
+    from swarmabs_core.messages import Messages, Topic
     from swarmabs_run.run import Outcome, Progress
 
 PLAYER = "replay_player"
-_PROCESSES = {NodeKind.PLANE: PLANE, NodeKind.OBSERVER: OBSERVER, NodeKind.CONTROLLER: CONTROLLER}
+_PROCESSES = {NodeKind.OBSERVER: OBSERVER, NodeKind.CONTROLLER: CONTROLLER}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +71,10 @@ class ReplayRun:
             driver="simulate",
             namespace=self.source.namespace,
             replay=self.provenance(),
+            division=self.source.division,
         )
-        steps = replayed_steps(self.scenario, self.nodes, self.source.steps(self.scenario), self._ends)
+        recorded = self.source.steps(self.scenario)
+        steps = replayed_steps(self.scenario, self.nodes, recorded, self._ends, self.source.division)
         return record_steps(steps, self.scenario, recording, on_progress=on_progress)
 
     def live(self, folder: RunFolder, on_progress: Callable[[Progress], None] | None = None) -> Outcome:
@@ -88,7 +90,7 @@ class ReplayRun:
         player = ProcessPlan(
             PLAYER,
             "swarmabs_analysis.replay.node",
-            FIRST_SPARE,
+            1 + max(process.participant for process in processes),
             {name: recorder.parameters[name] for name in shared}
             | {
                 "bag": str(self.source.bag.path.resolve()),
@@ -100,12 +102,21 @@ class ReplayRun:
             played(self.nodes, self.scenario.family),
             (*answered(self.nodes, self.scenario.family), RECORDING_PROGRESS),
         )
-        told = {"replay": json.dumps(self.provenance()), "ends": tuple(map(str, self._ends))}
+        told = {
+            "replay": json.dumps(self.provenance()),
+            "ends": tuple(map(str, self._ends)),
+            "division": self.source.division,
+        }
+        names = {**_PROCESSES, NodeKind.PARENT: self.scenario.family.node}
         tested = [
-            by_name[agent_name(node.agent_id) if node.kind is NodeKind.AGENT else _PROCESSES[node.kind]]
+            by_name[agent_name(node.agent_id) if node.kind is NodeKind.AGENT else names[node.kind]]
             for node in self.nodes
         ]
+        if not self.source.division:
+            tested = [_without(STANDING, process) for process in tested]
         for process in tested:
+            if "division" in process.parameters:  # that of the recorded nodes
+                process.parameters["division"] = self.source.division
             for change in self.source.ends:
                 if change.agent_id in process.agents:  # nothing stops it now: it must fall silent by itself
                     process.parameters.update(end=change.kind.value, end_step=change.step)
@@ -150,13 +161,26 @@ class ReplayRun:
             yield step
 
 
+def _without(topic: Topic, process: ProcessPlan) -> ProcessPlan:
+    """Return a process that waits for no counterpart on a topic."""
+    publications, subscriptions = (
+        tuple(each for each in topics if each is not topic) for topics in (process.publications, process.subscriptions)
+    )
+    return replace(process, publications=publications, subscriptions=subscriptions)
+
+
 def replayed_steps(
-    scenario: AnyScenario, live: Collection[NodeName], recorded: Iterator[RecordedStep], ends: Collection[Change] = ()
+    scenario: AnyScenario,
+    live: Collection[NodeName],
+    recorded: Iterator[RecordedStep],
+    ends: Collection[Change] = (),
+    division: int | None = None,
 ) -> Iterator[RecordedStep]:
     """Connect a player and the nodes under test by a queue, and yield every step as recorded in a bag.
 
-    The recorded run must be in order and include the scenario's last step; `ends` are the unplanned ends of its robots.
-    The nodes under test are configured by this scenario, and receive each other's messages.
+    The recorded run must be in order and include the scenario's last step; `ends` are the unplanned ends of its robots,
+    and `division` is as for `nodes_in_process`. The nodes under test are configured by this scenario, and receive each
+    other's messages.
 
     Raises
     ------
@@ -165,7 +189,7 @@ def replayed_steps(
     """
     silent = {change.agent_id: change.step + 1 for change in ends}
     player = Player(recorded, live, last_step=scenario.steps, family=scenario.family)
-    nodes = nodes_in_process(scenario)
+    nodes = nodes_in_process(scenario, division)
     for config in configure.agent_configs(scenario):
         if config.agent_id in silent:
             life = LifeSpan(config.life.first_step, ChangeKind.KILL, silent[config.agent_id] - 1)
@@ -182,5 +206,5 @@ def replayed_steps(
         again = bool(agents) and all(silent.get(agent_id) == step for agent_id in agents)
         return observer.drop(agents, SILENT) if again else ()
 
-    simulation = Simulation(scenario, (NodeInProcess(player, player.hears), *tested), ends)
+    simulation = Simulation(scenario, (NodeInProcess(player, player.hears), *tested), ends, division)
     return simulation.steps(drop_silent, "replay")

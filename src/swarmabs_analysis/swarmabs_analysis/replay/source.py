@@ -14,7 +14,7 @@ from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import SILENT, Change, ChangeKind, with_ends
-from swarmabs_core.messages import EVENTS, EventKind, SwarmEvent, SystemDescription
+from swarmabs_core.messages import EVENTS, STANDING, EventKind, SwarmEvent, SystemDescription
 from swarmabs_core.publishers import NodeKind
 from swarmabs_core.record import Record
 from swarmabs_core.systems import SystemTables
@@ -52,6 +52,11 @@ class ReplaySource:
         """Namespace of the recorded swarm."""
         return (self.bag.namespace or "/").rstrip("/") or "/"
 
+    @property
+    def division(self) -> int:
+        """For how many steps from a change on the recorded observer tells how the abstract state divides."""
+        return _division(self.bag, self.recorded)
+
     def steps(self, played: AnyScenario | None = None) -> Iterator[RecordedStep]:
         """Yield the complete steps in order, for a scenario; an event that was recorded late is yielded late too."""
         return complete_steps(self.bag, self.recorded, self.ends, played)
@@ -75,6 +80,7 @@ class ReplaySource:
             ("control period", lambda scenario: scenario.step_ns),
             ("robots", configure.members),
             ("faults that end robots or let them join", configure.schedule),
+            ("reaction to silent robots", lambda scenario: scenario.lockstep.on_stall),
             ("quantities of the parent system", _quantities),
         ):
             if of(changed) != of(self.recorded):
@@ -143,8 +149,9 @@ def complete_steps(
     """
     schedule = with_ends(configure.schedule(scenario), ends)
     family, system = scenario.family, getattr(played or scenario, "named", None)
-    topics = (*family.once, *family.main, EVENTS)
-    collector = RunCollector(configure.members(scenario), schedule, scenario.steps, family=family)
+    topics = (*family.once, *family.main, STANDING, EVENTS)
+    division = _division(bag, scenario)
+    collector = RunCollector(configure.members(scenario), schedule, scenario.steps, division=division, family=family)
     held: RecordedStep | None = None  # the events of a step follow its other messages
     waiting = 0
     for record in bag.records(topics):
@@ -163,6 +170,11 @@ def complete_steps(
                 held = step
     if held is not None:
         yield held
+
+
+def _division(bag: BagReader, scenario: AnyScenario) -> int:
+    """Return for how many steps from a change on the observer tells how the abstract state divides; earlier, for 0."""
+    return configure.division(scenario) if STANDING in bag.topics() else 0
 
 
 def _of_system(record: Record, system: NamedSystem | None) -> Record:

@@ -180,7 +180,7 @@ def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
     """Return a function that draws what is tracked, and positions or first coordinates, in a span of time, s."""
     time, system = recorded.arrays.time, recorded.system
     name, unit = ("θ", "rad") if system is None else recorded.tracking[2:]
-    (symbol, metre, _), *_ = (("p", "m", 1.0),) if system is None else system.robot
+    (symbol, metre, *_), *_ = (("p", "m"),) if system is None else system.robot
     inside = (time >= begin) & (time <= end)
 
     def draw(figure: FigureBase) -> None:

@@ -134,7 +134,7 @@ def _of_system(recorded: Recorded, system: SystemTables) -> Iterator[Panel]:
         draw = paths(recorded, [f"{row.name}, {row.unit}" for row in system.robot])
         about = f"each of {counted(count, 'robot')} ends in a dot"
         yield Panel("robots-paths", "robots", "Paths of the robots", draw, about, height=2.9)
-    for place, (name, unit, _) in enumerate(system.robot):
+    for place, (name, unit, *_) in enumerate(system.robot):
         for what, values, of in (("coordinate", recorded.coordinates, unit), ("command", arrays.agents.command, "")):
             draw = of_all_robots(recorded, values[..., place], name, f"{name}, {of}".removesuffix(", "))
             about = span(f"{what}s {name}", values[..., place], of, over_time=False)
@@ -163,13 +163,13 @@ def _curves(
 ) -> Panel:
     """Return a panel of quantities of the same unit over time, with their wanted values if there are any."""
     lines, texts = [], []
-    for ((name, unit, _), values, wanted), colour in zip(curves, cycle(PALETTE), strict=False):
+    for ((name, unit, *_), values, wanted), colour in zip(curves, cycle(PALETTE), strict=False):
         lines.append(Line(name, values, colour))
         texts.append(span(f"{what} {name}", values, unit))
         if wanted is not None:
             lines.append(Line(f"{name} wanted", wanted, REFERENCE if len(curves) == 1 else colour, DASHED))
             texts.append(span("wanted", wanted, unit))
-    heading = f"{heading}: {', '.join(name for (name, _, _), _, _ in curves)}"
+    heading = f"{heading}: {', '.join(name for (name, *_), *_ in curves)}"
     draw = lines_over_time(recorded, f"{name}, {unit}" if len(curves) == 1 else unit, lines)
     return Panel(key, key.partition("-")[0], heading, draw, joined(*texts))
 

@@ -17,7 +17,7 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import realtime_figures
 from swarmabs_bag.recorded_swarm import recorded_swarm
 from swarmabs_config import configure
-from swarmabs_core.messages import EVENTS
+from swarmabs_core.messages import EVENTS, STANDING
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.general_theorems import clearance
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.systems import SystemTables
 
     Floats = NDArray[np.float64]
@@ -221,17 +220,20 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
     swarm = recorded_swarm(bag, messages, arrays)
     realtime = realtime_figures(bag, swarm.scenario) if is_realtime(bag) else None
     if realtime is None:
-        count = sum(map(len, tables.values())) + len(swarm.events) + len(bag.family.once)
-        metrics = {**_metrics(swarm.scenario, arrays), "messages": count}
+        count = sum(map(len, tables.values())) + messages.divided + len(swarm.events) + len(bag.family.once)
+        metrics = {**_metrics(swarm, arrays), "messages": count}
         unknown = metrics["final_error"] is None and tracking_of(swarm.scenario).followed
         metrics["digest"] = None if unknown else digest_of(tables)
     else:
         metrics = {**realtime.figures(), "digest": None}
+    counts = {topic.name: len(tables[topic]) for topic in bag.family.main}
+    if messages.divided:
+        counts[STANDING.name] = messages.divided
     summary, note = _summary(bag.path, metrics["digest"])
     return Recorded(
         swarm=swarm,
         metrics=metrics,
-        counts={topic.name: len(tables[topic]) for topic in bag.family.main} | {EVENTS.name: len(swarm.events)},
+        counts=counts | {EVENTS.name: len(swarm.events)},
         provenance=attached_provenance(bag),
         summary=summary,
         summary_note=note,
@@ -239,14 +241,17 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
     )
 
 
-def _metrics(scenario: AnyScenario, arrays: Any) -> dict[str, Any]:
+def _metrics(swarm: Any, arrays: Any) -> dict[str, Any]:
     """Return the figures of the run, by the same arithmetic as during the recording."""
+    scenario = swarm.scenario
     found, plane = RunFigures(configure.reference(scenario), tracking_of(scenario)), hasattr(arrays, "angle")
     parent = arrays.angle[:, None] if plane else arrays.parent
     states = zip(arrays.time.tolist(), arrays.step.tolist(), parent.tolist(), strict=True)
     for time, step, state in states:
         if not np.isnan(state[0]):
             found.follow(step, round(time * 1e9) / 1e9, tuple(state))
+    for event in swarm.events:
+        found.strays.hear(event, event.stamp / 1e9)
     coordinates = np.abs(arrays.agents.position if plane else arrays.agents.coordinates)
     there = coordinates[arrays.agents.kind > 0]
     if there.size:

@@ -68,10 +68,9 @@ def _run(scenario: AnyScenario) -> dict[str, Any]:
     except Exception as error:  # noqa: BLE001 - a bug in one case must not end the sweep
         reason = f"{type(error).__name__}: {error}"
     figures = run.figures()
-    reached = figures["max_abs_position"]
     if reason is not None:
         outcome = "failed"
-    elif reached is None or (isinstance(scenario, Scenario) and reached > 0.5 * scenario.plane.length):
+    elif figures["max_abs_position"] is None or run.strays.all:
         outcome = "off_plane"
     else:
         outcome = "unsettled" if figures["settled_at"] is None else "settled"

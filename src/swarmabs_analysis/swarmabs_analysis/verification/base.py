@@ -52,6 +52,10 @@ class VerificationResult:
         Further remarks for the user.
     not_checkable : Counter of str
         Number of messages of a run in real time that could not be checked, by reason.
+    lost : str or None
+        For a run in real time, what repairs could not recover of its bag; which messages that was is not known.
+    second_senders : dict
+        For a run in real time, the first and the last step in which a second sender spoke, by what it spoke for.
     """
 
     bag: str = ""
@@ -66,17 +70,20 @@ class VerificationResult:
     tolerance: float = 0.0
     notes: tuple[str, ...] = ()
     not_checkable: Counter[str] = field(default_factory=Counter)
+    lost: str | None = None
+    second_senders: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
-        """Whether there is neither a difference nor damage."""
-        return self.difference is None and self.problem is None
+        """Whether there is neither a difference nor damage, nor a second sender whose messages are not in the bag."""
+        return self.difference is None and self.problem is None and not self.second_senders
 
     @property
     def complete(self) -> bool:
-        """Whether the whole run is present and correct; in real time the bag itself records an early end."""
-        whole = self.ended_early is None if self.expected_steps is None else self.steps == self.expected_steps
-        return self.ok and whole
+        """Whether the whole run is present and correct; in real time the bag itself records an early end and losses."""
+        if self.expected_steps is None:
+            return self.ok and self.ended_early is None and self.lost is None
+        return self.ok and self.steps == self.expected_steps
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain data for JSON."""
@@ -95,6 +102,8 @@ class VerificationResult:
             "tolerance": self.tolerance,
             "notes": list(self.notes),
             "not_checkable": dict(self.not_checkable.most_common()),
+            "lost": self.lost,
+            "second_senders": {of: list(steps) for of, steps in self.second_senders.items()},
         }
 
 

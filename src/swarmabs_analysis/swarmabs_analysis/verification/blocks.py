@@ -31,7 +31,8 @@ from swarmabs_core.messages import (
     PLANE_STATE,
 )
 from swarmabs_core.plant import PlaneDynamics
-from swarmabs_core.publishers import CONTROLLER, OBSERVER, PLANE, NodeKind, NodeName
+from swarmabs_core.publishers import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
+from swarmabs_core.ranges import RangeMonitor, lane
 from swarmabs_core.steering import StepSchedule
 from swarmabs_run.swarm_columns import SwarmColumns
 
@@ -69,6 +70,7 @@ class BlockRecomputation:
         self._disturbances = StepSchedule(configure.plane_config(scenario).torques)
         self._configs = {config.agent_id: config for config in configure.agent_configs(scenario)}
         self._disturbed = sorted(_disturbed(scenario, self._disturbances))
+        self._borders = RangeMonitor(lane(scenario.plane.length)).borders()
         self._columns: SwarmColumns | None = None
         self._ahead: tuple[int, Messages | RunError] | None = None
 
@@ -125,7 +127,7 @@ class BlockRecomputation:
         command = columns.commands(*start, *heard)
         motion = (*columns.moved(*start, command), command)
         observer: Any = self._nodes[OBSERVER].behaviour
-        plane: Any = self._nodes[PLANE].behaviour
+        plane: Any = self._nodes[PARENT].behaviour
         load = columns.load(start, end, _standing(plane.standing(columns.ids), len(steps)))
         earlier = _named(tables[PLANE_STATE][:-1])
         times = np.array([int(stamp) / 1e9 for stamp in stamps - self._period_ns])
@@ -134,12 +136,13 @@ class BlockRecomputation:
         )
         abstract, auxiliary = columns.observed(steps, stamps, *end, _standing(observer.standing, len(steps)))
         length = self._scenario.plane.length
-        outside = np.abs(p) > 0.5 * length
+        zones = zones_of(p, self._borders)
+        same = (zones[:, 1:] == zones[:, :1]) & (zones[:, :1] >= 0)
         spreads = zip(heard[1].s0.tolist(), heard[1].s3.tolist(), strict=True)
         held = np.array([is_degenerate(s0, s3, length) for s0, s3 in spreads])
         finite = np.isfinite(command).all(axis=0) & np.isfinite(moved).all(axis=0)
         answers = {PLANE_STATE: moved, ABSTRACT_STATE: abstract[2:], AUXILIARY_STATE: auxiliary[2:]}
-        return finite & ~held & (outside[:, 1:] == outside[:, :1]).all(axis=0), {
+        return finite & ~held & same.all(axis=0), {
             AGENT_STATE: columns.states(steps, stamps, *(values.T for values in motion)),
             **{topic: _rows(topic, LAYOUT[topic], steps, stamps, values) for topic, values in answers.items()},
         }
@@ -182,12 +185,18 @@ class BlockRecomputation:
         """Let the other nodes continue after a step: the robots once they hear its broadcasts."""
         states: list[Any] = list(last.states())
         observer: Any = self._nodes[OBSERVER].behaviour
-        plane: Any = self._nodes[PLANE].behaviour
+        plane: Any = self._nodes[PARENT].behaviour
         observer.resume(states)
         plane.resume(states, last.parent)
         for state in states:
             agent: Any = self._nodes[NodeName(NodeKind.AGENT, state.agent_id)].behaviour
             agent.resume(state)
+
+
+def zones_of(values: Floats, borders: Sequence[float]) -> NDArray[np.int64]:
+    """Return between which borders each value is, -1 on one."""
+    before, after = (np.searchsorted(borders, values, side=side) for side in ("left", "right"))
+    return np.where((before == after) & ~np.isnan(values), before, -1)
 
 
 def _disturbed(scenario: Scenario, disturbances: StepSchedule) -> Iterator[tuple[int, int]]:

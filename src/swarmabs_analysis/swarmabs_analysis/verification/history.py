@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from bisect import bisect
+from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, TypeVar
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_bag.realtime import MEMORY, conflict, part
+from swarmabs_bag.realtime import CAUSES, MEMORY, disputed, part
 from swarmabs_config.graph import USUAL_TOPICS, standby_topic
 from swarmabs_core.messages import (
     AGENT_STATE,
@@ -19,12 +22,14 @@ from swarmabs_core.messages import (
     Mode,
     PlaneState,
     Source,
+    StandingState,
     SwarmEvent,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from swarmabs_bag.realtime import Dispute
     from swarmabs_core.messages import Message, Topic
     from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.record import Record
@@ -37,7 +42,7 @@ AMBIGUOUS = "different messages of the step may have been sent, but the bag cont
 NO_STATES = "a robot's state that it was computed from is not in the bag"
 NO_PROVENANCE = "its provenance is not in the bag"
 
-Kind = TypeVar("Kind", AgentState, PlaneState, AbstractState, AuxiliaryState, Basis)
+Kind = TypeVar("Kind", AgentState, PlaneState, AbstractState, AuxiliaryState, StandingState, Basis)
 
 
 class UnconfirmedError(Exception):
@@ -46,6 +51,69 @@ class UnconfirmedError(Exception):
     def __init__(self, finding: Difference | str) -> None:
         super().__init__(str(finding))
         self.finding = finding
+
+
+@dataclass(slots=True)
+class _Span:
+    """The steps of a dispute; `last` is None while it lasts."""
+
+    cause: str
+    first: int
+    last: int | None = None
+
+
+class Disputes:
+    """The steps of which, by the events of the recorder, nodes may have used other messages than those in the bag."""
+
+    def __init__(self) -> None:
+        self._steps: set[tuple[str, int, int]] = set()
+        self._spans: dict[tuple[str, int], list[_Span]] = {}
+
+    def add(self, said: Dispute) -> None:
+        """Add what an event says."""
+        if said.first is not None and said.first == said.last:
+            self.add_step(said.topic, said.number, said.first)
+            return
+        spans = self._spans.setdefault((said.topic, said.number), [])
+        lasting = next((span for span in reversed(spans) if span.cause == said.cause and span.last is None), None)
+        if said.first is None:
+            # Of a merged bag, each recorder tells when it was over.
+            ended = lasting or next((span for span in reversed(spans) if span.cause == said.cause), None)
+            if ended is not None:
+                ended.last = max(said.last or 0, ended.last or 0)
+        elif lasting is None:
+            spans.append(_Span(said.cause, said.first))
+        else:
+            lasting.first = min(lasting.first, said.first)
+
+    def add_step(self, topic: str, number: int, step: int) -> None:
+        """Add a single step of a topic and robot (0: none)."""
+        self._steps.add((topic, number, step))
+
+    def contain(self, topic: str, number: int, step: int) -> bool:
+        """Return whether a message of a topic, robot and step is disputed."""
+        spans = self._spans.get((topic, number))
+        if (topic, number, step) in self._steps or not spans:
+            return (topic, number, step) in self._steps
+        before = spans[: bisect(spans, step, key=attrgetter("first"))][-len(CAUSES) :]
+        return any(span.last is None or step <= span.last for span in before)
+
+    def spans(self, cause: str, newest: int) -> dict[str, tuple[int, int]]:
+        """Return first and last step of the disputes with a cause, by what they are about, up to the newest step."""
+        found = {}
+        for (topic, number), spans in sorted(self._spans.items()):
+            of = [span for span in spans if span.cause == cause]
+            if of:
+                last = max(newest if span.last is None else span.last for span in of)
+                whose = f" of {_whose(topic, number)}" if number else ""
+                found[f"/{topic}{whose}"] = min(span.first for span in of), last
+        return found
+
+
+def _whose(topic: str, number: int) -> str:
+    if topic == AGENT_STATE.name:
+        return f"robot {number}"
+    return f"the {Source(number).name.lower()}" if number in set(Source) else f"source {number}"
 
 
 class History:
@@ -57,12 +125,14 @@ class History:
         The messages by step, topic and key: robot, mode of a desired state, or source of a provenance.
     paired : bool
         Whether a standby has sent any of them.
+    disputes : Disputes
+        Of which steps other messages may have been used.
     """
 
     def __init__(self) -> None:
         self.steps: dict[int, dict[Topic, dict[int, Record]]] = {}
         self._pinned: dict[int, dict[tuple[int, int], Record]] = {}
-        self._ambiguous: set[tuple[str, int, int]] = set()
+        self.disputes = Disputes()
         self._newest: dict[tuple[str, int], int] = {}
         self.paired = False
 
@@ -70,9 +140,8 @@ class History:
         """Keep a message; return False if its place is already taken."""
         message, topic = stored.message, stored.topic
         if isinstance(message, SwarmEvent):
-            of = conflict(message)
-            if of is not None:
-                self._ambiguous.add((of, message.agent_id, message.step))
+            if (said := disputed(message)) is not None:
+                self.disputes.add(said)
             return True
         key = part(stored)
         place = self.steps.setdefault(message.step, {}).setdefault(topic, {})
@@ -83,7 +152,7 @@ class History:
         sender = (topic.name, 0 if isinstance(message, DesiredAbstractState) else key)
         if message.step < self._newest.get(sender, -1):
             # A sender's messages stay in order, so its clock may have been set back, and an earlier message may exist.
-            self._ambiguous.add((*sender, message.step))
+            self.disputes.add_step(*sender, message.step)
         else:
             self._newest[sender] = message.step
         return True
@@ -155,7 +224,7 @@ class History:
 
     def is_ambiguous(self, topic: Topic, step: int, agent_id: int = 0) -> bool:
         """Return whether different messages were received, of which the bag contains only the first."""
-        return (topic.name, agent_id, step) in self._ambiguous
+        return self.disputes.contain(topic.name, agent_id, step)
 
 
 class StandbyHistory(History):

@@ -13,15 +13,17 @@ from typing import TYPE_CHECKING
 from swarmabs_analysis.difference import MESSAGE, Difference, judge, missing, surplus
 from swarmabs_analysis.verification.base import Verification
 from swarmabs_analysis.verification.blocks import BlockRecomputation
+from swarmabs_analysis.verification.earlier import EarlierEnds
 from swarmabs_bag.blocks import Block
 from swarmabs_bag.recording import Digest, RecordedStep
+from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
-from swarmabs_core.behaviours import Observer
+from swarmabs_core.behaviours import Observer, Parent
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import RunError
-from swarmabs_core.membership import SILENT
-from swarmabs_core.messages import EVENTS, ROBOT_STATES, TOPIC_OF, EventKind, SwarmEvent, Topic
-from swarmabs_core.publishers import CONTROLLER, OBSERVER, PLANE, NodeKind, NodeName
+from swarmabs_core.membership import SILENT, Membership
+from swarmabs_core.messages import EVENTS, ROBOT_STATES, STANDING, TOPIC_OF, EventKind, SwarmEvent, Topic
+from swarmabs_core.publishers import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.record import Record
 from swarmabs_run.simulation import nodes_in_process
 from swarmabs_run.swarm_columns import on_columns
@@ -119,18 +121,35 @@ class Window:
 
 
 class LockstepVerification(Verification):
-    """Verifies a run in lockstep, where the step of a message determines its inputs: all messages of that step."""
+    """Verifies a run in lockstep, where the step of a message determines its inputs: all messages of that step.
 
-    def __init__(self, scenario: AnyScenario, *, tolerance: float = 0.0) -> None:
+    The `division` is that of the recorded nodes, by default that of the scenario. `earlier` tells whether its events
+    are those of a version before the ranges of coordinates; see `are_earlier`.
+    """
+
+    def __init__(
+        self,
+        scenario: AnyScenario,
+        *,
+        tolerance: float = 0.0,
+        division: int | None = None,
+        earlier: bool = False,
+    ) -> None:
         super().__init__(tolerance, scenario.step_ns)
         self.found.expected_steps = scenario.steps + 1
         self._scenario = scenario
         family = scenario.family
         self._robots, self._coordinators = family.robot, family.main[1:]
-        self._topics = (*family.once, *family.main)
+        self._topics = (*family.once, *family.main[:-1], STANDING, family.desired)
         self._window = Window(scenario.step_ns, len(scenario.agents) + len(self._topics))
         self._digest = Digest()
-        self._nodes = nodes_in_process(scenario)
+        self._membership = Membership(configure.members(scenario), configure.schedule(scenario))
+        self._division = configure.division(scenario) if division is None else division
+        self._nodes = nodes_in_process(scenario, self._division)
+        if earlier:
+            config = configure.parent_config(scenario)
+            parent = Parent(config, EarlierEnds(config.coordinates))
+            self._nodes[PARENT] = self._nodes[PARENT]._replace(behaviour=parent)
         self._expected: dict[Topic, dict[int, Message]] = {}
         self._told: dict[int, dict[bytes, SwarmEvent]] = {}
         self._late: dict[bytes, SwarmEvent] = {}
@@ -275,6 +294,7 @@ class LockstepVerification(Verification):
             return self._window.full
         several = (self._robots, *self._scenario.family.once)
         whole = sum(len(self._expected.get(topic, ())) for topic in several) + len(self._coordinators)
+        whole += self._membership.divides(step, self._division)
         return self._window.full or newest > step + WINDOW or self._window.present(step) >= whole
 
     def _judge_step(self, *, last: bool) -> None:
@@ -365,7 +385,7 @@ class LockstepVerification(Verification):
                 del told[payload]
         if dropped:
             self._handles = self._connect()
-            observer, plane = self._nodes[OBSERVER].behaviour, self._nodes[PLANE].behaviour
+            observer, plane = self._nodes[OBSERVER].behaviour, self._nodes[PARENT].behaviour
             assert isinstance(observer, Observer)  # noqa: S101 - by its name
             self._ask(observer.drop, dropped, SILENT)
             for agent_id in dropped:

@@ -13,7 +13,7 @@ from swarmabs_analysis.difference import PUBLISH_TIME, Difference, surplus, wron
 from swarmabs_analysis.verification.base import Verification
 from swarmabs_analysis.verification.history import WAIT, History, StandbyHistory, wrong_stamp
 from swarmabs_analysis.verification.realtime_nodes import ControllerCheck, ObserverCheck, PlaneCheck, RobotCheck
-from swarmabs_bag.realtime import MEMORY
+from swarmabs_bag.realtime import MEMORY, SECOND_WRITER, TWO_MESSAGES
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, Basis, DesiredAbstractState
 from swarmabs_core.record import Record
@@ -62,7 +62,9 @@ class RealtimeVerification(Verification):
         self._coordinators = [
             (
                 ObserverCheck(observer, of, tolerance),
-                ControllerCheck(controller, of, tolerance, lambda: lockstep.parent_controller(scenario)),
+                ControllerCheck(
+                    controller, of, tolerance, lambda: lockstep.parent_controller(scenario), (history, standby)
+                ),
             )
             for of in (history, standby)
         ]
@@ -90,6 +92,12 @@ class RealtimeVerification(Verification):
     def finish(self, *, whole: bool = True) -> None:  # noqa: ARG002 - a bag in real time may end anywhere
         """Judge the remaining messages at the end of the bag."""
         self._judge_until(max(self._history.steps, default=-1) + 1)
+        disputes = self._history.disputes
+        self.found.second_senders = disputes.spans(SECOND_WRITER, self._newest)
+        self.found.notes = tuple(
+            f"{TWO_MESSAGES} on {of}, steps {first} to {last}: the bag has only the first of each"
+            for of, (first, last) in disputes.spans(TWO_MESSAGES, self._newest).items()
+        )
 
     def _keep(self, stored: Record, now: int) -> Difference | None:
         message = stored.message

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from swarmabs_analysis.difference import Difference, judge
 from swarmabs_analysis.verification.history import AMBIGUOUS, NO_STATES, UnconfirmedError, wrong_stamp
+from swarmabs_config.graph import usual_topic
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.controllers import StateFeedback
-from swarmabs_core.desired_state import DesiredStateGenerator
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -19,6 +19,7 @@ from swarmabs_core.messages import (
     DESIRED_ABSTRACT_STATE,
     NEVER,
     PLANE_STATE,
+    STANDING,
     AbstractState,
     AgentState,
     AuxiliaryState,
@@ -27,6 +28,7 @@ from swarmabs_core.messages import (
     Mode,
     PlaneState,
     Source,
+    StandingState,
     Status,
 )
 from swarmabs_core.realtime import controller, drives
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from swarmabs_analysis.verification.base import Finding
     from swarmabs_analysis.verification.history import History
     from swarmabs_core.controllers import ParentController
+    from swarmabs_core.desired_state import DesiredStateGenerator
     from swarmabs_core.messages import Basis, Message
     from swarmabs_core.record import Record
 
@@ -50,6 +53,8 @@ NO_STATE_BEFORE = "the robot's state of the previous step is not in the bag"
 OWN_LIMITS = "the robot has its own limits"
 NO_BROADCASTS = "the broadcasts that the robot followed are not in the bag"
 NO_ANSWER_BEFORE = "the answer from which it continues is not in the bag"
+NO_DIVISION = "what the observer told of standing robots is not in the bag"
+_OBSERVED = (ABSTRACT_STATE, AUXILIARY_STATE, STANDING)
 NO_PLANE = "the plane's state that it answers is not in the bag"
 
 
@@ -246,9 +251,7 @@ class ObserverCheck(_Check[RealtimeObserverConfig]):
 
     def check(self, step: int) -> Iterator[Finding]:
         """Yield the findings of a step."""
-        answers = [
-            found for topic in (ABSTRACT_STATE, AUXILIARY_STATE) for found in self._history.on(topic, step).values()
-        ]
+        answers = [found for topic in _OBSERVED for found in self._history.on(topic, step).values()]
         try:
             expected = self._recompute(self._history.provenance(Source.OBSERVER, step))
         except UnconfirmedError as error:
@@ -258,9 +261,9 @@ class ObserverCheck(_Check[RealtimeObserverConfig]):
             if self._history.is_ambiguous(stored.topic, step):
                 yield AMBIGUOUS
             else:
-                yield self._judge(stored, expected[isinstance(stored.message, AuxiliaryState)])
+                yield self._judge(stored, expected[_OBSERVED.index(usual_topic(stored.topic))])
 
-    def _recompute(self, provenance: Basis) -> tuple[AbstractState, AuxiliaryState]:
+    def _recompute(self, provenance: Basis) -> tuple[AbstractState, AuxiliaryState, StandingState]:
         """Return the recomputed answers of the observer."""
         states, problem = self._history.states(Source.OBSERVER, provenance)
         if problem:
@@ -272,7 +275,8 @@ class ObserverCheck(_Check[RealtimeObserverConfig]):
             if self._sums.role(states[agent_id], provenance.step) is Role.SILENT:
                 reason = f"robot {agent_id} was silent"
                 raise UnconfirmedError(Difference.of(provenance, "standing", 0, 1, reason))
-        return self._sums.sum_up(states, standing, provenance.step, provenance.stamp)
+        found = states, standing, provenance.step, provenance.stamp
+        return (*self._sums.sum_up(*found), self._sums.divide(*found))
 
     def _refuse_wrong_robots(self, provenance: Basis) -> None:
         ids, begins = provenance.agent_ids, (provenance.since, provenance.begun)
@@ -325,6 +329,10 @@ class PlaneCheck(_Check[RealtimePlaneConfig]):
         """Return the possible true states of the plane: one, unless the plane was restarted."""
         step, since, begun = provenance.step, provenance.since, provenance.begun
         self._refuse_wrong_stamp(provenance)
+        if any(provenance.standing):
+            raise UnconfirmedError(
+                Difference.of(provenance, "standing", str(provenance.standing), None, "of the plane")
+            )
         if since == NEVER:
             self._history.states(Source.PLANE, provenance)
             begin = (self._config.plane.angle, self._config.plane.angular_velocity)
@@ -359,7 +367,10 @@ class PlaneCheck(_Check[RealtimePlaneConfig]):
 
 
 class ControllerCheck(_Check[RealtimeControllerConfig]):
-    """Checks desired states against the plane's state and earlier ones; `make_law` creates the control law."""
+    """Checks desired states against the plane's state and earlier ones; `make_law` creates the control law.
+
+    The `observers` have the messages of the observer and of its standby.
+    """
 
     def __init__(
         self,
@@ -367,10 +378,13 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
         history: History,
         tolerance: float,
         make_law: Callable[[], ParentController],
+        observers: tuple[History, History],
     ) -> None:
         super().__init__(config, history, tolerance)
+        self._observers = observers
         self._make_law = make_law
         self._generator: DesiredStateGenerator | None = None
+        self._last: Any = None  # the last desired state in mode RUN
         self._law_step = self._begun = -1
 
     def check(self, step: int) -> Iterator[Finding]:
@@ -387,6 +401,7 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
             elif mode != Mode.RUN:
                 yield self._check_still(answers[mode])
             else:
+                self._last = answers[mode].message
                 yield self._judge(answers[mode], expected) if isinstance(expected, DesiredAbstractState) else expected
 
     def _recompute(self, provenance: Basis, answers: Mapping[int, Record]) -> DesiredAbstractState:
@@ -400,14 +415,17 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
             reason = f"its law began at {provenance.begun}"
             raise UnconfirmedError(Difference.of(provenance, "since", since, self._law_step, reason))
         plane = self._history.sure(PlaneState, step, NO_PLANE)
+        divided = self._division(provenance)
         if begins:
-            self._law_step, self._begun, generator = step - 1, step, self._new_generator(self._make_law())
+            self._law_step, self._begun, generator = step - 1, step, self._config.generator(self._make_law())
         elif not follows or generator is None:
-            generator = self._resumed(provenance, answers)
+            generator = self._resumed(provenance, answers, divided)
         try:
             while True:
                 self._law_step += 1
                 time = (self._law_step - self._begun) * self._config.schedule.period_ns
+                if divided is not None:
+                    generator.divide(divided)
                 _, desired = generator.advance(time, plane)
                 if self._law_step == step:
                     break
@@ -417,25 +435,47 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
         self._generator = generator
         return desired._replace(stamp=provenance.stamp)
 
-    def _resumed(self, provenance: Basis, answers: Mapping[int, Record]) -> DesiredStateGenerator:
-        """Return the generator as it was before an answer, which is possible only for a law without memory."""
+    def _division(self, provenance: Basis) -> StandingState | None:
+        """Return how the abstract state divides, by the observer or standby that the controller names, if any."""
+        steps, ids, marks = provenance.state_steps, provenance.agent_ids, provenance.standing
+        if not (steps or ids or marks):
+            return None
+        age = self._config.schedule.steps(self._config.plane_age_limit)
+        if ids != (0,):
+            raise UnconfirmedError(Difference.of(provenance, "agent_ids", str(ids), "(0,)", "of the controller"))
+        if marks not in {(0,), (1,)}:
+            raise UnconfirmedError(Difference.of(provenance, "standing", str(marks), None, "not one observer"))
+        if abs(steps[0] - provenance.step) > age:
+            raise UnconfirmedError(Difference.of(provenance, "state_steps", steps[0], None, "not a recent step"))
+        return self._observers[marks[0]].sure(StandingState, steps[0], NO_DIVISION)
+
+    def _resumed(
+        self, provenance: Basis, answers: Mapping[int, Record], divided: StandingState | None
+    ) -> DesiredStateGenerator:
+        """Return the generator as it was before an answer, which is possible only for a law without memory.
+
+        It is not possible either while the desired state is on its way to another curve.
+        """
         law = self._make_law()
         asked = answers[Mode.RUN].message if Mode.RUN in answers else None
         if not isinstance(asked, DesiredAbstractState) or not isinstance(law, StateFeedback):
             raise UnconfirmedError(NO_ANSWER_BEFORE)
-        generator = self._new_generator(law)
-        generator.resume(asked.torque, asked.torque_rate)
+        generator = self._config.generator(law)
+        if divided is not None:
+            generator.divide(divided)
+        generator.resume(asked)
+        if not generator.on_curve:
+            raise UnconfirmedError(NO_ANSWER_BEFORE)
         self._law_step, self._begun = provenance.step - 1, provenance.begun
         return generator
-
-    def _new_generator(self, law: ParentController) -> DesiredStateGenerator:
-        return DesiredStateGenerator(self._config.schedule.period_ns, self._config.manifold, law)
 
     def _check_still(self, stored: Record) -> Difference | None:
         """Check a desired state published while the swarm holds still: a point of the manifold with zero rates."""
         asked = stored.message
         assert isinstance(asked, DesiredAbstractState)  # noqa: S101 - by topic
         torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
+        if self._last is not None and self._last.torque == torque:
+            inertia = self._last.inertia
         return self._judge(
             stored, DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia, *(0.0,) * 6)
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from swarmabs_core.messages import (
     EVENTS,
     NEVER,
     RECORDING_PROGRESS,
+    STANDING,
     STEERING,
     SWARM_STATES,
     TOPIC_OF,
@@ -31,9 +33,11 @@ from swarmabs_core.messages import (
     Messages,
     RecordingProgress,
     Steering,
+    SwarmEvent,
     Topic,
 )
 from swarmabs_core.parameters import Parameter
+from swarmabs_ros.announcements import send_events
 from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
 from swarmabs_ros.pairs import MOST_EARLY, BehindError
 from swarmabs_ros.runner import PACKED, PAIR, STEERED, Settings, run_node
@@ -66,6 +70,13 @@ PARAMETERS = (
     *COMMON,
     Parameter("replay", "", "description of the replay as JSON for the provenance; empty: not a replay"),
     Parameter("ends", (), "ends of robots that the replayed run's scenario does not plan, each 'KIND AGENT STEP'"),
+    Parameter(
+        "division",
+        -1,
+        "number of steps from a change on in which the observer of the replayed run tells how the abstract state "
+        "divides; -1: that of the scenario",
+        minimum=-1,
+    ),
     PACKED,
     STEERED,
     *PAIR,
@@ -148,6 +159,10 @@ class Recorder:
         Whether the run is steerable.
     patience : float, optional
         For one of a pair: how long the run waits for the other one, s.
+    on_events : callable, optional
+        Receives the events that were recorded.
+    division : int, optional
+        As for `RunCollector`, by default that of the scenario.
     """
 
     def __init__(
@@ -160,13 +175,15 @@ class Recorder:
         packed: bool = False,
         steered: bool = False,
         patience: float | None = None,
+        on_events: Callable[[Sequence[SwarmEvent]], None] = lambda _: None,
+        division: int | None = None,
     ) -> None:
         self._patience = patience
         self._peer = -1
         self._alone, self._peer_ended = patience is None, False
         self._period_ns = scenario.step_ns
         self._recording = recording
-        self._on_step = on_step
+        self._on_step, self._on_events = on_step, on_events
         schedule = with_ends(configure.schedule(scenario), ends)
         family = scenario.family
         self._collector = RunCollector(
@@ -174,18 +191,28 @@ class Recorder:
             schedule,
             scenario.steps,
             steered=steered,
+            drops=scenario.lockstep.on_stall == "drop",
+            division=configure.division(scenario) if division is None else division,
             family=family,
             system=scenario.named.hash if isinstance(scenario, SystemScenario) else None,
         )
         states = SWARM_STATES if packed else family.robot
         peer = () if patience is None else (RECORDING_PROGRESS,)
-        self._topics = (*((STEERING,) if steered else ()), *peer, EVENTS, states, *family.main[1:], *family.once)
+        # What robots act on is compared with what is recorded.
+        self._packed = family.packed if packed else None
+        broadcast = (family.packed,) if packed else ()
+        self._topics = (
+            *((STEERING,) if steered else ()),
+            *(*peer, EVENTS, *broadcast, states, *family.main[1:], *family.once),
+            *((STANDING,) if configure.may_change(scenario, steered=steered) else ()),
+        )
         window = configure.recording_window(scenario)
         self._credit_every = max(1, window // CREDITS)
         self._batch = BATCH[0] * window, BATCH[1] * window
         self._gathering = GATHER_SECONDS[0]
         self._credited = -1
         self._newest = -1
+        self._beyond: int | None = None
 
     def start(self) -> Messages:
         """Report that nothing is written yet."""
@@ -213,12 +240,13 @@ class Recorder:
             return self._hear_peer(payloads)
         collector, recorded = self._collector, False
         first = collector.step
-        for step in self._steer(payloads) if topic is STEERING else collector.add_all(topic, payloads):
+        for step in self._taken(topic, payloads):
             self._recording.add(step)
+            self._on_events(step.events)
             recorded = True
         if not recorded:
-            if self._patience is not None and collector.newest - collector.step > 2 * MOST_EARLY:
-                raise BehindError(collector.step, collector.newest)
+            if self._patience is not None:
+                self._refuse_lag(collector.newest)
             return self._still_here()
         self._on_step(range(first, collector.step))
         self._adapt(collector.step - first)
@@ -227,6 +255,17 @@ class Recorder:
             return ()
         self._credited = written
         return (self._credit(),)
+
+    def _taken(self, topic: Topic, payloads: Sequence[bytes]) -> Iterator[RecordedStep | Block]:
+        """Take serialized messages, and yield the steps that are complete then; packed ones part by part."""
+        if topic is STEERING:
+            yield from self._steer(payloads)
+        elif topic is self._packed:
+            parts = zip(*(decode(topic.message, payload)[2:] for payload in payloads), strict=True)
+            for each in parts:
+                yield from self._collector.add_all(TOPIC_OF[type(each[0])], [encode(part) for part in each])
+        else:
+            yield from self._collector.add_all(topic, payloads)
 
     def gathering(self) -> float:
         """Return the time for which messages accumulate now, s."""
@@ -250,6 +289,13 @@ class Recorder:
                     self._recording.offset(known.step, known.value)
             yield from steps
             yield from self._collector.ready()
+
+    def _refuse_lag(self, newest: int) -> None:
+        """Raise `BehindError` if the run continues far ahead; one message does not show it, since it may be a stray."""
+        if newest - self._collector.step > 2 * MOST_EARLY and newest != self._beyond:
+            known, self._beyond = self._beyond, newest
+            if known is not None and newest - known <= MOST_EARLY:
+                raise BehindError(self._collector.step, newest)
 
     def _still_here(self) -> Messages:
         newest = self._collector.newest
@@ -306,6 +352,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     scenario = scenario_of(settings)
     bag, replay = settings.text("bag"), settings.text("replay")
     packed, steered = settings.flag(PACKED.name), settings.flag(STEERED.name)
+    told = settings.integer("division")
+    division = None if told < 0 else told
     recording = Recording(
         scenario,
         Path(bag) if bag else None,
@@ -316,6 +364,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         packed=packed,
         steered=steered,
         standby=settings.text("pair") if settings.paired() else None,
+        division=division,
     )
     reporter = Reporter(recording, status, settings.text("logs"))
     planned = {change.step for change in configure.schedule(scenario)}
@@ -326,7 +375,17 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
 
     ends = [Change.parse(text) for text in settings.texts("ends")]
     patience = settings.patience() if settings.paired() else None
-    recorder = Recorder(scenario, recording, report, ends, packed=packed, steered=steered, patience=patience)
+    recorder = Recorder(
+        scenario,
+        recording,
+        report,
+        ends,
+        packed=packed,
+        steered=steered,
+        patience=patience,
+        on_events=partial(send_events, status, "recorded"),
+        division=division,
+    )
     return NodeSpec(
         recorder,
         settings.endpoints(RECORDER, LOCKSTEP, *configure.options_for(scenario), robots=len(scenario.agents)),
@@ -334,6 +393,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         lingers=False,
         gather=recorder.gathering,
         hear_all=recorder.hear_all,
+        compares=True,
         on_idle=recording.poll,  # otherwise the last messages of a stalled run would not reach the disk
         **_with_peer(recorder) if settings.paired() else {},
     )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from swarmabs_bag.attached import attachments, provenance
 from swarmabs_bag.blocks import Block
+from swarmabs_bag.errors import BagWriteError
 from swarmabs_bag.figures import RealtimeFigures, RunFigures, tracking_of
 from swarmabs_bag.realtime import RealtimeCollector, RealtimeWorld, recorded
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
@@ -14,11 +16,11 @@ from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_config.realtime import bounds
-from swarmabs_core.messages import EVENTS, PLANE_FAMILY
+from swarmabs_core.messages import EVENTS, PLANE_FAMILY, STANDING
 from swarmabs_core.realtime.base import Health, Level
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
@@ -77,6 +79,8 @@ class Recording(_Recording[RunFigures]):
         As for `swarmabs_bag.attached.provenance`.
     namespace, split
         As for `BagWriter`.
+    division : int, optional
+        As for `swarmabs_bag.collector.RunCollector`, by default that of the scenario.
 
     Raises
     ------
@@ -96,11 +100,13 @@ class Recording(_Recording[RunFigures]):
         packed: bool = False,
         steered: bool = False,
         standby: str | None = None,
+        division: int | None = None,
     ) -> None:
         self._reference = configure.reference(scenario)
         made = provenance(scenario, driver=driver, replay=replay, packed=packed, steered=steered, standby=standby)
         figures, family = RunFigures(self._reference, tracking_of(scenario)), scenario.family
-        topics = (*family.once, *family.main, EVENTS)
+        divides = division != 0 and configure.may_change(scenario, steered=steered)
+        topics = (*family.once, *family.main, *((STANDING,) if divides else ()), EVENTS)
         super().__init__(
             scenario, folder, figures, made, topics=topics, qos=OFFERED[LOCKSTEP], namespace=namespace, split=split
         )
@@ -149,7 +155,7 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         paired: bool = False,
     ) -> None:
         self._collector = RealtimeCollector(
-            configure.members(scenario), world.schedule, bounds(scenario), scenario.realtime.state_age_limit
+            configure.members(scenario), world.schedule, bounds(scenario), scenario.realtime
         )
         self._received = 0
         self._heard = self._heard_before = 0
@@ -174,11 +180,25 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         self._heard += 1
         # Keeps the times in the file in order even if the clock is set back.
         self._received = max(self._received, now)
-        for kept in self._collector.add(record, now, writer):
+        self._keep(self._collector.add(record, now, writer))
+
+    def _keep(self, records: Iterable[Record]) -> None:
+        for kept in records:
             self.run.add(kept)
             self._tracker.hear(kept.message)
             if self._writer is not None:
                 self._writer.write(kept.topic, self._received, kept.payload, max(0, kept.message.stamp))
+
+    def close(self, attachments: Mapping[str, bytes] | None = None) -> dict[str, Any]:
+        """Complete the bag and return the figures."""
+        self._keep(self._collector.finish())
+        return super().close(attachments)
+
+    def abort(self, reason: str, attachments: Mapping[str, bytes] | None = None) -> dict[str, Any]:
+        """Complete the bag of a run that failed, as far as possible, and return the figures so far."""
+        with suppress(BagWriteError):  # it may be the reason
+            self._keep(self._collector.finish())
+        return super().abort(reason, attachments)
 
     def health(self) -> Health:
         """Return the health of the recording since the last call."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_bag.swarm_state import RobotHistory, shown_robot, shown_status
 from swarmabs_core.messages import ROBOT_STATES, EventKind, Removal, SwarmEvent, said
+from swarmabs_core.ranges import crossing_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,12 +52,15 @@ class SwarmSummary(NamedTuple):
         for another parent system.
     events : list of str
         The latest events, the newest last.
+    strays : list of str
+        The events with which the first few robots left the ranges of their coordinates.
     """
 
     counts: dict[str, int]
     statuses: str
     places: list[int]
     events: list[str]
+    strays: list[str] = []  # noqa: RUF012 - nothing changes it
 
 
 class SummaryTracker:
@@ -74,6 +78,7 @@ class SummaryTracker:
         self._first_events: list[str] = []
         self._further_events = 0
         self._unread: Step | None = None
+        self._strays: dict[int, str] = {}
 
     def take(self, step: Step) -> None:
         """Process a complete step; the robots' states are only read when a summary is requested."""
@@ -90,6 +95,8 @@ class SummaryTracker:
         elif isinstance(message, SwarmEvent) and not isinstance(message, Removal):  # its effect is announced
             self._keep(describe_event(message))
             self._robots.take(message)
+            if crossing_of(message) is not None:
+                self._strays.setdefault(message.agent_id, describe_event(message))
 
     def summary(self) -> SwarmSummary | None:
         """Return the current summary, None before the first step."""
@@ -108,6 +115,7 @@ class SummaryTracker:
             "".join(letters) if few else "",
             [_place(shown_robot(*each).position, half) for each in known] if few and half is not None else [],
             list(self._events),
+            [*self._strays.values()][:SHOWN_EVENTS],
         )
 
     def events(self) -> list[str]:

@@ -33,7 +33,7 @@ _WITHOUT_NODE = ("rate", "start", "loop", "topics", "wait", "network")
 )
 @bag_argument
 @click.option(
-    "--node", "nodes", multiple=True, metavar="NODE", help="controller, observer, plane or agent:N; repeatable."
+    "--node", "nodes", multiple=True, metavar="NODE", help="controller, observer, parent or agent:N; repeatable."
 )
 @click.option("--in-process", is_flag=True, help="With --node: replay in one process, without DDS.")
 @set_option("With --node: change a value for these nodes; repeatable.")

@@ -64,6 +64,10 @@ def describe(verdict: VerificationResult) -> str:
     if verdict.not_checkable:
         lines.append(f"  not checkable: {sum(verdict.not_checkable.values())} messages")
         lines.extend(f"    {number}: {reason}" for reason, number in verdict.not_checkable.most_common())
+    lines.extend(
+        f"  a second sender on {of}, steps {first} to {last}: nodes may have followed it, and its messages are not here"
+        for of, (first, last) in verdict.second_senders.items()
+    )
     if verdict.difference is not None:
         lines.append(f"  first difference: {verdict.difference}")
     if verdict.problem is not None:
@@ -71,6 +75,8 @@ def describe(verdict: VerificationResult) -> str:
         lines.append(f"  damaged: {verdict.problem}{f'; {repair_command(verdict.bag)}' if opened else ''}")
     if verdict.ended_early is not None:
         lines.append(f"  the run ended early: {verdict.ended_early}")
+    if verdict.lost is not None:
+        lines.append(f"  not complete: repaired, {verdict.lost}; which messages are missing is not known")
     if verdict.digest is not None:
         lines.append(f"  digest {verdict.digest}")
     lines.extend(f"  note: {note}" for note in verdict.notes)

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import termios
 import time
-from collections.abc import Callable, Sequence
+import tty
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from math import inf
 from pathlib import Path
+from select import select
 
 import click
 from rich.console import Console
@@ -18,7 +25,18 @@ from swarmabs_config.graph import OBSERVER
 from swarmabs_core.errors import RunError
 from swarmabs_core.realtime.observer import CARRIED_AWAY
 from swarmabs_fleet import pairs
-from swarmabs_fleet.operate import SILENT, HealthMonitor, OperatorClient, Row, Target, in_order, joined, target
+from swarmabs_fleet.operate import (
+    SILENT,
+    HealthMonitor,
+    OperatorClient,
+    RobotWatch,
+    Row,
+    StopMonitor,
+    Target,
+    in_order,
+    joined,
+    target,
+)
 
 _STYLES = {"OK": "green", "WARN": "yellow"}
 
@@ -36,11 +54,78 @@ _timeout = click.option(
 of_swarm, of_robot = together(_swarm, _timeout), together(_swarm, _robot, _timeout)
 
 
-@click.command(epilog=examples("stop runs/pd_het_4-001"))
+@click.command(epilog=examples("stop runs/pd_het_4-001", "stop examples/fleet/lan.yaml --armed"))
 @of_swarm
-def stop(swarm: Path, patience: float) -> None:
-    """Stop all robots of a fleet or a real-time run until `reset`."""
-    _command(swarm, pairs.stop, patience, "all robots have been told to stop, until a reset")
+@click.option("--armed", is_flag=True, help="Connect now, and stop the robots when you press a key.")
+def stop(swarm: Path, patience: float, *, armed: bool) -> None:
+    """Stop all robots of a fleet or a real-time run until `reset`, and report which have stopped.
+
+    Robots confirm by their states that they are in their safe stop. The exit code is 1 if one is not known to have
+    stopped. To start and to connect takes longer than to stop: keep one open with --armed while robots move.
+    """
+    with target(swarm) as found, joined(found) as client:
+        watch = client.watch()
+        if armed:
+            _wait_for_key(found, client, watch, patience)
+        watch.ask()
+        warnings = pairs.stop(found, client, patience)
+        watch.confirm()
+        watch.listen(patience, lambda: not watch.monitor.problems())
+        _print_stop(found, watch.monitor)
+        print_warnings(warnings)
+    if problems := watch.monitor.problems():
+        unknown = ", ".join(map(str, problems))
+        raise RunError(
+            f"{found.name}: {len(problems)} of {len(found.robots)} robots are not known to have stopped: {unknown}; "
+            "check them, and stop them by hand if they move"
+        )
+
+
+def _print_stop(found: Target, monitor: StopMonitor) -> None:
+    """Print which robots have stopped, before leaving the network, which takes longer."""
+    problems = monitor.problems()
+    for robot in found.robots:
+        click.echo(f"robot {robot}: {problems.get(robot) or f'stopped after {1e3 * monitor.delay(robot):.0f} ms'}")
+    if not problems:
+        click.echo(f"{found.name}: all robots have stopped, until a reset")
+
+
+def _wait_for_key(found: Target, client: OperatorClient, watch: RobotWatch, patience: float) -> None:
+    """Connect to controller and robots, then wait for a key.
+
+    Raises
+    ------
+    RunError
+        If no controller is found, or no key can be pressed because standard input ends.
+    """
+    robots = len(found.robots)
+    watch.listen(patience, lambda: pairs.can_stop(found, client) and watch.monitor.heard() == robots)
+    if not pairs.can_stop(found, client):
+        raise RunError(f"{found.name}: no controller was found; check that it is running")
+    click.echo(f"{found.name}: armed, {watch.monitor.heard()} of {robots} robots heard; press a key to stop them")
+    with _single_keys() as pressed:
+        watch.listen(inf, pressed)
+
+
+@contextmanager
+def _single_keys() -> Iterator[Callable[[], bool]]:
+    """Let a terminal pass each key on at once; yield a function that tells whether one was pressed."""
+
+    def pressed() -> bool:
+        if not select([sys.stdin], [], [], 0.0)[0]:
+            return False
+        if not os.read(sys.stdin.fileno(), 1):
+            raise RunError("standard input has ended, so no key can be pressed; run this in a terminal")
+        return True
+
+    before = termios.tcgetattr(sys.stdin) if sys.stdin.isatty() else None
+    try:
+        if before is not None:
+            tty.setcbreak(sys.stdin)
+        yield pressed
+    finally:
+        if before is not None:
+            termios.tcsetattr(sys.stdin, termios.TCSAFLUSH, before)
 
 
 @click.command(epilog=examples("reset runs/pd_het_4-001"))
@@ -50,16 +135,9 @@ def reset(swarm: Path, patience: float) -> None:
 
     A fleet that starts in the stopped state moves after its first `reset`.
     """
-    _command(swarm, pairs.reset, patience, "robots stand still for one second, then follow the controller again")
-
-
-def _command(
-    swarm: Path, command: Callable[[Target, OperatorClient, float], list[str]], patience: float, done: str
-) -> None:
-    """Give a command to the controller and its standby, and print the effect."""
     with target(swarm) as found, joined(found) as client:
-        print_warnings(command(found, client, patience))
-    click.echo(f"{found.name}: {done}")
+        print_warnings(pairs.reset(found, client, patience))
+    click.echo(f"{found.name}: robots stand still for one second, then follow the controller again")
 
 
 @click.command(epilog=examples("failover examples/fleet/standby.yaml controller"))

@@ -10,13 +10,21 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from swarmabs_analysis.losses.check import check_losses
 from swarmabs_bag.attached import scenario_of
 from swarmabs_cli.options import duration_option, examples, json_option, scenario_argument, set_option
 from swarmabs_cli.output import print_json, print_warnings
 from swarmabs_config.theory import check_scenario
-from swarmabs_core.theory.report import Condition, Form, Report, Theorem, Verdict
+from swarmabs_core.theory.report import Condition, Coverage, Form, Loss, Report, Theorem, Verdict
 
-_STYLES = {Verdict.HOLDS: "green", Verdict.FAILS: "bold red", Verdict.NOT_APPLICABLE: "dim"}
+MOST_LOSSES = 10
+"""Most losses in the printed table."""
+_STYLES = {
+    Verdict.HOLDS: "green",
+    Verdict.FAILS: "bold red",
+    Verdict.UNKNOWN: "bold yellow",
+    Verdict.NOT_APPLICABLE: "dim",
+}
 
 
 @click.command(epilog=examples("check pd_het_4", "check arise_het_4 --all"))
@@ -32,7 +40,8 @@ _STYLES = {Verdict.HOLDS: "green", Verdict.FAILS: "bold red", Verdict.NOT_APPLIC
     help="Bound theta_max on the angle in the state-feedback theorems.",
 )
 @click.option("--all", "everything", is_flag=True, help="Print every condition with its margin, not just failures.")
-@click.option("--strict", is_flag=True, help="Exit with 1 if an applicable corrected condition fails.")
+@click.option("--any-loss", is_flag=True, help="Also kill each robot and each pair of robots, in simulations.")
+@click.option("--strict", is_flag=True, help="Exit with 1 unless the scenario is covered.")
 @json_option
 def check(
     scenario: str,
@@ -41,20 +50,21 @@ def check(
     angle_max: float,
     *,
     everything: bool,
+    any_loss: bool,
     strict: bool,
     as_json: bool,
 ) -> int:
-    """Check a scenario against the paper's stability theorems.
+    """Check a scenario against the paper's stability theorems, and simulate its losses of robots.
 
-    Nothing is run. The verdict comes first, then the conditions that fail; --all prints every condition, as printed in
-    the paper and as corrected, with its margin. SCENARIO is a built-in scenario (see `scenario list`), a YAML file, or
-    a bag.
+    Nothing is recorded. The verdict comes first, then the conditions that fail; --all prints every condition, as
+    printed in the paper and as corrected, with its margin. SCENARIO is a built-in scenario (see `scenario list`), a
+    YAML file, or a bag.
     """
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
     loaded = scenario_of(scenario, overrides)
     print_warnings(loaded.warnings())
-    report = check_scenario(loaded, angle_max)
+    report = check_losses(loaded, check_scenario(loaded, angle_max), any_loss=any_loss)
     if as_json:
         print_json(report.document())
     else:
@@ -62,7 +72,7 @@ def check(
         if not console.is_terminal:
             console.width = 120
         console.print(render(report, everything=everything))
-    return 1 if strict and report.failed else 0
+    return 1 if strict and not report.covered else 0
 
 
 def render(report: Report, *, everything: bool) -> Group:
@@ -73,10 +83,9 @@ def render(report: Report, *, everything: bool) -> Group:
         _conclusion(report),
         Text(),
     ]
-    theorems = (*report.theorems, report.beyond)
-    for theorem in theorems:
+    for theorem in report.groups:
         if theorem.applicable:
-            shown = theorem.conditions if everything else theorem.failed
+            shown = theorem.conditions if everything else (*theorem.failed, *theorem.of(Verdict.UNKNOWN))
             parts += [_title(theorem), *(_conditions(theorem, shown) if shown else ())]
             parts += [Text()] if shown else []
     if everything:
@@ -84,13 +93,28 @@ def render(report: Report, *, everything: bool) -> Group:
         parts += [_pairs("abstract states", report.abstract_states), Text()] if report.abstract_states else []
         parts += [
             Text(f"{theorem.label}: not applicable, {theorem.note}", style="dim")
-            for theorem in theorems
+            for theorem in report.groups
             if not theorem.applicable
         ]
+    parts += [_losses(report.losses), Text()] if report.losses else []
     parts += [Text(f"note: {note}") for note in report.notes]
     if not everything:
         parts += [Text("--all shows every condition with its value, bound and margin", style="dim")]
     return Group(*parts)
+
+
+def _losses(losses: Sequence[Loss]) -> Table:
+    table = Table(title=f"losses of robots, the worst of {len(losses)}", title_justify="left", title_style="bold")
+    table.box, table.pad_edge, table.show_edge, table.header_style = None, False, False, "dim"
+    table.add_column("loss", overflow="fold")
+    for name in ("at, s", "speed", "reach", "deviation", "least pivot", "limited"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("fails", overflow="fold", style=_STYLES[Verdict.FAILS])
+    for loss in losses[:MOST_LOSSES]:
+        numbers = (loss.time, loss.speed, loss.reach, loss.deviation, loss.pivot, loss.limited)
+        robots = ", ".join(map(str, loss.robots))
+        table.add_row(f"{loss.change} {robots}", *(f"{x:.4g}" for x in numbers), ", ".join(loss.failed))
+    return table
 
 
 def _title(theorem: Theorem) -> Text:
@@ -125,8 +149,8 @@ def _add(table: Table, condition: Condition) -> None:
         inputs = ", ".join(f"{key} = {_shown(value)}" for key, value in condition.inputs.items())
         table.add_row("", "from", Text(inputs, style="dim"))
     if condition.note:
-        failed = condition.verdict is Verdict.FAILS
-        table.add_row("", "", Text(condition.note, style="yellow" if failed else "dim"))
+        holds = condition.verdict is Verdict.HOLDS
+        table.add_row("", "", Text(condition.note, style="dim" if holds else "yellow"))
 
 
 def _cells(form: Form) -> tuple[Text, str, str, str, Text]:
@@ -164,7 +188,11 @@ def _shown(value: object) -> str:
 
 def _conclusion(report: Report) -> Text:
     if report.covered:
-        return Text("covered: the corrected theorems hold for this scenario", style="green")
+        simulated = " and the simulated conditions" if report.simulated else ""
+        return Text(f"covered: the corrected theorems{simulated} hold for this scenario", style="green")
+    if report.verdict is Coverage.UNKNOWN:
+        reasons = (f"{theorem.label}: {condition.name}: {condition.note}" for theorem, condition in report.unknown)
+        return Text(f"could not be evaluated: {', '.join(reasons)}", style="bold yellow")
     failed = ", ".join(f"{theorem.label}: {condition.name}" for theorem, condition in report.failed)
     reason = f"these conditions fail: {failed}" if failed else "no theorem applies to this parent controller"
     return Text(f"not covered: {reason}", style="bold red")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from swarmabs_config.graph import (
     CONTROLLER,
     COORDINATORS,
-    FIRST_SPARE,
+    FIRST_TOOL,
     NODES,
     OBSERVER,
     PLANE,
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from swarmabs_config.fleet.model import UncheckedFleet
     from swarmabs_config.fleet.robots import Robot
 
-OPERATOR = FIRST_SPARE
+OPERATOR = FIRST_TOOL
 """Participant id of the operator's tool; only one runs at a time."""
 DISCOVERY_SERVER = 5
 DRIVERS = (6, 7)
@@ -81,6 +81,7 @@ def node_plans(fleet: UncheckedFleet) -> tuple[NodePlan, ...]:
     for kind, (host, standby) in hosts.items():
         pair = [(host, SINGLE)] if standby is None else [(host, PRIMARY), (standby, STANDBY)]
         module, number = NODES[kind].modules[REALTIME], NODES[kind].participant
+        assert number is not None  # noqa: S101 - every coordinator of a fleet has one
         nodes += [NodePlan(kind, module, place, number, "coordinator", pair=rank) for place, rank in pair]
     if fleet.network.discovery == "server" and fleet.network.server is not None:
         module = "swarmabs_fleet.discovery_server"

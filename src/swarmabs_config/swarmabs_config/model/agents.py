@@ -18,6 +18,9 @@ from pydantic_core import PydanticCustomError
 
 from swarmabs_core.behaviours.robot import RobotConfig
 from swarmabs_core.behaviours.systems import SystemAgentConfig
+from swarmabs_core.messages import RobotKind, word
+from swarmabs_core.systems.check import generated
+from swarmabs_core.systems.interface import NamedSystem
 
 from .declared import Like, like
 from .errors import show
@@ -26,6 +29,7 @@ from .fields import (
     AsPair,
     AsTuple,
     Finding,
+    Location,
     Model,
     NonNegative,
     Number,
@@ -105,6 +109,9 @@ AGENT_KINDS: dict[str, type[Model]] = {
 
 
 Vector: TypeAlias = Annotated[tuple[Number, ...], AsTuple, OrNumber()]
+Pair: TypeAlias = tuple[float, float]
+Range: TypeAlias = Annotated[tuple[Number, Number], AsPair]
+"""Smallest and largest value."""
 
 
 class SystemAgent(Model):
@@ -121,6 +128,76 @@ class SystemAgent(Model):
     def _sorted(cls, constants: dict[str, float]) -> dict[str, float]:
         """Order the constants by name, so that equal scenarios give equal texts."""
         return dict(sorted(constants.items()))
+
+
+class SystemGenerate(Model):
+    """A swarm on a parent system drawn at random: ids from 1, first single integrators, then double ones, then lags."""
+
+    single_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of single integrator robots")
+    double_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of double integrator robots")
+    first_order_lag: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of robots with a lag")
+    constants: dict[str, Range] = Field(
+        default={}, description="[smallest, largest] of constants, uniformly distributed; others: default"
+    )
+    coordinates: Annotated[tuple[Range, ...], AsTuple] = Field(
+        default=(),
+        description="[smallest, largest] of each coordinate, uniformly distributed; "
+        "none: by the method generated of the system",
+    )
+    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of Python's random.Random")
+
+    @field_validator("constants")
+    @classmethod
+    def _sorted(cls, constants: dict[str, Pair]) -> dict[str, Pair]:
+        """Order the constants by name, in which they are drawn."""
+        return dict(sorted(constants.items()))
+
+    @model_validator(mode="after")
+    def _check_ranges(self) -> "SystemGenerate":
+        ranges: list[tuple[Location, Pair]] = [(("constants", name), each) for name, each in self.constants.items()]
+        ranges += [(("coordinates", n), each) for n, each in enumerate(self.coordinates)]
+        findings = [
+            Finding.of(where, f"the smallest {low!r} exceeds the largest {high!r}", "write [smallest, largest]")
+            for where, (low, high) in ranges
+            if low > high
+        ]
+        raise_findings([*findings, *_too_many(len(self.kinds))])
+        return self
+
+    @property
+    def kinds(self) -> list[str]:
+        """The kinds of the robots by id."""
+        return [kind for kind in map(word, RobotKind) for _ in range(getattr(self, kind))]
+
+    def agents(self, named: NamedSystem) -> tuple[SystemAgent, ...]:
+        """Draw the robots, in order of their ids 1, 2, ....
+
+        With ``r = random.Random(seed)``, each robot takes its constants in the order of their names and then its
+        coordinates from ``r.uniform(smallest, largest)``. Without ranges, coordinates come from the system.
+
+        Raises
+        ------
+        InputError
+            If the system cannot place the robots.
+        """
+        draw = random.Random(self.seed)  # noqa: S311 - reproducible, not secret
+        kinds, agents = self.kinds, []
+        for number, kind in enumerate(kinds, start=1):
+            constants = {name: draw.uniform(*ends) for name, ends in self.constants.items()}
+            if self.coordinates:
+                coordinates = tuple(draw.uniform(*ends) for ends in self.coordinates)
+            else:
+                coordinates = generated(named, number, len(kinds), constants)
+            agents.append(SystemAgent(id=number, kind=kind, coordinates=coordinates, constants=constants))
+        return tuple(agents)
+
+
+def _too_many(count: int) -> list[Finding]:
+    """Return what is wrong with a number of robots to generate."""
+    if count <= LARGEST_ID:
+        return []
+    text = f"{count} robots are more than the {LARGEST_ID} ids"
+    return [Finding.of((), text, f"generate at most {LARGEST_ID} in all")]
 
 
 _POSITIVE: TypeAdapter[float] = TypeAdapter(Positive)
@@ -167,14 +244,7 @@ class Generate(Model):
             for name, (low, high) in (("mass", self.mass), ("damping", self.damping))
             if low > high
         ]
-        count = self.single_integrator + self.double_integrator
-        if count > LARGEST_ID:
-            findings.append(
-                Finding.of(
-                    (), f"{count} robots are more than the {LARGEST_ID} ids", f"generate at most {LARGEST_ID} in all"
-                )
-            )
-        raise_findings(findings)
+        raise_findings([*findings, *_too_many(self.single_integrator + self.double_integrator)])
         return self
 
     def agents(self) -> tuple[Agent, ...]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, joined
 
 _LONGEST_VALUE = 60
 _LONGEST_PART = 400
@@ -40,7 +40,7 @@ class ScenarioError(InputError):
         )
         where = source if self.line is None else f"{source}:{self.line}"
         more = f" (+{self.more} more)" if self.more else ""
-        return f"{': '.join(part for part in (where, field, problem) if part)}; {remedy}{more}"
+        return f"{joined(': '.join(filter(None, (where, field, problem))), remedy)}{more}"
 
 
 def printable(text: str) -> str:

@@ -17,13 +17,14 @@ from swarmabs_core.parent_response import ParentResponse, SumObserver
 from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import Realtime
 from swarmabs_core.robot_controller import Limits
-from swarmabs_core.sensing import RobotSensor
+from swarmabs_core.sensing import ParentSensor, RobotSensor
 from swarmabs_core.steering import REFERENCE
 from swarmabs_core.swarm_law import SwarmGains
+from swarmabs_core.systems.desired import Requests
 from swarmabs_core.systems.interface import NamedSystem
 from swarmabs_core.systems.law import SystemGains
 
-from .agents import AGENT_KINDS, Agent, Generate, SystemAgent
+from .agents import AGENT_KINDS, Agent, Generate, SystemAgent, SystemGenerate
 from .controllers import (
     CONTROLLER_CONFIGS,
     DEFAULT_CONTROLLER,
@@ -86,6 +87,17 @@ FolderName: TypeAlias = Annotated[str, AfterValidator(_folder_name)]
 """A name with which the folder of a run or a sweep begins."""
 
 
+def _one_source(swarm: "Swarm | SystemSwarm") -> None:
+    """Refuse a swarm whose robots are both listed and generated, or neither."""
+    if swarm.agents is not None and swarm.generate is not None:
+        raise problem(
+            "both 'agents' and 'generate' are given",
+            "keep one of them; '--set swarm.agents=null' removes one",
+        )
+    if swarm.agents is None and swarm.generate is None:
+        raise problem("no robots: neither 'agents' nor 'generate' is given", "list 'agents', or use 'generate'")
+
+
 class Swarm(Model):
     """The robots and their gains: exactly one of `agents` and `generate` is given."""
 
@@ -104,13 +116,7 @@ class Swarm(Model):
 
     @model_validator(mode="after")
     def _check_one_source(self) -> "Swarm":
-        if self.agents is not None and self.generate is not None:
-            raise problem(
-                "both 'agents' and 'generate' are given",
-                "keep one of them; '--set swarm.agents=null' removes one",
-            )
-        if self.agents is None and self.generate is None:
-            raise problem("no robots: neither 'agents' nor 'generate' is given", "list 'agents', or use 'generate'")
+        _one_source(self)
         return self
 
     @cached_property
@@ -122,19 +128,22 @@ class Swarm(Model):
 
 
 class SystemSwarm(Model):
-    """The robots on a parent system, and their gains."""
+    """The robots on a parent system, and their gains: exactly one of `agents` and `generate` is given."""
+
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["agents"]}, {"required": ["generate"]}]})
 
     gains: Annotated[SystemGains, Declared()] = declared_field(SystemGains, "gains of the robots' control laws")
     force_law: Annotated[str, Like(SystemAgentConfig, "force_law")] = like(SystemAgentConfig, "force_law")
     effort: Annotated[float | None, Like(SystemAgentConfig, "effort")] = Field(
         default=None, description=setting_of(SystemAgentConfig, "effort").in_file.description
     )
-    agents: Annotated[tuple[SystemAgent, ...], AsTuple] = Field(description="list of the robots")
+    agents: Annotated[tuple[SystemAgent, ...], AsTuple] | None = Field(default=None, description="list of the robots")
+    generate: SystemGenerate | None = Field(default=None, description="random swarm, instead of 'agents'")
 
-    @cached_property
-    def members(self) -> tuple[SystemAgent, ...]:
-        """The robots in order of their ids."""
-        return tuple(sorted(self.agents, key=lambda agent: agent.id))
+    @model_validator(mode="after")
+    def _check_one_source(self) -> "SystemSwarm":
+        _one_source(self)
+        return self
 
 
 class AnyScenario(Model):
@@ -256,6 +265,8 @@ class UncheckedSystemScenario(AnyScenario):
 
     system: Annotated[SystemConfig, Tagged("type", SYSTEM_CONFIGS)] = Field(description="the parent system")
     swarm: SystemSwarm = Field(description="the robots and their gains")
+    sensor: Annotated[ParentSensor, Declared()] = declared_field(ParentSensor, "how the parent's state is measured")
+    requests: Annotated[Requests, Declared()] = declared_field(Requests, "limits and filter of the controller's needs")
     lockstep: Annotated[Lockstep, Declared()] = declared_field(Lockstep, "what happens when a robot does not answer")
     faults: Annotated[tuple[Annotated[Fault, Tagged("kind", _SYSTEM_FAULT_KINDS)], ...], AsTuple] = Field(
         default=(), description="faults and membership changes"
@@ -265,3 +276,10 @@ class UncheckedSystemScenario(AnyScenario):
     def named(self) -> NamedSystem:
         """The parent system, with its settings."""
         return NamedSystem(self.system.type, settings_of(self.system))
+
+    @cached_property
+    def agents(self) -> tuple[SystemAgent, ...]:
+        """The robots in order of their ids, whether they are listed or generated."""
+        if self.swarm.generate is not None:
+            return self.swarm.generate.agents(self.named)
+        return tuple(sorted(self.swarm.agents or (), key=lambda agent: agent.id))

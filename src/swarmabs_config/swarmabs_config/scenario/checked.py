@@ -41,8 +41,9 @@ class SystemScenario(UncheckedSystemScenario):
         return self
 
     def resolved(self) -> "SystemScenario":
-        """Return the same scenario with the robots in order of their ids."""
-        return self.model_copy(update={"swarm": self.swarm.model_copy(update={"agents": self.agents})})
+        """Return the same scenario with every robot listed, in order of ids, and nothing left to generate."""
+        swarm = self.swarm.model_copy(update={"agents": self.agents, "generate": None})
+        return self.model_copy(update={"swarm": swarm})
 
     def warnings(self) -> tuple[str, ...]:
         """Return one line for each setting that is valid but likely to cause trouble."""

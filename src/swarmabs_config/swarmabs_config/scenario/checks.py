@@ -12,7 +12,7 @@ from swarmabs_config.model.fields import SMALLEST, Finding, Location
 from swarmabs_core import behaviours
 from swarmabs_core.cdr import SECOND
 from swarmabs_core.controllers import PD
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, parts_of
 from swarmabs_core.faults import JoinFault, MembershipFault
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import PLANE_FAMILY
@@ -50,7 +50,7 @@ def findings(scenario: "UncheckedScenario") -> list[Finding]:
 
 def system_findings(scenario: "UncheckedSystemScenario") -> list[Finding]:
     """Return every error of a scenario on a parent system whose individual fields are valid."""
-    for checks in ((_timing,), (_ids, faults), (_system,), (system_settings,)):
+    for checks in ((_timing, _generated), (_ids, faults), (_system,), (system_settings,)):
         if found := [finding for check in checks for finding in check(scenario)]:
             return found
     return []
@@ -92,12 +92,27 @@ def _timing(scenario: "AnyScenario") -> Iterator[Finding]:
         )
 
 
+def _generated(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
+    """Draw the robots, which the other checks need."""
+    if scenario.swarm.generate is None:
+        return
+    try:
+        _ = scenario.agents
+    except InputError as error:
+        yield Finding.of(("swarm", "generate"), *parts_of(error))
+
+
 def _system(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
     present = {agent.id for agent in scenario.initial_agents}
     later = {agent.id for agent in scenario.agents} - present
-    robots, gains = scenario.swarm.agents, scenario.swarm.gains
-    for found in problems_of(scenario.named, robots, gains, scenario.period, later=later):
-        yield Finding.of(*found)
+    listed, gains, requests = scenario.swarm.agents, scenario.swarm.gains, scenario.requests
+    robots = scenario.agents if listed is None else listed
+    for found in problems_of(
+        scenario.named, robots, gains, scenario.period, later=later, requests=requests, sensor=scenario.sensor
+    ):
+        where, problem, remedy = found
+        generated = listed is None and where[:2] == ("swarm", "agents")
+        yield Finding.of(("swarm", "generate") if generated else where, problem, remedy)
 
 
 def _ids(scenario: "AnyScenario") -> Iterator[Finding]:
@@ -223,8 +238,8 @@ def _constructed(scenario: "UncheckedScenario") -> Iterator[Finding]:
             yield Finding.of((*location, *parts), error.problem, error.remedy)
             return
         except InputError as error:
-            problem, _, remedy = str(error).rpartition("; ")
-            yield Finding.of(location, problem or remedy, remedy if problem else "see the documentation of its package")
+            problem, remedy = parts_of(error)
+            yield Finding.of(location, problem, remedy or "see the documentation of its package")
             return
 
 

@@ -13,6 +13,7 @@ from swarmabs_core.behaviours.base import (
 )
 from swarmabs_core.behaviours.reception import Reception, Transmission
 from swarmabs_core.behaviours.robot import LifeSpan
+from swarmabs_core.errors import InStep
 from swarmabs_core.faults import RobotFaults
 from swarmabs_core.membership import UNPLANNED, ChangeKind
 from swarmabs_core.messages import (
@@ -33,12 +34,15 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.robot_controller import COMMAND_LIMITED, RESET, STOPPED
+from swarmabs_core.robot_controller import COMMAND_LIMITED, RESET, STOPPED, WITHIN_LIMITS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from swarmabs_core.drive import Drive
+
+UNLIMITED_NS = 500_000_000
+"""Time without a limited command, ns, after which limits are reported as over: one event each, however it dithers."""
 
 
 class Agent:
@@ -92,7 +96,8 @@ class Agent:
         self._ended = False
         self._broadcast_step = NEVER
         self._status = Status.ACTIVE
-        self._limited = False
+        self._held = False
+        self._limited_at: int | None = None
 
     def _begin(self, first_step: int) -> None:
         self._joined = first_step == 0
@@ -108,7 +113,7 @@ class Agent:
         """Continue on the plane from a state that it would have published, without faults, as an active robot."""
         self._heard = {}
         self._step, self._broadcast_step = state.step, state.broadcast_step
-        self._status, self._limited = Status.ACTIVE, False
+        self._status, self._held, self._limited_at = Status.ACTIVE, False, None
         self._body.resume(state)
 
     def handle(self, message: Message) -> Messages:
@@ -173,9 +178,10 @@ class Agent:
             self._joined = True
             self._step += 1
             return (self._state(),)
-        events = self._decide() if self._reception.send(self._step, self._broadcast(heard)) else ()
-        if self._faults is None or not any(fault.sticks() for fault in self._faults.acting(self._step)):
-            self._body.move(heard.get(PLANE_STATE))
+        with InStep(self._step):
+            events = self._decide() if self._reception.send(self._step, self._broadcast(heard)) else ()
+            if self._faults is None or not any(fault.sticks() for fault in self._faults.acting(self._step)):
+                self._body.move(heard.get(PLANE_STATE))
         self._step += 1
         return (*events, self._state())
 
@@ -194,21 +200,31 @@ class Agent:
             return ()
         asked_to = STOPPED if self._reception.stopped else RESET if heard.desired.mode != Mode.RUN else ""
         outcome = self._body.decide(heard, asked_to, self._step)
+        if outcome.held:  # it stays active, so that the sums of the next step allow for it
+            self._broadcast_step, self._status = NEVER, Status.ACTIVE
+            events = () if self._held else (self._event(EventKind.HELD, 0.0, outcome.problem),)
+            self._held = True
+            return events
         if outcome.problem:
             self._broadcast_step = NEVER
-            return self._set_status(Status.SAFE_STOP, EventKind.SAFE_STOP, outcome.problem)
+            before, self._status, self._held = self._status, Status.SAFE_STOP, False
+            changed = before is not Status.SAFE_STOP
+            return (self._event(EventKind.SAFE_STOP, 0.0, outcome.problem),) if changed else ()
         self._broadcast_step = heard.step
-        events = self._set_status(Status.ACTIVE, EventKind.RECOVERED, "")
-        before, self._limited = self._limited, outcome.beyond is not None
-        if self._limited and not before:
-            events = (*events, self._event(EventKind.LIMIT_HIT, outcome.beyond, COMMAND_LIMITED))
-        return events
+        recovered = self._held or self._status is not Status.ACTIVE
+        self._status, self._held = Status.ACTIVE, False
+        events = (self._event(EventKind.RECOVERED, 0.0, ""),) if recovered else ()
+        return (*events, *self._note_limit(outcome.beyond))
 
-    def _set_status(self, status: Status, kind: EventKind, detail: str) -> Messages:
-        if status is self._status:
+    def _note_limit(self, beyond: float | None) -> Messages:
+        """Report that a limit begins to act on the command, and that it has not acted for a while."""
+        if beyond is not None:
+            before, self._limited_at = self._limited_at, self._step
+            return () if before is not None else (self._event(EventKind.LIMIT_HIT, beyond, COMMAND_LIMITED),)
+        if self._limited_at is None or (self._step - self._limited_at) * self._config.period_ns < UNLIMITED_NS:
             return ()
-        self._status = status
-        return (self._event(kind, 0.0, detail),)
+        self._limited_at = None
+        return (self._event(EventKind.RECOVERED, 0.0, WITHIN_LIMITS),)
 
     def _event(self, kind: EventKind, value: float, detail: str) -> SwarmEvent:
         """Return an event that holds from the next published state on."""

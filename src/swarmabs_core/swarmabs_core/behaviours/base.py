@@ -9,7 +9,17 @@ from swarmabs_core.cdr import encode
 from swarmabs_core.declaration import setting
 from swarmabs_core.errors import ProtocolError
 from swarmabs_core.membership import Change
-from swarmabs_core.messages import AnyRobotState, Family, Message, Messages, RobotState, RobotStatus, Status, Topic
+from swarmabs_core.messages import (
+    AnyRobotState,
+    Family,
+    Message,
+    Messages,
+    RobotState,
+    RobotStatus,
+    Status,
+    Topic,
+    coordinates_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,6 +36,11 @@ class Run:
     members: tuple[int, ...] = setting((1, 2, 3, 4), "ids of all robots that ever take part", minimum=1, maximum=65535)
     schedule: tuple[Change, ...] = setting(
         (), "scheduled changes of the membership, each 'KIND AGENT STEP', such as 'kill 3 500'", make=Change.parse
+    )
+    division: int = setting(
+        0,
+        "number of steps from a change of the membership on in which the observer tells how the abstract state divides",
+        minimum=0,
     )
     seed: int = setting(1, "seed of random faults and noise during the run", minimum=0, below=2**63)
     actuator_lag: float = setting(
@@ -138,12 +153,12 @@ def at_rest(state: AnyRobotState) -> AnyRobotState:
     """Return the state of a robot that stands where it was."""
     if isinstance(state, RobotState):
         return state._replace(velocities=(0.0,) * len(state.velocities), status=RobotStatus.SAFE_STOP)
-    return state._replace(velocity=0.0)
+    return state._replace(velocity=0.0, status=Status.SAFE_STOP)
 
 
 def place_of(state: AnyRobotState) -> float:
     """Return the position of a robot, its first coordinate."""
-    return state.coordinates[0] if isinstance(state, RobotState) else state.position
+    return coordinates_of(state)[0]
 
 
 def refuse_conflict(known: Message, message: Message, source: str) -> None:

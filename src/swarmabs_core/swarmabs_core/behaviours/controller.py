@@ -5,17 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from swarmabs_core.behaviours.base import Run, UnexpectedMessageError, is_new, packed_broadcasts, refuse_other_system
+from swarmabs_core.behaviours.base import (
+    Run,
+    UnexpectedMessageError,
+    is_new,
+    packed_broadcasts,
+    refuse_other_system,
+)
 from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import part, same, setting
-from swarmabs_core.desired_state import DesiredStateGenerator
-from swarmabs_core.errors import InputError
+from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
+from swarmabs_core.errors import InputError, InStep
 from swarmabs_core.manifold import Manifold
+from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
     NEVER,
     PARENT_STATES,
     PLANE_FAMILY,
     RECORDING_PROGRESS,
+    STANDING,
     TOPIC_OF,
     Action,
     AnyParentState,
@@ -24,10 +32,13 @@ from swarmabs_core.messages import (
     Message,
     Messages,
     RecordingProgress,
+    StandingState,
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.steering import REFERENCE, StepChange, StepSchedule
+from swarmabs_core.plant import Plane
+from swarmabs_core.steering import REFERENCE, StepChange, StepSchedule, change_of
+from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
     from swarmabs_core.controllers import ParentController
@@ -40,10 +51,15 @@ class ControllerConfig:
 
     period_ns: int = same(Run, "period_ns")
     manifold: Manifold = part(Manifold)
+    gravity: float = same(Plane, "gravity")
+    gains: SwarmGains = part(SwarmGains)
     recording_window: int = setting(
         0, "number of steps that the run may be ahead of the recorder; 0: not recorded", minimum=0
     )
     last_step: int | None = same(Run, "last_step")
+    members: tuple[int, ...] = same(Run, "members")
+    schedule: tuple[Change, ...] = same(Run, "schedule")
+    division: int = same(Run, "division")
     offsets: tuple[StepChange, ...] = setting(
         (),
         "offsets of the law's reference, rad, each 'STEP VALUE' from a step on, such as '500 0.1'",
@@ -57,7 +73,7 @@ class ControllerConfig:
     def generator(self, law: ParentController | None) -> DesiredStateGenerator:
         """Return what generates the desired abstract state, by default with the configured law."""
         law = law or self.law.make(self.period_ns / 1e9, self.manifold)
-        return DesiredStateGenerator(self.period_ns, self.manifold, law)
+        return DesiredStateGenerator(self.period_ns, self.manifold, law, SwarmOnPlane(self.gravity, self.gains))
 
 
 class Controller:
@@ -96,6 +112,8 @@ class Controller:
         self._offsets = StepSchedule(config.offsets)
         self._step = 0
         self._parent: AnyParentState | None = None
+        self._membership = Membership(config.members, config.schedule)
+        self._divided: StandingState | None = None
         self._written = -1
 
     def start(self) -> Messages:
@@ -112,6 +130,9 @@ class Controller:
         if isinstance(message, PARENT_STATES):
             if is_new(message, self._parent, self._step, self._family.parent.name):
                 self._parent = message
+        elif isinstance(message, StandingState):
+            if is_new(message, self._divided, self._step, STANDING.name):
+                self._divided = message
         elif isinstance(message, RecordingProgress):
             if message.written_step != NEVER:
                 self._written = max(self._written, message.written_step)
@@ -120,11 +141,14 @@ class Controller:
                 self._parts[topic] = message
         else:
             raise UnexpectedMessageError("parent controller", message)
-        answer = self._finish() if self._parent is not None and self._credit() else ()
+        ready = self._parent is not None and not self._lacks_division and self._credit()
+        answer = self._finish() if ready else ()
         return (*answer, *self._pack())
 
     def steer(self, order: Steering) -> None:
-        """Apply an ordered offset of the reference."""
+        """Apply an ordered offset of the reference, or note an ordered change of the membership."""
+        if (change := change_of(order)) is not None:
+            self._membership.plan(change)
         if order.action == Action.REFERENCE:
             self._offsets.set(order.step, order.value)
 
@@ -136,13 +160,22 @@ class Controller:
         last = self._config.last_step
         if last is not None and self._step > last:
             return ()
-        return (self._family.parent,) if self._parent is None else (RECORDING_PROGRESS,)
+        if self._parent is None:
+            return (self._family.parent,)
+        return (STANDING,) if self._lacks_division else (RECORDING_PROGRESS,)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and the awaited node."""
         if self._answered:
             return self._packing_step, ("abstraction_observer",)
-        return self._step, ("plane_sim",) if self._parent is None else ("recorder",)
+        if self._parent is None:
+            return self._step, (self._family.node,)
+        return self._step, ("abstraction_observer",) if self._lacks_division else ("recorder",)
+
+    @property
+    def _lacks_division(self) -> bool:
+        """Whether the observer has yet to tell how the abstract state divides at the current step."""
+        return self._divided is None and self._membership.divides(self._step, self._config.division)
 
     @property
     def _answered(self) -> bool:
@@ -159,8 +192,12 @@ class Controller:
 
     def _finish(self) -> Messages:
         step, parent, self._parent = self._step, self._parent, None
+        divided, self._divided = self._divided, None
+        if divided is not None:
+            self._generator.divide(divided)
         stamp = step * self._config.period_ns
-        events, desired = self._generator.advance(stamp, parent, offset=self._offsets.at(step))
+        with InStep(step):
+            events, desired = self._generator.advance(stamp, parent, offset=self._offsets.at(step))
         self._step += 1
         if (offset := self._offsets.changing(step)) is not None:
             events = (SwarmEvent(stamp, step, 0, EventKind.STEERING, offset, REFERENCE), *events)

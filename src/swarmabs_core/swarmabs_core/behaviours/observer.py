@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from swarmabs_core.abstraction import Weight, observed
+from swarmabs_core.abstraction import Weight, divided_load, observed
 from swarmabs_core.behaviours.base import (
     Gathering,
     Run,
@@ -16,7 +16,7 @@ from swarmabs_core.behaviours.base import (
     refuse_other_system,
 )
 from swarmabs_core.declaration import same, setting
-from swarmabs_core.errors import RunError
+from swarmabs_core.errors import InStep, RunError
 from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
     PLANE_FAMILY,
@@ -30,6 +30,7 @@ from swarmabs_core.messages import (
     Message,
     Messages,
     PlaneState,
+    StandingState,
     Status,
     Steering,
     SwarmEvent,
@@ -54,6 +55,7 @@ class ObserverConfig:
     ksd: float = same(SwarmGains, "ksd")
     schedule: tuple[Change, ...] = same(Run, "schedule")
     last_step: int | None = same(Run, "last_step")
+    division: int = same(Run, "division")
     type: str = setting(
         "sum",
         "source of the torque: the sum over the robots, or the plane's motion",
@@ -85,6 +87,10 @@ class ObserverConfig:
         followers = [s for s in moving if isinstance(s, AgentState) and s.status == Status.ACTIVE]
         weights = [Weight(s.mass, s.position, s.velocity) for s in robots]
         return observed(stamp, step, weights, followers, self.gravity, self.ksd)
+
+    def divided(self, stamp: int, step: int, robots: Iterable[AnyRobotState]) -> StandingState:
+        """Return how the abstract state divides at a step, with a time stamp (ns)."""
+        return divided_load(stamp, step, robots, self.gravity)
 
 
 class Observer:
@@ -168,7 +174,7 @@ class Observer:
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step, and the missing robots, or else the plane."""
         robots = tuple(f"agent {i}" for i in self._gathering.missing())
-        return self._gathering.step, robots or (() if self._estimator is None else ("plane_sim",))
+        return self._gathering.step, robots or (() if self._estimator is None else (self._config.family.node,))
 
     def missing_agents(self) -> tuple[int, ...]:
         """Return the ids of the robots whose states of the current step are missing."""
@@ -207,12 +213,16 @@ class Observer:
         if not self._finished() and not self._membership.publishing(self._gathering.step):
             raise RunError(f"step {self._gathering.step}: no robot is left in the run")
         self._previous = states
-        abstract, sums = self._observed(stamp, step, states)
+        with InStep(step):
+            answer = self._observed(stamp, step, states)
+            if self._membership.divides(step, config.division):
+                answer = (*answer, config.divided(stamp, step, (*states, *self._standing.values())))
         plane, self._plane = self._plane, None
+        abstract, *others = answer
         if self._estimator is not None and plane is not None and isinstance(abstract, AbstractState):
             torque, rate = self._estimator.update(plane.angle, plane.angular_velocity, abstract.inertia)
-            abstract = abstract._replace(torque=torque, torque_rate=rate)
-        return abstract, sums
+            answer = (abstract._replace(torque=torque, torque_rate=rate), *others)
+        return answer
 
     def _observed(self, stamp: int, step: int, states: Sequence[AnyRobotState]) -> Messages:
         found: Messages = self._config.observed(stamp, step, states, self._standing.values())

@@ -233,8 +233,12 @@ class PackedParent(Parent):
         if plain and before and before.table["agent_id"].tolist() == plain.table["agent_id"].tolist():
             self._before = plain
             with np.errstate(all="ignore"):
-                moved = self._motion.advance_all(step, before.table, plain.table, self._disturbances.at(step - 1))
-                return [*moved, *self._motion.limits(plain, stamp, float(np.abs(plain.table["position"]).max()))]
+                moved: list[SwarmEvent] = self._motion.advance_all(
+                    step, before.table, plain.table, self._disturbances.at(step - 1)
+                )
+                if self._ranges.quiet(float(np.abs(plain.table["position"]).max())):
+                    return moved
+                return [*moved, *self._watch(plain, step, stamp)]
         if before:
             self._robots = {state.agent_id: state for state in before}
         events = super()._move(step, stamp, states)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from swarmabs_core.behaviours.base import Gathering, StepAheadError, UnexpectedMessageError, refuse_other_system
-from swarmabs_core.errors import RunError
+from swarmabs_core.errors import InStep, RunError
 from swarmabs_core.faults import failed_drives, true_state
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
@@ -20,7 +20,9 @@ from swarmabs_core.messages import (
     Steering,
     SwarmEvent,
     Topic,
+    coordinates_of,
 )
+from swarmabs_core.ranges import RangeMonitor
 from swarmabs_core.steering import DISTURBANCE, StepSchedule, change_of
 
 if TYPE_CHECKING:
@@ -34,12 +36,15 @@ class Parent:
     ----------
     config : PlaneConfig or SystemParentConfig
         Configuration, which determines the parent system.
+    ranges : RangeMonitor, optional
+        What tells which robots leave the ranges of their coordinates; by default by the ends in the configuration.
     """
 
     _gatherer: ClassVar[type[Gathering]] = Gathering
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: Any, ranges: RangeMonitor | None = None) -> None:
         self._config = config
+        self._ranges = ranges or RangeMonitor(config.coordinates)
         self._system: int | None = config.system_hash
         self._motion = config.motion()
         self._disturbances = StepSchedule(config.torques)
@@ -78,7 +83,7 @@ class Parent:
         elif isinstance(message, SwarmEvent):
             self._take_over(message)
         else:
-            raise UnexpectedMessageError("plane", message)
+            raise UnexpectedMessageError("parent", message)
 
     def _proceed(self) -> Messages:
         return self._finish() if self._gathering.complete() and not self._finished() else ()
@@ -100,8 +105,8 @@ class Parent:
             raise StepAheadError(f"end of robot {robot}", got=step, expected=now)
         if step < now:
             raise RunError(
-                f"robot {robot} is reported to be out from step {step} on ({event.detail}), but the plane has already "
-                "moved with its state of that step: either its last state reached the plane and not the observer, or a "
+                f"robot {robot} is reported to be out from step {step} on ({event.detail}), but the parent has already "
+                "moved with its state of that step: either its last state reached it and not the observer, or a "
                 "second swarm is in this namespace; run again"
             )
 
@@ -132,7 +137,9 @@ class Parent:
         events: Messages = ()
         if (disturbance := self._disturbances.changing(step)) is not None:
             events = (SwarmEvent(stamp, step, 0, EventKind.STEERING, disturbance, DISTURBANCE),)
-        return (*events, *self._move(step, stamp, states), self._motion.state(step))
+        with InStep(step):
+            moved = self._move(step, stamp, states)
+        return (*events, *moved, self._motion.state(step))
 
     def _move(self, step: int, stamp: int, states: Sequence[AnyRobotState]) -> list[SwarmEvent]:
         """Move through the period before a step with the states at its end; return the events."""
@@ -146,7 +153,11 @@ class Parent:
             paths = [(before, now.get(agent_id)) for agent_id, before in self._robots.items()]
             events = self._motion.advance(step, paths, self._disturbances.at(step - 1))
         self._keep(states, coasting)
-        return [*events, *self._motion.limits(states, stamp)]
+        return [*events, *self._watch(states, step, stamp)]
+
+    def _watch(self, states: Sequence[AnyRobotState], step: int, stamp: int) -> list[SwarmEvent]:
+        """Return events for the robots that have just crossed the ends of their ranges."""
+        return self._ranges.watch([(state.agent_id, coordinates_of(state)) for state in states], step, stamp)
 
     def _coasting(self, step: int) -> dict[int, AnyRobotState]:
         """Return the true states, after a step, of the robots whose drives have failed."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import copysign, inf
+from math import copysign
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from swarmabs_core import plant
@@ -32,11 +32,14 @@ from swarmabs_core.plant import (
     straight,
     swarm_load,
 )
+from swarmabs_core.ranges import lane
 from swarmabs_core.sensing import measured_plane
 from swarmabs_core.steering import StepChange
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
+
+    from swarmabs_core.systems.interface import Quantity
 
 CURVED_FROM = 0.25
 """Lag, in control periods, above which a cubic describes a single integrator's path better than a line."""
@@ -68,6 +71,11 @@ class PlaneConfig:
     family: ClassVar[Family] = PLANE_FAMILY
     system_hash: ClassVar[None] = None
 
+    @property
+    def coordinates(self) -> tuple[Quantity, ...]:
+        """The coordinate of a robot, with the ends of the plane."""
+        return lane(self.plane.length)
+
     def motion(self) -> PlaneMotion:
         """Return the plane at its initial state."""
         return PlaneMotion(self)
@@ -88,7 +96,6 @@ class PlaneMotion:
         self._straight = 0 if lagging else int(Kind.SINGLE_INTEGRATOR)
         self._angle = config.plane.angle
         self._angular_velocity = config.plane.angular_velocity
-        self._outside: set[int] = set()
 
     def advance(
         self, step: int, robots: Iterable[tuple[AgentState, AgentState | None]], disturbance: float
@@ -148,30 +155,3 @@ class PlaneMotion:
             return straight(before.mass, before.position, after.position)
         start, end = (before.position, before.velocity), (after.position, after.velocity)
         return hermite(before.mass, start, end, self._period)
-
-    def limits(self, states: Sequence[AgentState], stamp: int, farthest: float = inf) -> list[SwarmEvent]:
-        """Return events for the robots that have just crossed an end of the plane (eq. swarmStateConstraint).
-
-        None of them is farther than `farthest` (m) from the axis.
-        """
-        half = 0.5 * self._config.plane.length
-        events: list[SwarmEvent] = []
-        if farthest <= half and not self._outside:
-            return events
-        for state in states:
-            outside = abs(state.position) > half
-            if outside and state.agent_id not in self._outside:
-                self._outside.add(state.agent_id)
-                events.append(
-                    SwarmEvent(
-                        stamp,
-                        state.step,
-                        state.agent_id,
-                        EventKind.LIMIT_HIT,
-                        state.position,
-                        "off the plane's end",
-                    )
-                )
-            elif not outside:
-                self._outside.discard(state.agent_id)
-        return events

@@ -15,7 +15,7 @@ from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import PLANE_FAMILY, AgentState, Broadcast, Family, Kind, PlaneState
 from swarmabs_core.parameters import Settings
 from swarmabs_core.plant import Plane
-from swarmabs_core.robot_controller import Decision, Limits, RobotController
+from swarmabs_core.robot_controller import HELD, Decision, Limits, RobotController
 from swarmabs_core.sensing import RobotSensor
 from swarmabs_core.swarm_law import LAWS, PAPER, Robot, SwarmGains
 
@@ -105,10 +105,14 @@ class AgentConfig(RobotConfig):
 
 
 class Outcome(NamedTuple):
-    """The outcome of a robot's decision: why it does not follow the broadcasts, and what it wanted beyond a limit."""
+    """The outcome of a robot's decision: why it does not follow the broadcasts, and what it wanted beyond a limit.
+
+    A robot that is `held` is ready to follow, but the broadcasts do not allow for any robot yet.
+    """
 
     problem: str = ""
     beyond: float | None = None
+    held: bool = False
 
 
 FOLLOWS = Outcome()
@@ -171,7 +175,7 @@ class PlaneRobot:
             decision = self._controller.decide(position, velocity, heard)
         self._command = decision.command
         if decision.problem:
-            return Outcome(decision.problem)
+            return Outcome(decision.problem, held=decision.problem == HELD)
         return FOLLOWS if decision.command == decision.wanted else Outcome(beyond=decision.wanted)
 
     def move(self, plane: PlaneState | None) -> None:

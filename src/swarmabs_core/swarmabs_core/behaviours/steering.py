@@ -142,7 +142,7 @@ class SteeringController:
         if not isinstance(message, PARENT_STATES):
             raise UnexpectedMessageError("steering", message)
         if message.step > self._step:
-            raise StepAheadError("plane", got=message.step, expected=self._step)
+            raise StepAheadError(self._config.family.parent.name, got=message.step, expected=self._step)
         if message.step < self._step or self._over:
             return ()
         if self._step == self._last:
@@ -159,7 +159,7 @@ class SteeringController:
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and the awaited node."""
-        return self._step, ("plane_sim",)
+        return self._step, (self._config.family.node,)
 
     def _decide(self) -> Steering:
         """Return the order of the current step."""

@@ -22,26 +22,28 @@ from swarmabs_core.messages import (
     RobotKind,
     RobotState,
     RobotStatus,
+    StandingState,
     Status,
     SwarmEvent,
     SystemDescription,
 )
 from swarmabs_core.parameters import Settings
 from swarmabs_core.robot_controller import BRAKING_TIME, NOT_FINITE
+from swarmabs_core.sensing import ParentSensor
 from swarmabs_core.steering import StepChange
-from swarmabs_core.systems.desired import SystemDesiredState
+from swarmabs_core.systems.desired import Requests, SystemDesiredState
 from swarmabs_core.systems.interface import SYSTEMS, NamedSystem
 from swarmabs_core.systems.law import RobotLaw, SystemGains
 from swarmabs_core.systems.motion import ParentMotion, standing
-from swarmabs_core.systems.swarm import observed
+from swarmabs_core.systems.swarm import divided, observed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from swarmabs_core.messages import AnyRobotState, SwarmBroadcast
-    from swarmabs_core.systems.interface import Vector
+    from swarmabs_core.systems.interface import Quantity, Vector
 
-HELD = "the swarm cannot control all rows of the abstract state (its Gram matrix is singular)"
+HELD = "no robot follows the law yet (the Gram matrix vanishes)"
 """`SwarmEvent.detail` where a robot brakes because the law is not defined."""
 
 
@@ -73,6 +75,7 @@ class SystemObserverConfig(OfSystem):
     period_ns: int = same(Run, "period_ns")
     schedule: tuple[Change, ...] = same(Run, "schedule")
     last_step: int | None = same(Run, "last_step")
+    division: int = same(Run, "division")
     curvature: bool = setting(default=False, description="whether robots need the curvature of the abstract state")
 
     watches_plane: ClassVar[bool] = False
@@ -87,6 +90,10 @@ class SystemObserverConfig(OfSystem):
         robots = [state for state in (*moving, *standing) if isinstance(state, RobotState)]
         return observed(self.named, stamp, step, robots, curvature=self.curvature)
 
+    def divided(self, stamp: int, step: int, robots: Iterable[AnyRobotState]) -> StandingState:
+        """Return how the abstract state divides at a step, with a time stamp (ns)."""
+        return divided(self.named, stamp, step, [state for state in robots if isinstance(state, RobotState)])
+
 
 @dataclass(frozen=True)
 class SystemControllerConfig(OfSystem):
@@ -95,11 +102,16 @@ class SystemControllerConfig(OfSystem):
     period_ns: int = same(Run, "period_ns")
     recording_window: int = same(ControllerConfig, "recording_window")
     last_step: int | None = same(Run, "last_step")
+    members: tuple[int, ...] = same(Run, "members")
+    schedule: tuple[Change, ...] = same(Run, "schedule")
+    division: int = same(Run, "division")
+    gains: SystemGains = part(SystemGains)
     offsets: tuple[StepChange, ...] = same(ControllerConfig, "offsets")
+    requests: Requests = part(Requests)
 
     def generator(self, _: object) -> SystemDesiredState:
         """Return what generates the desired abstract state."""
-        return SystemDesiredState(self.period_ns, self.named)
+        return SystemDesiredState(self.period_ns, self.named, self.gains, requests=self.requests)
 
 
 @dataclass(frozen=True)
@@ -110,8 +122,15 @@ class SystemParentConfig(OfSystem):
     period_ns: int = same(Run, "period_ns")
     schedule: tuple[Change, ...] = same(Run, "schedule")
     last_step: int | None = same(Run, "last_step")
+    seed: int = same(Run, "seed")
+    sensor: ParentSensor = part(ParentSensor)
     falsifications: tuple[Falsification, ...] = same(PlaneConfig, "falsifications", name="lies")
     torques: tuple[StepChange, ...] = same(PlaneConfig, "torques", name="disturbances")
+
+    @property
+    def coordinates(self) -> tuple[Quantity, ...]:
+        """The coordinates of a robot, with their ends."""
+        return self.named.made.robot
 
     def motion(self) -> SystemMotion:
         """Return the parent at its initial state."""
@@ -147,13 +166,12 @@ class SystemMotion:
         return state._replace(coordinates=q, velocities=velocity, command=none)
 
     def state(self, step: int) -> ParentState:
-        """Return the state at a step."""
-        return ParentState(step * self._config.period_ns, step, self._config.system_hash, self._state)
-
-    def limits(self, states: Sequence[RobotState], stamp: int) -> list[SwarmEvent]:
-        """Return no events: the coordinates have no limits."""
-        del states, stamp
-        return []
+        """Return the measured state at a step."""
+        config, measured = self._config, self._state
+        if not config.sensor.perfect:
+            names = [row.name for row in config.named.made.parent]
+            measured = config.sensor.measure_all(measured, f"{config.seed}:{step}:parent", names)
+        return ParentState(step * config.period_ns, step, config.system_hash, measured)
 
 
 @dataclass(frozen=True)
@@ -248,20 +266,22 @@ class SystemRobot:
 
     def decide(self, heard: SwarmBroadcast, asked_to: str, step: int) -> Outcome:  # noqa: ARG002 - nothing is drawn
         """Set the command of a step from the broadcasts; brake if asked to stop or reset."""
-        rate = None if asked_to else self._law.rate(self._q, self._velocity, heard)
-        if rate is None and self._limited:  # with the limited robots, the Gram matrix may be regular again
-            self._limited = False
-            return Outcome()
+        held = self._law.held_rate(self._q, self._command) if self._limited else None
+        rate = None if asked_to else self._law.rate(self._q, self._velocity, heard, held)
         if rate is None or not all(map(isfinite, rate)):
             self._brake()
-            return Outcome(asked_to or (HELD if rate is None else NOT_FINITE))
+            return Outcome(asked_to or (HELD if rate is None else NOT_FINITE), held=rate is None and not asked_to)
         wanted = self._law.command(self._q, self._velocity, rate)
         self._command = self._law.limited(wanted)
         if self._command == wanted:
             self._limited = False
             return Outcome()
-        # A double integrator stays in the Gram matrix: its velocity is not limited.
-        self._limited = self._config.kind is not RobotKind.DOUBLE_INTEGRATOR
+        # A double integrator stays in the Gram matrix: its velocity is not limited. So does a robot that the others
+        # need to control all rows: what it cannot do is then missing in all of these, and not only in the last.
+        inside = not self._limited
+        self._limited = self._config.kind is not RobotKind.DOUBLE_INTEGRATOR and self._law.dispensable(
+            self._q, heard.auxiliary.gram, inside=inside
+        )
         return Outcome(beyond=next(u for u, held in zip(wanted, self._command, strict=True) if u != held))
 
     def move(self, _: object) -> None:

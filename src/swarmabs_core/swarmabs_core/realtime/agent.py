@@ -130,7 +130,7 @@ class RealtimeAgent:
 
     def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:
         """Take a broadcast, which is rejected if it is not valid."""
-        problem = self._inbox.add(message, now, standby=sender.standby)
+        problem = self._inbox.add(message, now, sender)
         return self._refusals.add(problem, self._config.schedule.step(now), now) if problem else ()
 
     def tick(self, now: int) -> Messages:
@@ -141,6 +141,7 @@ class RealtimeAgent:
             # Otherwise the command would be held until the clock catches up.
             set_back = before is not None and self._counter.last is None
             return self._doubt(now) if set_back else ()
+        self._inbox.writers.advance(step)
         measured = self._drive.read(now)
         if measured is not None and isfinite(measured.position) and isfinite(measured.velocity):
             self._measurement = measured
@@ -170,7 +171,10 @@ class RealtimeAgent:
         self._rest()
 
     def health(self, now: int) -> Health:
-        """Return whether the robot follows the broadcasts, or the reason if it does not."""
+        """Return whether the robot follows the broadcasts, or the reason if it does not, and any second senders."""
+        return self._inbox.writers.warned(self._health(now))
+
+    def _health(self, now: int) -> Health:
         newest, m = self._inbox.newest, self._measurement
         age = None if newest is None else self._config.schedule.step(now) - newest.step
         values = (

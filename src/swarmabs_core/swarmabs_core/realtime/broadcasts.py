@@ -14,14 +14,15 @@ from swarmabs_core.messages import (
     Mode,
     Topic,
 )
+from swarmabs_core.realtime.base import UNKNOWN
 from swarmabs_core.realtime.leadership import PRIMARY, STANDBY
 from swarmabs_core.realtime.modes import MOST_LATE, ModeLatch
-from swarmabs_core.realtime.validation import Heard
+from swarmabs_core.realtime.validation import Heard, Origin, Problem, Writers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from swarmabs_core.realtime.base import Schedule
+    from swarmabs_core.realtime.base import Schedule, Sender
     from swarmabs_core.realtime.validation import Bounds
 
 MOST_CHANGES = 2
@@ -66,6 +67,8 @@ class BroadcastInbox:
     ----------
     followed : Coordinators
         The instances that the robot follows.
+    writers : Writers
+        Who speaks for which instance.
     """
 
     def __init__(self, schedule: Schedule, age_limit: float, clock_tolerance: float, bounds: Bounds) -> None:
@@ -73,6 +76,7 @@ class BroadcastInbox:
         self._age = schedule.steps(age_limit)
         self._bounds = bounds
         self._heard: Heard[_Place] = Heard(self._age, schedule.ahead(clock_tolerance))
+        self.writers = Writers(self._age)
         self._latch = ModeLatch(schedule, age_limit, clock_tolerance)
         self._latest = max(self._age, schedule.steps(MOST_LATE))
         self._sets: dict[Coordinators, Broadcast] = {}
@@ -88,31 +92,28 @@ class BroadcastInbox:
         """Whether a STOP was received, and since then no effective RESET."""
         return self._latch.stopped
 
-    def add(self, message: Message, now: int, *, standby: bool = False) -> str:
-        """Take a message; return why it is rejected, empty if it is valid. An older or repeated one changes nothing.
-
-        `standby` tells whether a standby has sent it.
-        """
+    def add(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Problem | None:
+        """Take a message; return why it is rejected, None if it is valid. An older or repeated one changes nothing."""
         topic = TOPIC_OF[type(message)]
         if topic not in BROADCASTS:
-            return "not a broadcast"
-        step = self._schedule.step(now)
+            return Problem("not a broadcast")
+        step, origin = self._schedule.step(now), Origin(topic.name, standby=sender.standby)
         if self._heard.from_future(message, step):
-            return f"{topic.name}: from the future; the clocks differ, or it is of another swarm"
+            return Problem("from the future; the clocks differ, or it is of another swarm").of(origin)
         if isinstance(message, DesiredAbstractState) and message.mode == Mode.STOP:
             self._latch.stop(message.step)  # even if it is otherwise invalid
         problem, outdated = self._bounds.problem(message), message.step < step - self._age
         if not problem and not outdated:
-            problem = self._contradiction(topic, message, step, standby=standby)
+            problem = self._contradiction(topic, message, step, origin, sender.writer)
         if isinstance(message, DesiredAbstractState) and message.mode == Mode.RESET and not problem:
             self._reset(message.step, step)
         if outdated:
-            return f"{topic.name}: outdated"
+            return Problem("outdated").of(origin)
         if problem:
-            return f"{topic.name}: {problem}"
+            return problem.of(origin)
         self._complete(message.step)
         self._choose(step)
-        return ""
+        return None
 
     def _reset(self, of: int, step: int) -> None:
         """Note a RESET of a step, which may be outdated, but not by much."""
@@ -125,20 +126,27 @@ class BroadcastInbox:
         self._latch.forget(self._schedule.step(now))
         self._sets.clear()
 
-    def _contradiction(self, topic: Topic, message: Message, step: int, *, standby: bool) -> str:
-        """Store a message; return a contradiction with another of the same step, or a sign of a second controller."""
+    def _contradiction(
+        self, topic: Topic, message: Message, step: int, origin: Origin, writer: bytes
+    ) -> Problem | None:
+        """Store a message; return a contradiction with another of the same step, or a sign of a second sender."""
+        standby = origin.standby
+        second = self.writers.second(origin, writer, step)
         mode = 0
         if isinstance(message, DesiredAbstractState):
             mode = message.mode  # the parent controller may change its mode within a step
             if mode != Mode.RUN:
                 message = message._replace(stamp=0)  # a repeated service call publishes the mode again
         place = topic, mode, standby
-        if self._heard.add(place, message, step):
-            return "two different ones of a step; a second swarm, or an intruder"
+        differs = self._heard.add(place, message, step, refused=second is not None)
+        if second:
+            return second
+        if differs:
+            return Problem("two different ones of a step; a second swarm, or an intruder")
         if _has_changed(self._heard.of(message.step), standby) and self._changes(standby) > MOST_CHANGES:
             self._heard.doubt(place, step)
-            return "its mode changes again and again; a second controller, or an intruder"
-        return ""
+            return Problem("its mode changes again and again; a second controller, or an intruder")
+        return None
 
     def _changes(self, standby: bool) -> int:  # noqa: FBT001 - it identifies the controller
         """Return the number of steps in which a controller has sent more than one mode."""

@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import part, same, setting
-from swarmabs_core.desired_state import DesiredStateGenerator
+from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
 from swarmabs_core.errors import RunError
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import (
     NEVER,
+    PLANE_STATE,
+    STANDING,
+    TOPIC_OF,
     AbstractState,
     Basis,
     DesiredAbstractState,
@@ -21,19 +24,22 @@ from swarmabs_core.messages import (
     Mode,
     PlaneState,
     Source,
+    StandingState,
     SwarmEvent,
 )
 from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedule, Sender
 from swarmabs_core.realtime.leadership import Pair, Voice
 from swarmabs_core.realtime.modes import ModeLatch, PublishedMode
-from swarmabs_core.realtime.validation import Bounds, Heard, Refusals
+from swarmabs_core.realtime.validation import Bounds, Heard, Origin, Problem, Refusals, Writers
+from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_core.controllers import ParentController
 
+_PLANE, _PEER = Origin(PLANE_STATE.name), "the other controller"
 MOST_STEPS = 100
 """Largest number of missed steps that law and filter make up for; after more, they restart."""
 
@@ -47,6 +53,7 @@ class RealtimeControllerConfig:
     law: ParentLaw = part(ParentLaw, name="")
     gravity: float = same(Plane, "gravity")
     plane_length: float = same(Plane, "length")
+    gains: SwarmGains = part(SwarmGains)
     start_mode: Mode = setting(
         Mode.RUN,
         "run: the swarm moves as soon as it is ready; stop: it waits for a reset",
@@ -63,6 +70,12 @@ class RealtimeControllerConfig:
         """Known properties of the swarm and its plane, against which messages are validated."""
         return Bounds(self.gravity, self.plane_length)
 
+    def generator(self, law: ParentController) -> DesiredStateGenerator:
+        """Return what generates the desired abstract state with a law."""
+        return DesiredStateGenerator(
+            self.schedule.period_ns, self.manifold, law, SwarmOnPlane(self.gravity, self.gains)
+        )
+
 
 class RealtimeController:
     """Answers the plane's state of a step with the desired abstract state of that step.
@@ -77,11 +90,13 @@ class RealtimeController:
         self._make_law = make_law
         self._age = config.schedule.steps(config.plane_age_limit)
         self._heard: Heard[None] = Heard(self._age, config.schedule.ahead(config.clock_tolerance))
+        self._writers = Writers(self._age)
         self._refusals = Refusals()
         latch = ModeLatch(config.schedule, config.plane_age_limit, config.clock_tolerance)
         self._mode = PublishedMode(config.start_mode, latch, config.schedule)
         self._swarm_heard = False
         self._plane: PlaneState | None = None
+        self._divided: tuple[StandingState, bool] | None = None  # the newest, and whether it is a standby's
         # Steps by which the clock is so far ahead of the plane's that robots would refuse a STOP of its time.
         self._fast = 0
         self._asked: DesiredAbstractState | None = None
@@ -92,9 +107,7 @@ class RealtimeController:
         self._restart()
 
     def _restart(self) -> None:
-        self._generator = DesiredStateGenerator(
-            self._config.schedule.period_ns, self._config.manifold, self._make_law()
-        )
+        self._generator = self._config.generator(self._make_law())
         self._first_step: int | None = None
         self._law_step = -1
 
@@ -108,15 +121,17 @@ class RealtimeController:
 
         return install
 
-    def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:  # noqa: ARG002 - the interface of behaviours
+    def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:
         """Take a state of the plane or of the swarm; return the desired abstract state of the step."""
         if isinstance(message, AbstractState):
             self._swarm_heard = True
             return ()
         step = self._config.schedule.step(now)
+        if isinstance(message, StandingState):
+            return self._learn_division(message, step, now, sender)
         if isinstance(message, (DesiredAbstractState, Basis)) and not self._config.pair.single:
-            return self._hear_peer(message, step, now)
-        problem = self._problem(message, step)
+            return self._hear_peer(message, step, now, sender)
+        problem = self._problem(message, step, sender.writer)
         if problem:
             return self._refusals.add(problem, step, now)
         assert isinstance(message, PlaneState)  # noqa: S101 - `_problem` has checked it
@@ -126,12 +141,34 @@ class RealtimeController:
         self._fast = max(0, step - message.step - self._config.schedule.ahead(self._config.clock_tolerance))
         return self._answer(message, now)
 
+    def _learn_division(self, message: StandingState, step: int, now: int, sender: Sender) -> Messages:
+        """Keep the newest message on how the abstract state divides, unless it is not credible."""
+        origin = Origin(STANDING.name, standby=sender.standby)
+        problem = self._bounds.problem(message)
+        if message.step > step + self._config.schedule.ahead(self._config.clock_tolerance):
+            problem = Problem("from the future; the clocks differ, or it is of another swarm")
+        elif message.step < step - self._age:
+            problem = Problem("outdated")
+        elif not problem:
+            problem = self._writers.second(origin, sender.writer, step)
+        if problem:
+            return self._refusals.add(problem.of(origin), step, now)
+        if self._divided is None or message.step > self._divided[0].step:
+            self._divided = message, sender.standby
+        return ()
+
+    def _division(self, step: int) -> tuple[StandingState, bool] | None:
+        """Return how the abstract state divides, if that is known and recent at a step."""
+        found = self._divided
+        return found if found is not None and abs(step - found[0].step) <= self._age else None
+
     def tick(self, now: int) -> Messages:
         """Repeat STOP and RESET even without states of the plane, and report if those are missing."""
         step = self._config.schedule.step(now)
+        self._writers.advance(step)
         events = self._voice.say(self._end_reset(now, step), now, step, able=self._keeps_still)
         if self._plane is not None and self._plane.step > step + self._age:  # the clock was set back
-            self._plane, self._last_published, self._fast = None, -1, 0
+            self._plane, self._last_published, self._fast, self._divided = None, -1, 0, None
             self._heard.forget()
             self._mode.forget(step)
         if self._mode.now is not Mode.RUN and self._last_published < step - self._fast:
@@ -173,7 +210,10 @@ class RealtimeController:
         self._restart()
 
     def health(self, now: int) -> Health:
-        """Return the mode and the desired abstract state."""
+        """Return the mode and the desired abstract state, and any second senders."""
+        return self._writers.warned(self._health(now))
+
+    def _health(self, now: int) -> Health:
         asked, plane, schedule = self._asked, self._plane, self._config.schedule
         values = (
             ("mode", self._mode.now.name),
@@ -192,19 +232,25 @@ class RealtimeController:
             return Health(Level.WARN, "waiting for the observer", values)
         return Health(Level.OK, "running", values)
 
-    def _problem(self, message: Message, step: int) -> str:
+    def _problem(self, message: Message, step: int, writer: bytes) -> Problem | None:
         if not isinstance(message, PlaneState):
-            return "not a state of the plane"
-        if self._heard.from_future(message, step):
-            return "plane/state: from the future; the clocks differ, or it is of another swarm"
-        if message.step < step - self._age:
-            return "plane/state: outdated"
+            return Problem("not a state of the plane")
         problem = self._bounds.problem(message)
-        if problem:
-            return f"plane/state: {problem}"
-        if self._heard.add(None, message, step):
-            return "plane/state: two different ones of a step; a second plane, or an intruder"
-        return ""
+        if self._heard.from_future(message, step):
+            problem = Problem("from the future; the clocks differ, or it is of another swarm")
+        elif message.step < step - self._age:
+            problem = Problem("outdated")
+        elif not problem:
+            problem = self._writers.second(_PLANE, writer, step)
+            if self._heard.add(None, message, step, refused=problem is not None) and not problem:
+                problem = Problem("two different ones of a step; a second plane, or an intruder")
+        return problem and problem.of(_PLANE)
+
+    def _second(self, message: DesiredAbstractState | Basis, step: int, sender: Sender) -> Problem | None:
+        """Return a problem if a message is not of the other controller, but of a second writer."""
+        number = message.source if isinstance(message, Basis) else 0
+        origin = Origin(TOPIC_OF[type(message)].name, number, sender.standby)
+        return self._writers.second(origin, sender.writer, step)
 
     def _doubt(self, step: int) -> str:
         """Return why the plane's state permits no desired state; empty if it permits one."""
@@ -225,13 +271,17 @@ class RealtimeController:
         since = NEVER if self._first_step is None else self._law_step
         if self._first_step is None:
             self._first_step, self._law_step = plane.step, plane.step - 1
-        provenance = Basis(now, plane.step, since, self._first_step, Source.CONTROLLER, (), (), ())
+        division = self._division(plane.step)
+        used, ids, marks = ((division[0].step,), (0,), (int(division[1]),)) if division else ((), (), ())
+        provenance = Basis(now, plane.step, since, self._first_step, Source.CONTROLLER, used, ids, marks)
         events: list[Message] = []
         period = self._config.schedule.period_ns
         try:
             while self._law_step < plane.step:  # missed steps use the current state of the plane
                 self._law_step += 1
                 time = (self._law_step - self._first_step) * period
+                if division is not None:
+                    self._generator.divide(division[0])
                 news, desired = self._generator.advance(time, plane)
                 events.extend(event._replace(stamp=now) for event in news)
         except RunError as error:
@@ -240,20 +290,22 @@ class RealtimeController:
         self._asked, self._last_published = desired._replace(stamp=now), plane.step
         return self._voice.say((*events, provenance, self._asked), now, step)
 
-    def _hear_peer(self, message: DesiredAbstractState | Basis, step: int, now: int) -> Messages:
+    def _hear_peer(self, message: DesiredAbstractState | Basis, step: int, now: int, sender: Sender) -> Messages:
         """Note that the other controller speaks, and take over its mode and the time of its law unless this one leads.
 
         A STOP counts whatever it is, as for a robot.
         """
         stops = isinstance(message, DesiredAbstractState) and message.mode == Mode.STOP
         if message.step > step + self._config.schedule.ahead(self._config.clock_tolerance):
-            problem = "from the future"
+            problem = Problem("from the future")
         elif message.step < step - self._age and not stops:
-            problem = "outdated"
+            problem = Problem("outdated")
+        elif stops:
+            problem = None
         else:
-            problem = "" if stops else self._bounds.problem(message)
+            problem = self._bounds.problem(message) or self._second(message, step, sender)
         if problem:
-            return self._refusals.add(f"the other controller: {problem}", step, now)
+            return self._refusals.add(problem.of(_PEER), step, now)
         leadership = self._voice.leadership
         if isinstance(message, Basis):
             if message.source == Source.CONTROLLER and not leadership.leading:

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from swarmabs_core.abstraction import Weight, observed
-from swarmabs_core.behaviours.base import Run
+from swarmabs_core.abstraction import Weight, divided_load, observed
+from swarmabs_core.behaviours.base import Run, at_rest
 from swarmabs_core.declaration import part, same
 from swarmabs_core.messages import (
+    ABSTRACT_STATE,
     NEVER,
     AbstractState,
     AgentState,
@@ -20,6 +21,7 @@ from swarmabs_core.messages import (
     Messages,
     Removal,
     Source,
+    StandingState,
     Status,
     SwarmEvent,
 )
@@ -27,7 +29,7 @@ from swarmabs_core.parameters import SettingError
 from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import FEWEST, UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
 from swarmabs_core.realtime.leadership import Pair, Voice
-from swarmabs_core.realtime.validation import Bounds, HeardStates, Refusals
+from swarmabs_core.realtime.validation import NO_MEMBER, Bounds, HeardStates, Origin, Problem, Refusals
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
@@ -116,6 +118,15 @@ class RealtimeSums:
                 followers.append(state)
         return observed(now, step, weights, followers, self._config.gravity, self._config.ksd)
 
+    def divide(self, states: Mapping[int, AgentState], standing: Collection[int], step: int, now: int) -> StandingState:
+        """Return how the abstract state of a step divides; parameters as for `sum_up`."""
+        robots = [
+            at_rest(state) if state.agent_id in standing else state
+            for _, state in sorted(states.items())
+            if state.status != Status.LEFT
+        ]
+        return divided_load(now, step, robots, self._config.gravity)
+
 
 class RealtimeObserver:
     """Publishes abstract and auxiliary state once per period, even if robots are silent.
@@ -171,7 +182,7 @@ class RealtimeObserver:
             self._learn(message, step)
             return ()
         if isinstance(message, AbstractState) and not self._config.pair.single:
-            return self._hear_peer(message, step, now)
+            return self._hear_peer(message, step, now, sender)
         problem = self._problem(message, step, sender)
         if problem:
             return self._refusals.add(problem, step, now)
@@ -195,7 +206,8 @@ class RealtimeObserver:
             return self._voice.say(events, now, step, able=False)
         self._started = True
         standing = [i for i, role in self.roles.items() if role is Role.SILENT]
-        answer = (self._provenance(standing, step, now), *self._sums.sum_up(self._states, standing, step, now))
+        found = self._states, standing, step, now
+        answer = (self._provenance(standing, step, now), *self._sums.sum_up(*found), self._sums.divide(*found))
         return self._voice.say((*events, *answer), now, step, able=self._hears_robots)
 
     @property
@@ -238,29 +250,33 @@ class RealtimeObserver:
         """Whether it heard any robot recently: one that is cut off from all must not lead."""
         return any(role in (Role.ACTIVE, Role.STOPPED) for role in self.roles.values())
 
-    def _hear_peer(self, message: AbstractState, step: int, now: int) -> Messages:
-        if problem := self._bounds.problem(message):
-            return self._refusals.add(f"the other observer: {problem}", step, now)
+    def _hear_peer(self, message: AbstractState, step: int, now: int, sender: Sender) -> Messages:
+        problem = self._bounds.problem(message)
+        if not problem:
+            origin = Origin(ABSTRACT_STATE.name, standby=sender.standby)
+            problem = self._heard.writers.second(origin, sender.writer, step)
+        if problem:
+            return self._refusals.add(problem.of("the other observer"), step, now)
         self._voice.leadership.hear(message.step, step)
         return ()
 
-    def _problem(self, message: Message, step: int, sender: Sender) -> str:
+    def _problem(self, message: Message, step: int, sender: Sender) -> Problem | None:
         if not isinstance(message, AgentState):
-            return "not a robot's state"
+            return Problem("not a robot's state")
         if message.agent_id not in self.roles:
-            return f"robot {message.agent_id} is not a member of this swarm"
+            return Problem(NO_MEMBER, f"robot {message.agent_id}")
         impossible = self._bounds.problem(message) or self._overweight(message)
         return self._heard.problem(message, step, impossible, sender.writer)
 
-    def _overweight(self, state: AgentState) -> str:
+    def _overweight(self, state: AgentState) -> Problem | None:
         """Return a problem if the robot's mass and those of the others on the plane exceed the mass of the swarm."""
         known = self._states.get(state.agent_id)
         if known is not None and (known.mass, known.status) == (state.mass, state.status):
-            return ""
+            return None
         others = [s.mass for i, s in self._states.items() if i != state.agent_id and s.status != Status.LEFT]
         if state.status != Status.LEFT and self._bounds.exceeds(sum(others) + state.mass):
-            return f"a mass of {state.mass:.4g} kg: with the others more than the swarm's"
-        return ""
+            return Problem("a mass that is with the others more than the swarm's", f"{state.mass:.4g} kg")
+        return None
 
     def _learn(self, event: SwarmEvent, step: int) -> None:
         """Note an event that shows that the swarm is already moving."""
@@ -276,8 +292,8 @@ class RealtimeObserver:
         if state is None or self._sums.role(state, step) is not Role.SILENT:
             return ()
         if self._heard.from_future(removal, step):
-            problem = f"robot {removal.agent_id}: a removal from the future; the clocks differ"
-            return self._refusals.add(problem, step, now)
+            problem = Problem("a removal from the future; the clocks differ")
+            return self._refusals.add(problem.of(f"robot {removal.agent_id}"), step, now)
         if removal.step < self._steps[removal.agent_id]:
             return ()
         self._states[removal.agent_id] = state._replace(status=Status.LEFT)

@@ -20,6 +20,7 @@ from swarmabs_core.messages import (
     Source,
     Status,
     SwarmEvent,
+    coordinates_of,
 )
 from swarmabs_core.plant import (
     STEEPEST,
@@ -31,8 +32,9 @@ from swarmabs_core.plant import (
     straight,
     swarm_load,
 )
+from swarmabs_core.ranges import RangeMonitor, lane
 from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
-from swarmabs_core.realtime.validation import Bounds, HeardStates, Refusals
+from swarmabs_core.realtime.validation import NO_MEMBER, Bounds, HeardStates, Problem, Refusals
 from swarmabs_core.sensing import measured_plane
 
 if TYPE_CHECKING:
@@ -153,12 +155,15 @@ class RealtimePlane:
         self._counter = StepCounter(config.schedule)
         self._last_step: int | None = None
         self._refusals = Refusals()
+        self._ranges = RangeMonitor(lane(config.plane.length))
 
     def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:
         """Take a robot's state."""
         step = self._config.schedule.step(now)
-        if not isinstance(message, AgentState) or message.agent_id not in self._members:
-            return self._refusals.add("not a state of a robot of this swarm", step, now)
+        if not isinstance(message, AgentState):
+            return self._refusals.add(Problem("not a robot's state"), step, now)
+        if message.agent_id not in self._members:
+            return self._refusals.add(Problem(NO_MEMBER, f"robot {message.agent_id}"), step, now)
         problem = self._heard.problem(message, step, self._bounds.problem(message), sender.writer)
         if problem:
             return self._refusals.add(problem, step, now)
@@ -186,6 +191,8 @@ class RealtimePlane:
                 (self._angle, self._angular_velocity), self._before, robots, step - since, since - self._released
             )
             events = self._hit(step, now)
+        places = [(robot, coordinates_of(state)) for robot, state in sorted(robots.items())]
+        events = (*events, *self._ranges.watch(places, step, now))
         self._before, self._last_step = robots, step
         rate = 0.0 if self._released is None else self._angular_velocity
         state = PlaneState(now, step, *self._motion.measured(self._angle, rate, step))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from difflib import get_close_matches
 from functools import partial
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from swarmabs_core.errors import InputError, raised
-from swarmabs_core.messages import NEVER, RobotKind, RobotState, RobotStatus
+from swarmabs_core.errors import InputError, joined, one_line, parts_of
+from swarmabs_core.messages import NEVER, RobotKind, RobotState, RobotStatus, word
 from swarmabs_core.registry import PluginError
+from swarmabs_core.sensing import ParentSensor
+from swarmabs_core.systems.desired import Requests
 from swarmabs_core.systems.interface import TABLES, Constant, Need, Quantity, Tracked
 from swarmabs_core.systems.law import Gram, by_row, motion
 from swarmabs_core.systems.swarm import observed, total
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
     from swarmabs_core.systems.law import SystemGains
 
 _POSITIVE = {"double_integrator": "mass", "first_order_lag": "time_constant"}  # the constant that a kind needs
+_PLAIN = (bool, int, float, str, tuple, list)
 _STEP, _AGREEMENT = 1e-5, 1e-5  # step of differences in units of the coordinates, and the deviation that they allow
 NEAR = 1e-3
 """Error, in units of the first one, at which robots have reached an abstract state."""
@@ -31,28 +35,59 @@ Problem: TypeAlias = tuple[tuple[str | int, ...], str, str]
 class _FaultyError(Exception):
     """The parent system cannot be used."""
 
+    def __init__(self, problem: str, remedy: str = "correct the parent system") -> None:
+        self.remedy = remedy
+        super().__init__(problem)
+
 
 def problems_of(
-    system: NamedSystem, robots: Sequence[Any], gains: SystemGains, period: float, *, later: Container[int] = ()
+    system: NamedSystem,
+    robots: Sequence[Any],
+    gains: SystemGains,
+    period: float,
+    *,
+    later: Container[int] = (),
+    requests: Requests | None = None,
+    sensor: ParentSensor | None = None,
 ) -> list[Problem]:
     """Return what is wrong with a parent system, with the robots of a scenario on it, or with their start.
 
     Robots whose ids are in `later` join later; the control period is in s.
     """
     found: list[Problem] = []
+    requests, sensor = requests or Requests(), sensor or ParentSensor()
     try:
-        _check_tables(_called("its type", lambda: system.made))
+        _check_tables(_called("its type", lambda: system.made, pure=False))
         size = len(system.made.abstract)
         given = {name: len(getattr(gains, name)) for name in ("k", "kp", "kd")}
         wrong = {name: many for name, many in given.items() if many not in {1, size}}
         found += [(("swarm", "gains", x), f"{wrong[x]} gains for {size} rows", f"give one or {size}") for x in wrong]
+        found += [*_of_lists(system.made, requests, sensor)]
         found += [problem for index, robot in enumerate(robots) for problem in _of_robot(system, index, robot)]
-        found += [] if found else _of_start(system, initial_states(system, robots), later, gains, period)
+        found += [] if found else _of_start(system, initial_states(system, robots), later, gains, period, requests)
     except PluginError as error:
         found.append((("system",), error.problem, error.remedy))
     except _FaultyError as error:
-        found.append((("system",), f"parent system {system.type!r}: {error}", "correct the parent system"))
+        found.append((("system",), f"parent system {system.type!r}: {error}", error.remedy))
     return found
+
+
+def generated(system: NamedSystem, number: int, count: int, constants: Mapping[str, float]) -> Vector:
+    """Return where the system places a robot that a scenario generates; numbers are 1 to `count`.
+
+    Raises
+    ------
+    InputError
+        If it has no method for that, or the method fails.
+    """
+    made: Any = system.made
+    if not hasattr(made, "generated"):
+        raise InputError(f"{system.type} has no method generated; give ranges of coordinates")
+    given, what = constants_of(system, constants), f"generated() of robot {number}"
+    try:
+        return _numbers(what, len(made.robot), lambda: made.generated(number, count, given))
+    except _FaultyError as error:
+        raise InputError(joined(f"parent system {system.type!r}: {error}", error.remedy)) from error
 
 
 def constants_of(system: NamedSystem, given: Mapping[str, float]) -> Vector:
@@ -88,7 +123,7 @@ def approach(
         size = max(abs(e) / row.scale for e, row in zip(error, rows, strict=True))
         first = first or max(size, 1e-6)
         gram = Gram(auxiliary.gram, rows)
-        if gram.singular or not isfinite(size):
+        if gram.uncontrolled or not isfinite(size):
             yield robots, gram, nan, nan
             return
         right = [gain * e for gain, e in zip(k, error, strict=True)]
@@ -105,17 +140,22 @@ def approach(
         robots = moved
 
 
-def _called(what: str, call: Callable[[], Any]) -> Any:
-    """Return what a call into the system returns; it may raise anything."""
+def _called(what: str, call: Callable[[], Any], *, pure: bool = True) -> Any:
+    """Return what a call into the system returns; it may raise anything, and a pure one returns the same twice."""
     try:
-        return call()
+        found = call()
+        again = call() if pure else found
     except PluginError:
         raise
     except InputError as error:
-        raise _FaultyError(str(error)) from error
+        problem, remedy = parts_of(error)
+        raise _FaultyError(problem, *filter(None, [remedy])) from error
     except Exception as error:
-        text = raised(error) or " ".join(f"{type(error).__name__}: {error}".split())
-        raise _FaultyError(f"{what} raises {text}") from error
+        raise _FaultyError(f"{what} raises {one_line(error)}") from error
+    if isinstance(found, _PLAIN) and repr(found) != repr(again):  # equal numbers have equal representations
+        remedy = "make it a pure function, without clock and random numbers; only a controller may store numbers"
+        raise _FaultyError(f"{what} is {_shown(found)} and, for equal arguments, {_shown(again)}", remedy)
+    return found
 
 
 def _numbers(what: str, size: int, call: Callable[[], Any]) -> Vector:
@@ -136,6 +176,17 @@ def _is_number(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
 
 
+def _check_ends(table: str, row: Any) -> None:
+    """Accept ends of a coordinate of robots between which robots can be; other quantities have none."""
+    ends = (row.low, row.high)
+    low, high = (end if isinstance(end, (int, float)) and not isinstance(end, bool) else nan for end in ends)
+    fit = low < high and low < inf and high > -inf
+    if not fit or (table != "robot" and ends != (-inf, inf)):
+        raise _FaultyError(
+            f"{table} {row.name!r} has the ends {_shown(ends)}; only rows of robot have ends, low < high"
+        )
+
+
 def _shown(value: object) -> str:
     return f"{' '.join(repr(value).split()):.80}"
 
@@ -153,17 +204,38 @@ def _check_tables(made: Any) -> None:
                 raise _FaultyError(f"{table} has a row {row.name!r}; each needs its own name of letters, digits and _")
             unit = getattr(row, "unit", "")
             numbers = [x for x in row[1 + hasattr(row, "unit") :] if not (of is Constant and x is None)]
+            if of is Quantity:
+                _check_ends(table, row)
+                numbers = numbers[:1]
             wrong = (
                 not isinstance(unit, str) or not all(map(_is_number, numbers)) or (of is Need and row.low > row.high)
             )
             if wrong or (of in (Quantity, Tracked) and numbers[0] <= 0.0):
-                raise _FaultyError(f"{table} {row.name!r} has {_shown(row[1:])}, which is out of range")
+                said = row[1:3] if of is Quantity else row[1:]
+                raise _FaultyError(f"{table} {row.name!r} has {_shown(said)}, which is out of range")
     units = {row.name: row.unit for row in made.parent}
     for row in made.tracked:
         if units.get(row.name) != units.get(made.tracked[0].name, ""):
             raise _FaultyError(f"tracked {row.name!r} must be in parent, with the unit of the others")
     _numbers("initial", len(made.parent), lambda: made.initial)
     _positive("substep", lambda: made.substep)
+
+
+def _of_lists(made: Any, requests: Requests, sensor: ParentSensor) -> Iterator[Problem]:
+    """Yield what is wrong with lists of the scenario that have a number for each row of a table."""
+    lists = (
+        *((("sensor", name), getattr(sensor, name), made.parent) for name in ("noise", "resolution")),
+        *((("requests", name), getattr(requests, name), made.needs) for name in ("low", "high")),
+    )
+    fits = True
+    for where, numbers, rows in lists:
+        if numbers and len(numbers) != len(rows):
+            fits = False
+            yield where, f"{len(numbers)} numbers for {len(rows)}", f"give {', '.join(row.name for row in rows)}"
+    for need, given in zip(made.needs, requests.needs(made) if fits else (), strict=fits):
+        if not need.low <= given.low <= given.high <= need.high:
+            text = f"{need.name} is limited to {given.low!r} to {given.high!r}"
+            yield ("requests",), text, f"give low <= high, within {need.low!r} to {need.high!r} {need.unit}"
 
 
 def _of_robot(system: NamedSystem, index: int, robot: Any) -> Iterator[Problem]:
@@ -186,12 +258,21 @@ def _of_robot(system: NamedSystem, index: int, robot: Any) -> Iterator[Problem]:
         if len(numbers) != size and (numbers or name == "coordinates"):
             wanted = ", ".join(row.name for row in made.robot)
             yield (*where, name), f"{len(numbers)} numbers for {size} coordinates", f"give {wanted}"
+    for one, x in zip(made.robot, robot.coordinates, strict=False):
+        if not one.low <= x <= one.high:
+            text = f"{x!r} {one.unit} is out of the range of {one.name}"
+            yield (*where, "coordinates"), text, f"give a number from {one.low!r} to {one.high!r}"
     if kind != "double_integrator" and any(robot.velocities):
         yield (*where, "velocities"), f"not applicable to robots of kind {kind}", "omit them"
 
 
 def _of_start(
-    system: NamedSystem, robots: Sequence[RobotState], later: Container[int], gains: SystemGains, period: float
+    system: NamedSystem,
+    robots: Sequence[RobotState],
+    later: Container[int],
+    gains: SystemGains,
+    period: float,
+    requests: Requests,
 ) -> Iterator[Problem]:
     """Call each function of the system, and yield why the robots cannot control the abstract state at the start."""
     made: Any = system.made
@@ -200,6 +281,8 @@ def _of_start(
     present = [robot for robot in robots if robot.agent_id not in later]
     at_start = 0.0, start, total((contributions[robot.agent_id] for robot in present), k), (0.0,) * k
     _numbers("derivative()", len(start), lambda: made.derivative(*at_start))
+    if hasattr(made, "reach"):
+        _called("reach()", lambda: bool(made.reach(at_start[2])))
     if hasattr(made, "disturbed"):
         _numbers("disturbed()", len(start), lambda: made.disturbed(*at_start, 0.0))
     if hasattr(made, "failed") and (text := _called("failed()", lambda: made.failed(start))):
@@ -211,25 +294,47 @@ def _of_start(
         place = _called(what := "robot_place()", partial(made.robot_place, start, robot.coordinates, robot.constants))
         if not isinstance(place, (tuple, list)) or len(place) not in (1, 2) or not all(map(_is_number, place)):
             raise _FaultyError(f"{what} is {_shown(place)}; it must be a tuple of 1 or 2 finite numbers")
-    limits = [(need.low, need.high) for need in made.needs]
+    limits = [(need.low, need.high) for need in requests.needs(made)]
 
     def complete(needs: Sequence[float]) -> tuple[str, Vector]:
         limited = tuple(min(max(x, low), high) for x, (low, high) in zip(needs, limits, strict=True))
-        return (what := f"complete({limited})"), _numbers(what, k, lambda: made.complete(limited))
+        return (what := f"complete({limited})"), _numbers(what, k, lambda: system.complete(limited, system.nobody))
 
     for needs in (*zip(*limits, strict=True), [0.0] * len(limits)):
         _, desired = complete(needs)
-    controller = _called("controller()", lambda: made.controller(period))
-    asked = _numbers("ask() of the controller", len(limits), lambda: controller.ask(0.0, start, desired))
+    controller = _called("controller()", lambda: made.controller(period), pure=False)
+    ask = "ask() of the controller"
+    asked = _numbers(ask, len(limits), lambda: made.controller(period).ask(0.0, start, desired))
+    if hasattr(controller, "offset_ask"):
+        ask = "offset_ask() of the controller"
+        _numbers(ask, len(limits), lambda: made.controller(period).offset_ask(0.0, start, desired, 0.0))
     what, desired = complete(asked)
-    first, *others = _called(f"the way to {what}", lambda: list(approach(system, present, desired, gains)))
-    if (gram := first[1]).singular:
-        row = made.abstract[len(gram.pivots) - 1].name
+    if unchanged := [row.name for n, row in enumerate(made.abstract) if present and not _changes(made, present, n)]:
+        text = f"no robot can change row {unchanged[0]!r} of the abstract state: it has only zeros in every jacobian()"
+        yield ("swarm", "agents"), text, "add a robot that can, or remove the row from the system's table abstract"
+        return
+    way = partial(approach, system, present, desired, gains)
+    first, *others = _called(f"the way to {what}", lambda: list(way()), pure=False)
+    if uncontrolled := first[1].uncontrolled:
+        row = made.abstract[uncontrolled[0]].name
         text = f"the robots cannot control row {row!r}: their Gram matrix is singular at the start"
         yield ("swarm", "agents"), text, remedy
     elif not (others or [first])[-1][3] < NEAR:
         text = f"the robots cannot reach the abstract state of {what}, the first that is requested"
         yield ("swarm", "agents"), text, f"{remedy}, or correct the parent system"
+
+
+def _changes(made: Any, robots: Sequence[RobotState], row: int) -> bool:
+    """Return whether a robot can change a row of the abstract state, at the start or close to it."""
+    for robot in robots:
+        q = robot.coordinates
+        shifts = [(j, sign * each.scale) for j, each in enumerate(made.robot) for sign in (1.0, -1.0)]
+        near = [(*q[:j], q[j] + shift, *q[j + 1 :]) for j, shift in shifts]
+        for place in (q, *near):
+            with suppress(Exception):  # robots may not be everywhere
+                if any(made.jacobian(place, robot.constants)[row]):
+                    return True
+    return False
 
 
 def _contribution(made: Any, robot: RobotState) -> Vector:
@@ -256,7 +361,8 @@ def _contribution(made: Any, robot: RobotState) -> Vector:
     _positive(f"weight() {of}", lambda: made.weight(constants))
     _numbers(f"own_motion() {of}", d, lambda: made.own_motion(q, constants))
     if hasattr(made, "limits"):
-        bounds = _called(what := f"limits() {of}", lambda: made.limits(constants))
+        kind = word(RobotKind(robot.kind))
+        bounds = _called(what := f"limits() {of}", lambda: made.limits(constants, kind))
         if _called(what, lambda: [a <= b for a, b in zip(*bounds, strict=True)]) != [True] * d:
             raise _FaultyError(f"{what} is {_shown(bounds)}; it must be two tuples of {d}, low <= high")
     return value

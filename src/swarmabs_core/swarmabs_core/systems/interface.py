@@ -14,17 +14,22 @@ All vectors are tuples of floats; functions are pure: equal arguments give equal
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from inspect import signature
+from math import inf, isinf
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 from swarmabs_core.declaration import made_of, parameters_of
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import SystemDescription
+from swarmabs_core.messages import StandingState, SystemDescription
 from swarmabs_core.parameters import Settings, resolve
 from swarmabs_core.registry import Part, Registry
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 Vector: TypeAlias = tuple[float, ...]
 Matrix: TypeAlias = Sequence[Sequence[float]]
@@ -34,12 +39,15 @@ class Quantity(NamedTuple):
     """A number of a state: name, SI unit, and scale, a typical magnitude, 1 by default.
 
     The scale of a row of the abstract state is what a typical robot changes in this row by moving by 1: the Gram matrix
-    is compared with it.
+    is compared with it. A coordinate of robots may have ends, low and high, which robots do not pass while the swarm is
+    in control, such as those of a deck: events report a robot beyond them (`swarmabs_core.ranges`).
     """
 
     name: str
     unit: str
     scale: float = 1.0
+    low: float = -inf
+    high: float = inf
 
 
 class Constant(NamedTuple):
@@ -52,6 +60,39 @@ class Constant(NamedTuple):
     name: str
     unit: str
     default: float | None = None
+
+
+class Standing(tuple[float, ...]):  # noqa: SLOT001 - it has attributes
+    """The contribution (k,) to the abstract state of robots that stand (dead, stopped or silent), zeros without any.
+
+    Attributes
+    ----------
+    robots : int
+        Their number.
+    constants : tuple of float
+        Sums of their constants, in the order of the system.
+    moving : tuple of float
+        The same sums over the robots that follow the law.
+    """
+
+    robots: int
+    constants: Vector
+    moving: Vector
+
+    def __new__(cls, contribution: Vector, robots: int, constants: Vector, moving: Vector) -> Self:
+        """Make it of its parts."""
+        made = super().__new__(cls, contribution)
+        made.robots, made.constants, made.moving = robots, constants, moving
+        return made
+
+    def __getnewargs__(self) -> tuple[Vector, int, Vector, Vector]:
+        """Return what it is made of."""
+        return tuple(self), self.robots, self.constants, self.moving
+
+    @classmethod
+    def of(cls, divided: StandingState) -> Standing:
+        """Return it as a message has it."""
+        return cls(divided.standing, divided.standing_count, divided.standing_constants, divided.moving_constants)
 
 
 class Need(NamedTuple):
@@ -93,10 +134,11 @@ class ParentSystem(Protocol):
 
     Optional methods, with their use:
 
-    - ``limits(constants)``: lowest and highest command of a robot, two tuples (d,); it holds a limit that it reaches.
+    - ``limits(constants, kind)``: a robot's lowest and highest command, (d,) each; it holds a limit that it reaches.
     - ``disturbed(time, state, abstract, rate, value)``: the derivative during a fault ``disturbance`` of a value.
     - ``offset_ask(time, state, desired, offset)`` of the controller: the needs during a fault ``reference``.
     - ``failed(state)``: why a run cannot continue from a state; an empty text if it can.
+    - ``generated(number, count, constants)``: initial coordinates (d,) of a generated robot by its number, 1 to count.
     - ``robot_place(state, q, constants)``: where a robot is drawn, (1,) or (2,); by default its first two coordinates.
     - ``outline(state)``: lines to draw, a tuple of tuples of points (x, y).
     - ``reach(abstract)``: whether robots within their limits can have an abstract state; ``check`` reports it.
@@ -143,8 +185,12 @@ class ParentSystem(Protocol):
         """Return a new controller for a control period, s."""
         ...
 
-    def complete(self, needs: Vector) -> Vector:
-        """Return the desired abstract state (k,) that meets needs (m,) within their limits."""
+    def complete(self, needs: Vector, standing: Standing) -> Vector:
+        """Return the desired abstract state (k,) that meets needs (m,) within their limits.
+
+        The robots that stand contribute `standing` to it; the others must supply the rest, and must be able to. A
+        system for which this makes no difference may omit the parameter.
+        """
         ...
 
     def reference(self, time: float) -> Vector:
@@ -220,6 +266,10 @@ class NamedSystem:
     type: str
     settings: Settings = field(default_factory=dict, hash=False)
 
+    def __deepcopy__(self, _: object) -> NamedSystem:
+        """Return the system itself: its functions are pure."""
+        return self
+
     @cached_property
     def made(self) -> ParentSystem:
         """The parent system."""
@@ -227,9 +277,9 @@ class NamedSystem:
 
     @cached_property
     def description(self) -> str:
-        """Names, units and scales of its numbers and its settings as JSON, the text of `SystemDescription`."""
+        """Names, units, scales and ends of its numbers and its settings as JSON, the text of `SystemDescription`."""
         settings = resolve(SYSTEMS.find(self.type).settings, self.settings, owner=self.type)
-        tables = {name: [row._asdict() for row in getattr(self.made, name)] for name in TABLES}
+        tables = {name: [_stated(row) for row in getattr(self.made, name)] for name in TABLES}
         return json.dumps({"name": self.type, **tables, "settings": settings}, sort_keys=True)
 
     @cached_property
@@ -237,7 +287,26 @@ class NamedSystem:
         """The first eight bytes of the SHA-256 of the description; in every message."""
         return int.from_bytes(sha256(self.description.encode()).digest()[:8], "little")
 
+    @cached_property
+    def nobody(self) -> Standing:
+        """What stands if no robot does."""
+        none = (0.0,) * len(self.made.constants)
+        return Standing((0.0,) * len(self.made.abstract), 0, none, none)
+
+    @cached_property
+    def complete(self) -> Callable[[Vector, Standing], Vector]:
+        """`ParentSystem.complete` with both parameters."""
+        made: Any = self.made
+        if len(signature(made.complete).parameters) > 1:
+            return lambda needs, standing: tuple(made.complete(needs, standing))
+        return lambda needs, _: tuple(made.complete(needs))
+
     def constant(self, constants: Vector, name: str, default: float = 0.0) -> float:
         """Return a robot's constant by name, the default if the system has no such constant."""
         names = [each.name for each in self.made.constants]
         return constants[names.index(name)] if name in names else default
+
+
+def _stated(row: Any) -> dict[str, Any]:
+    """Return a row of a table without the ends that it does not have: JSON has no infinity."""
+    return {name: value for name, value in row._asdict().items() if not (isinstance(value, float) and isinf(value))}

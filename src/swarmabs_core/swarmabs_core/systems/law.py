@@ -23,16 +23,19 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.declaration import setting
 from swarmabs_core.drive import DoubleIntegratorDrive
-from swarmabs_core.messages import RobotKind
+from swarmabs_core.messages import RobotKind, word
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from swarmabs_core.messages import SwarmAbstract, SwarmBroadcast, SwarmDesired
     from swarmabs_core.systems.interface import Matrix, NamedSystem, Quantity, Vector
 
 SINGULAR = 1e-12
-"""Smallest pivot of a usable Gram matrix in units of its largest diagonal entry, both scaled."""
+"""Smallest pivot of a Gram matrix with which a run may start, in units of its largest diagonal entry, both scaled."""
+LEAST_PIVOT = 1e-8
+"""Pivot in the same units below which the row of the abstract state is no longer fully controlled."""
+_LEAST = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +51,10 @@ class SystemGains:
 class Gram:
     """The Gram matrix S, factorised as scaled L D L^T in fixed order.
 
+    A row whose pivot is small is damped: S + delta in its place of the diagonal is solved, where delta depends on the
+    pivot. The motion then gives all other rows exactly, and the share p/(p + delta) of what this row lacks, which
+    vanishes with the pivot p.
+
     Parameters
     ----------
     lower : sequence of float, (k (k + 1) / 2,)
@@ -57,10 +64,12 @@ class Gram:
 
     Attributes
     ----------
-    singular : bool
-        Whether a pivot is too small: then the robots cannot control all rows independently.
     pivots : list of float
-        The scaled pivots, up to the first that is too small.
+        The scaled pivots.
+    uncontrolled : list of int
+        The rows whose pivot is too small: the robots cannot control them independently of the rows before.
+    empty : bool
+        Whether no robot can move anything.
     """
 
     def __init__(self, lower: Sequence[float], rows: Sequence[Quantity]) -> None:
@@ -71,19 +80,21 @@ class Gram:
             for i in range(size)
         ]
         self._largest = max(scaled[i][i] for i in range(size))
+        self.empty = self._largest == 0.0
         self._factors: list[list[float]] = []
+        self._damped: list[float] = []
         self.pivots: list[float] = []
+        edge = LEAST_PIVOT * self._largest
         for i in range(size):
             row: list[float] = []
             for j in range(i):
-                known = sum(row[n] * self.pivots[n] * self._factors[j][n] for n in range(j))
-                row.append((scaled[i][j] - known) / self.pivots[j])
-            pivot = scaled[i][i] - sum(row[n] * row[n] * self.pivots[n] for n in range(i))
+                explained = sum(row[n] * self._damped[n] * self._factors[j][n] for n in range(j))
+                row.append((scaled[i][j] - explained) / self._damped[j] if self._damped[j] else 0.0)
+            pivot = scaled[i][i] - sum(row[n] * row[n] * self._damped[n] for n in range(i))
             self.pivots.append(pivot)
-            self.singular = not pivot > SINGULAR * self._largest
-            if self.singular:
-                return
+            self._damped.append(pivot if pivot > edge else edge * edge / max(pivot, _LEAST * edge) if edge else 0.0)
             self._factors.append(row)
+        self.uncontrolled = [i for i, pivot in enumerate(self.pivots) if not pivot > SINGULAR * self._largest]
 
     @property
     def least(self) -> float:
@@ -92,14 +103,62 @@ class Gram:
 
     def solve(self, right: Sequence[float]) -> list[float]:
         """Return y with S y = right, both (k,)."""
-        size = len(self.pivots)
+        size = len(self._damped)
         y = [value / scale for value, scale in zip(right, self._scales, strict=True)]
         for i in range(size):
             y[i] -= sum(self._factors[i][n] * y[n] for n in range(i))
-        y = [value / pivot for value, pivot in zip(y, self.pivots, strict=True)]
+        y = [value / pivot for value, pivot in zip(y, self._damped, strict=True)]
         for i in reversed(range(size)):
             y[i] -= sum(self._factors[n][i] * y[n] for n in range(i + 1, size))
         return [value / scale for value, scale in zip(y, self._scales, strict=True)]
+
+
+class Remainder:
+    """What some rows of the abstract state ask for beyond what the motion for the other rows gives them anyway.
+
+    Parameters
+    ----------
+    lower : sequence of float, (k (k + 1) / 2,)
+        Lower triangle of the Gram matrix by rows.
+    rows : sequence of Quantity, (k,)
+        The rows of the abstract state.
+    free : sequence of int
+        The rows that are satisfied after all others.
+    """
+
+    def __init__(self, lower: Sequence[float], rows: Sequence[Quantity], free: Sequence[int]) -> None:
+        self._free, self._first = free, [row for row in range(len(rows)) if row not in free]
+
+        def at(i: int, j: int) -> float:
+            i, j = max(i, j), min(i, j)
+            return lower[i * (i + 1) // 2 + j]
+
+        def of(chosen: Sequence[int], entry: Callable[[int, int], float]) -> Gram:
+            triangle = [entry(a, b) for n, a in enumerate(chosen) for b in chosen[: n + 1]]
+            return Gram(triangle, [rows[row] for row in chosen])
+
+        first = of(self._first, at) if self._first else None
+        # What a unit of each free row has in common with the first rows, solved for these.
+        self._common = {
+            row: first.solve([at(row, one) for one in self._first]) if first is not None else [] for row in free
+        }
+
+        def left(i: int, j: int) -> float:
+            return at(i, j) - sum(c * at(j, one) for c, one in zip(self._common[i], self._first, strict=True))
+
+        self._gram = of(free, left)
+
+    def excess(self, asked: Sequence[float], most: float) -> list[float]:
+        """Return by how much the free rows ask too much, if their share of the effort is to be at most `most`."""
+        left = [
+            asked[row] - sum(c * asked[one] for c, one in zip(self._common[row], self._first, strict=True))
+            for row in self._free
+        ]
+        if self._gram.empty:
+            return left
+        y = self._gram.solve(left)
+        effort = sqrt(max(0.0, sum(a * b for a, b in zip(left, y, strict=True))))
+        return [value * (1.0 - most / effort) for value in left] if effort > most else [0.0] * len(left)
 
 
 def by_row(gain: Sequence[float], size: int) -> tuple[float, ...]:
@@ -137,14 +196,19 @@ class RobotLaw:
         if kind is RobotKind.FIRST_ORDER_LAG:
             self.time_constant = system.constant(constants, "time_constant", 1.0)
 
-    def rate(self, q: Vector, velocity: Vector, heard: SwarmBroadcast) -> Vector | None:
-        """Return what the law prescribes at coordinates and velocities, (d,) each; None if the Gram matrix is singular.
+    def rate(self, q: Vector, velocity: Vector, heard: SwarmBroadcast, held: Vector | None = None) -> Vector | None:
+        """Return what the law prescribes at coordinates and velocities, (d,) each; None if no robot follows it yet.
 
-        It is the mean velocity over the period, (d,), and for double integrators the mean acceleration.
+        It is the mean velocity over the period, (d,), and for double integrators the mean acceleration. A robot that
+        holds a limit is in the sums with the rate (d,) that is `held`; it asks what the law would prescribe if it
+        followed it.
         """
         abstract, auxiliary, desired = heard.abstract, heard.auxiliary, heard.desired
-        gram = Gram(auxiliary.gram, self._system.abstract)
-        if gram.singular:
+        lower, drift = auxiliary.gram, auxiliary.drift
+        if held is not None:
+            lower, drift = self._joined(q, held, lower, drift)
+        gram = Gram(lower, self._system.abstract)
+        if gram.empty:
             return None
         force = self._kind is RobotKind.DOUBLE_INTEGRATOR
         second_order = force and self._second_order
@@ -155,7 +219,7 @@ class RobotLaw:
             right = [
                 gain * (goal - value) + rate - drift
                 for gain, goal, value, rate, drift in zip(
-                    self._k, desired.value, abstract.value, wanted, auxiliary.drift, strict=True
+                    self._k, desired.value, abstract.value, wanted, drift, strict=True
                 )
             ]
         y = gram.solve(right)
@@ -169,6 +233,25 @@ class RobotLaw:
         if force:
             return tuple((goal - v) / self._period for goal, v in zip(target, velocity, strict=True))
         return tuple(target)
+
+    def dispensable(self, q: Vector, lower: Vector, *, inside: bool) -> bool:
+        """Return whether the others control all rows without this robot, which is `inside` a Gram matrix, or not."""
+        if inside:
+            own = gram_of(self._system.jacobian(q, self._constants), self._weight)
+            lower = tuple(a - b for a, b in zip(lower, own, strict=True))
+        return Gram(lower, self._system.abstract).least > LEAST_PIVOT
+
+    def _joined(self, q: Vector, held: Vector, lower: Vector, drift: Vector) -> tuple[Vector, Vector]:
+        """Return Gram matrix and drift with this robot among those that follow the law, instead of its held rate."""
+        jacobian = self._system.jacobian(q, self._constants)
+        gap = [xi - v for xi, v in zip(self._system.own_motion(q, self._constants), held, strict=True)]
+        own = gram_of(jacobian, self._weight)
+        return (
+            tuple(a + b for a, b in zip(lower, own, strict=True)),
+            tuple(
+                r + sum(a * b for a, b in zip(row, gap, strict=True)) for r, row in zip(drift, jacobian, strict=True)
+            ),
+        )
 
     def _acceleration(self, abstract: SwarmAbstract, desired: SwarmDesired, curvature: Vector) -> list[float]:
         """Return w + sigma a' - h, (k,)."""
@@ -211,7 +294,7 @@ class RobotLaw:
         limits = getattr(self._system, "limits", None)
         if limits is None:
             return command
-        low, high = limits(self._constants)
+        low, high = limits(self._constants, word(self._kind))
         return tuple(min(max(u, a), b) for u, a, b in zip(command, low, high, strict=True))
 
     def advance(self, q: Vector, velocity: Vector, command: Vector) -> tuple[Vector, Vector]:
@@ -229,6 +312,15 @@ class RobotLaw:
     def held_rate(self, q: Vector, command: Vector) -> Vector:
         """Return the mean velocities (d,) of a single integrator or a lag in the next period under a command (d,)."""
         return tuple((b - a) / self._period for a, b in zip(q, self.advance(q, q, command)[0], strict=True))
+
+
+def gram_of(jacobian: Matrix, weight: float) -> list[float]:
+    """Return a robot's part of the Gram matrix, the lower triangle of J W^-1 J^T by rows, (k (k + 1) / 2,)."""
+    return [
+        sum(a * b for a, b in zip(jacobian[i], jacobian[j], strict=True)) / weight
+        for i in range(len(jacobian))
+        for j in range(i + 1)
+    ]
 
 
 def motion(jacobian: Matrix, y: Sequence[float], weight: float, size: int) -> list[float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import ceil, isfinite
 from typing import TYPE_CHECKING
 
-from swarmabs_core.errors import RunError
+from swarmabs_core.errors import RunError, one_line
 from swarmabs_core.messages import RobotKind
 from swarmabs_core.systems.swarm import along, total
 
@@ -36,7 +36,7 @@ class ParentMotion:
         Raises
         ------
         RunError
-            If the motion is not finite.
+            If the motion is not finite, or the derivative has another size.
         """
         system, period, count = self._system, self._period, self._count
         cubic = self._cubic(robots)
@@ -46,24 +46,30 @@ class ParentMotion:
             s = n / (2 * count)
             value = tuple(c0 + s * (c1 + s * (c2 + s * c3)) for c0, c1, c2, c3 in cubic)
             rate = tuple((c1 + s * (2.0 * c2 + s * 3.0 * c3)) / period for _, c1, c2, c3 in cubic)
-            if disturbance and disturbed is not None:
-                return tuple(disturbed(time + s * period, x, value, rate, disturbance))
-            return system.derivative(time + s * period, x, value, rate)
+            try:
+                if disturbance and disturbed is not None:
+                    found = disturbed(time + s * period, x, value, rate, disturbance)
+                else:
+                    found = system.derivative(time + s * period, x, value, rate)
+            except Exception as error:
+                if all(abs(number) < _FAR for number in x):
+                    raise
+                raise RunError(f"{_DIVERGED.format(time)} ({one_line(error)})") from error
+            if not isinstance(found, (tuple, list)) or len(found) != len(x):
+                wanted = f"it must return {len(x)} numbers"
+                raise RunError(f"derivative() returned {found!r} at {time + s * period:g} s; {wanted}")
+            return tuple(found)
 
         h = period / count
         x = state
-        try:
-            for n in range(0, 2 * count, 2):
-                k1 = derivative(n, x)
-                k2 = derivative(n + 1, _moved(x, 0.5 * h, k1))
-                k3 = derivative(n + 1, _moved(x, 0.5 * h, k2))
-                k4 = derivative(n + 2, _moved(x, h, k3))
-                x = tuple(
-                    value + h / 6.0 * (a + 2.0 * (b + c) + d)
-                    for value, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True)
-                )
-        except (ValueError, OverflowError, ZeroDivisionError) as error:
-            raise RunError(_DIVERGED.format(time)) from error
+        for n in range(0, 2 * count, 2):
+            k1 = derivative(n, x)
+            k2 = derivative(n + 1, _moved(x, 0.5 * h, k1))
+            k3 = derivative(n + 1, _moved(x, 0.5 * h, k2))
+            k4 = derivative(n + 2, _moved(x, h, k3))
+            x = tuple(
+                value + h / 6.0 * (a + 2.0 * (b + c) + d) for value, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True)
+            )
         if not all(map(isfinite, x)):
             raise RunError(_DIVERGED.format(time))
         return x
@@ -107,4 +113,6 @@ def _moved(x: Vector, h: float, slope: Vector) -> Vector:
     return tuple(value + h * rate for value, rate in zip(x, slope, strict=True))
 
 
+_FAR = 1e100
+"""Magnitude of a state beyond which the motion has diverged, whatever the system raises there."""
 _DIVERGED = "the parent's motion diverged in the period that begins at {} s; reduce the substep or the gains"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_core.messages import RobotStatus, SwarmAbstract, SwarmAuxiliary
+from swarmabs_core.messages import RobotStatus, StandingState, SwarmAbstract, SwarmAuxiliary
 from swarmabs_core.summation import exact_sum
+from swarmabs_core.systems.law import gram_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -52,14 +53,7 @@ def observed(
         values.append(made.contribution(q, constants))
         rates.append(rate)
         if robot.status == RobotStatus.ACTIVE:
-            weight = made.weight(constants)
-            grams.append(
-                [
-                    sum(a * b for a, b in zip(jacobian[i], jacobian[j], strict=True)) / weight
-                    for i in range(size)
-                    for j in range(i + 1)
-                ]
-            )
+            grams.append(gram_of(jacobian, made.weight(constants)))
             drifts.append(along(jacobian, made.own_motion(q, constants)))
         else:
             drifts.append(rate)
@@ -75,6 +69,34 @@ def observed(
             total(drifts, size),
             total(bends, size) if curvature else (),
         ),
+    )
+
+
+def divided(system: NamedSystem, stamp: int, step: int, robots: Sequence[RobotState]) -> StandingState:
+    """Return how the abstract state divides between robots that stand and those that follow the law or hold a limit."""
+    made = system.made
+    parts: tuple[list[RobotState], list[RobotState]] = [], []
+    for robot in robots:
+        parts[robot.status in (RobotStatus.ACTIVE, RobotStatus.LIMITED)].append(robot)
+    size = len(made.abstract)
+    standing, moving = (total((made.contribution(r.coordinates, r.constants) for r in part), size) for part in parts)
+    still, active = (total((r.constants for r in part), len(made.constants)) for part in parts)
+    jacobians = [made.jacobian(r.coordinates, r.constants) for r in parts[1]]
+    found = list(zip(jacobians, parts[1], strict=True))
+    return StandingState(
+        stamp,
+        step,
+        system.hash,
+        len(parts[0]),
+        len(parts[1]),
+        standing,
+        still,
+        moving,
+        total((along(jacobian, r.velocities) for jacobian, r in found), size),
+        total((_curvature(made, r.coordinates, r.velocities, r.constants) for r in parts[1]), size),
+        total((gram_of(jacobian, made.weight(r.constants)) for jacobian, r in found), size * (size + 1) // 2),
+        exact_sum(made.weight(r.constants) for r in parts[1]),
+        active,
     )
 
 

@@ -69,6 +69,6 @@ def _notes(setting: Setting) -> Iterator[str]:
         yield "plane.robot_gravity: the theorems do not consider gravity along the plane, which is destabilising"
     if setting.faulty:
         yield (
-            "the theorems do not consider faults, losses, or robots that join or leave; the check covers the initial "
-            "swarm and a delay"
+            "the theorems do not consider faults, losses, or robots that join or leave; they cover the initial swarm "
+            "and a delay"
         )

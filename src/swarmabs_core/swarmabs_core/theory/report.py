@@ -17,7 +17,16 @@ class Verdict(Enum):
 
     HOLDS = "holds"
     FAILS = "fails"
+    UNKNOWN = "could not be evaluated"
     NOT_APPLICABLE = "not applicable"
+
+
+class Coverage(Enum):
+    """The verdict on a scenario."""
+
+    COVERED = "covered"
+    NOT_COVERED = "not covered"
+    UNKNOWN = "could not be evaluated"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +37,7 @@ class Form:
     value: float
     bound: float
     relation: Literal[">", ">=", "<", "<="] = ">"
+    unknown: bool = False  # whether it could not be evaluated; then it has no value
 
     document: ClassVar = ("text", "value", "relation", "bound", "margin", "verdict")
 
@@ -41,6 +51,8 @@ class Form:
     @property
     def verdict(self) -> Verdict:
         """Whether the inequality holds."""
+        if self.unknown:
+            return Verdict.UNKNOWN
         holds = self.margin >= 0 if self.relation.endswith("=") else self.margin > 0
         return Verdict.HOLDS if holds else Verdict.FAILS
 
@@ -97,7 +109,11 @@ class Theorem:
     @property
     def failed(self) -> tuple[Condition, ...]:
         """The conditions whose corrected form does not hold."""
-        return tuple(condition for condition in self.conditions if condition.verdict is Verdict.FAILS)
+        return self.of(Verdict.FAILS)
+
+    def of(self, verdict: Verdict) -> tuple[Condition, ...]:
+        """Return the conditions whose corrected form has a verdict."""
+        return tuple(condition for condition in self.conditions if condition.verdict is verdict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +132,28 @@ class ParentCheck:
 
 
 @dataclass(frozen=True, slots=True)
+class Loss:
+    """The simulated loss of robots: when, and the largest and smallest numbers from then on."""
+
+    robots: tuple[int, ...]
+    change: str  # how they are lost, such as "kill"
+    time: float  # s
+    simulated: float  # time for which the swarm is simulated afterwards, s
+    failed: tuple[str, ...]  # names of the conditions that fail
+    speed: float  # of a robot, in m/s on the plane, else in scales of its coordinate per s; not of lags
+    reach: float  # coordinate of a robot, without its sign
+    deviation: float  # of the parent from its reference
+    pivot: float  # the smallest scaled pivot of the Gram matrix, on the plane S3/(S0^2 L^2)
+    limited: float  # share of the robots' commands that are at a limit
+    failure: str = ""  # why the simulation has ended early
+
+    document: ClassVar = (
+        *("robots", "change", "time", "simulated", "failed", "speed", "reach", "deviation", "pivot", "limited"),
+        "failure",
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """The evaluation of the whole theory for a scenario."""
 
@@ -128,16 +166,40 @@ class Report:
     attraction: Mapping[str, Document]  # the estimates of the region of attraction
     abstract_states: Mapping[str, Document]  # their location in the constraint sets
     notes: tuple[str, ...]  # properties of this scenario that the theory does not consider
+    simulated: tuple[Theorem, ...] = ()  # conditions on simulations, such as of losses of robots
+    losses: tuple[Loss, ...] = ()  # the simulated losses, the worst first
+
+    @property
+    def groups(self) -> tuple[Theorem, ...]:
+        """All theorems and groups of conditions."""
+        return (*self.theorems, self.beyond, *self.simulated)
 
     @property
     def failed(self) -> tuple[tuple[Theorem, Condition], ...]:
         """The applicable conditions whose corrected form does not hold."""
-        return tuple((theorem, bad) for theorem in (*self.theorems, self.beyond) for bad in theorem.failed)
+        return self._of(Verdict.FAILS)
+
+    @property
+    def unknown(self) -> tuple[tuple[Theorem, Condition], ...]:
+        """The conditions that could not be evaluated; their notes tell why."""
+        return self._of(Verdict.UNKNOWN)
+
+    def _of(self, verdict: Verdict) -> tuple[tuple[Theorem, Condition], ...]:
+        return tuple((theorem, one) for theorem in self.groups for one in theorem.of(verdict))
+
+    @property
+    def verdict(self) -> Coverage:
+        """Whether a theorem for controller and swarm applies and all applicable conditions hold, if that is known."""
+        if self.failed:
+            return Coverage.NOT_COVERED
+        if self.unknown:
+            return Coverage.UNKNOWN
+        return Coverage.COVERED if any(theorem.applicable for theorem in self.theorems) else Coverage.NOT_COVERED
 
     @property
     def covered(self) -> bool:
-        """Whether a theorem for controller and swarm applies and all applicable conditions hold."""
-        return not self.failed and any(theorem.applicable for theorem in self.theorems)
+        """Whether the verdict is that the theory covers the scenario."""
+        return self.verdict is Coverage.COVERED
 
     def document(self) -> Document:
         """Return the report as a JSON document without NaN or infinity."""
@@ -147,13 +209,17 @@ class Report:
                 "controller": self.controller,
                 "swarm": self.swarm,
                 "angle_max": self.angle_max,
+                "verdict": self.verdict.value,
                 "covered": self.covered,
                 "failed": [f"{theorem.label}.{condition.name}" for theorem, condition in self.failed],
+                "not_evaluated": [f"{theorem.label}.{condition.name}" for theorem, condition in self.unknown],
                 "theorems": self.theorems,
                 "beyond_the_paper": self.beyond,
                 "attraction": self.attraction,
                 "abstract_states": self.abstract_states,
                 "notes": self.notes,
+                "simulated": self.simulated,
+                "losses": self.losses,
             }
         )
 
@@ -181,7 +247,7 @@ def told(theorem: Theorem) -> str:
 
 def plain(value: object) -> Document:
     """Return a value in a form that JSON can represent, with None for numbers that are not finite."""
-    if isinstance(value, Form | Condition | Theorem):
+    if isinstance(value, Form | Condition | Theorem | Loss):
         return {name: plain(getattr(value, name)) for name in value.document}
     if isinstance(value, Mapping):
         return {name: plain(one) for name, one in value.items()}
@@ -195,4 +261,5 @@ def plain(value: object) -> Document:
 def _all_hold(forms: list[Form]) -> Verdict:
     if not forms:
         return Verdict.NOT_APPLICABLE
-    return Verdict.HOLDS if all(form.verdict is Verdict.HOLDS for form in forms) else Verdict.FAILS
+    found = {form.verdict for form in forms}
+    return next(verdict for verdict in (Verdict.FAILS, Verdict.UNKNOWN, Verdict.HOLDS) if verdict in found)

@@ -90,7 +90,9 @@ class LauncherClient:
             module=process.module,
             environment={
                 PARTICIPANT_VARIABLE: str(process.participant),
-                GROUP_VARIABLE: multicast_group(process.participant, gathers=process.gathers),
+                GROUP_VARIABLE: multicast_group(
+                    process.participant, gathers=process.gathers, robot=bool(process.agents)
+                ),
             },
             arguments=arguments,
             log=str(log),

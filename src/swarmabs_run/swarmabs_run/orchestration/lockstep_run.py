@@ -216,4 +216,6 @@ class LockstepRun(ProcessRun):
         grace = STALL_GRACE if lockstep.on_stall == "fail" else STALL_GRACE + 2.0 * lockstep.stall_timeout
         if now - self._stalled_since < grace:
             return None
-        return state.diagnose({name: self._machine.state_of(pid) for name, pid in state.pids.items()})
+        failure = state.diagnose({name: self._machine.state_of(pid) for name, pid in state.pids.items()})
+        taken = self._taken_port(state.names)
+        return replace(failure, reason=f"{failure.reason}; {taken}") if taken else failure

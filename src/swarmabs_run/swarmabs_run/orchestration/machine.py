@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import psutil
 
+from swarmabs_run.orchestration.network import held_port
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Collection, Iterator
     from pathlib import Path
 
     from swarmabs_run.orchestration.launcher_client import LauncherClient
@@ -57,12 +59,16 @@ class Machine(Protocol):
     def state_of(self, pid: int) -> str:
         """Return the state of a process, such as ``stopped``; ``dead`` if it does not exist."""
 
+    def held_port(self, udp: Collection[int], own: Collection[int]) -> str:
+        """Return one of these UDP ports that none of the `own` processes holds, with its holder; empty if none is."""
+
 
 class ThisMachine:
     """The real machine, with a running launcher and the read end of a pipe to which every signal writes a byte."""
 
     now = staticmethod(time.monotonic)
     time_ns = staticmethod(time.time_ns)
+    held_port = staticmethod(held_port)
 
     def __init__(self, launcher: LauncherClient, wake: int, end_asked: Callable[[], bool]) -> None:
         self._launcher = launcher

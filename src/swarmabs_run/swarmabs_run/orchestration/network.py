@@ -14,10 +14,12 @@ no process is woken by messages that are not addressed to it.
 from __future__ import annotations
 
 import socket
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Literal
+
+import psutil
 
 from swarmabs_config import ports
 from swarmabs_config.graph import COORDINATORS
@@ -25,7 +27,7 @@ from swarmabs_core.errors import RunError
 from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator
 
     from jinja2 import Template
 
@@ -35,8 +37,8 @@ GROUP_VARIABLE = "SWARMABS_GROUP"
 """Environment variable with the address of a process's multicast group."""
 _GROUPS = "239.255.83."
 _ROBOTS_GROUP, _GATHERERS_GROUP = f"{_GROUPS}1", f"{_GROUPS}3"
-_OWN_GROUP = 100
-"""Last number of the group of the participant 0, if it has one of its own."""
+_OWN_GROUPS = "239.254"
+"""First half of the address of a participant's own group."""
 
 FROM_ENVIRONMENT = PARTICIPANT_VARIABLE
 """The process reads its participant id from its environment."""
@@ -59,41 +61,73 @@ _SERVER_PREFIX = "44.53.00.5f.45.50.52.4f.53.49.4d.41"
 
 
 @contextmanager
-def claimed_domain(spacing: int = ports.SPACING) -> Iterator[int]:
+def claimed_domain(participants: int = COORDINATORS) -> Iterator[int]:
     """Claim a free ROS domain for the duration of the block, and yield its id; no other run can claim it meanwhile.
 
-    The claim is a bound TCP port on loopback, which the kernel releases however this process ends. The run's ports
-    span `spacing` domains. Raises `RunError` if no domain is free.
+    The claim is a bound TCP port on loopback, which the kernel releases however this process ends. All UDP ports of
+    participants with ids below `participants` are free, too, whoever else uses the machine. Raises `RunError` if there
+    is no such domain.
     """
-    held: list[socket.socket] = []
-    try:
-        for first in range(ports.SPACING, ports.LARGEST_DOMAIN - spacing, ports.SPACING):
-            held = _claim(range(first, first + spacing, ports.SPACING))
-            if held:
-                yield first
-                return
-        raise RunError(
-            "no ROS domain is free on this machine: the guard ports of all "
-            f"{ports.LARGEST_DOMAIN // ports.SPACING} are taken; end other runs"
-        )
-    finally:
-        for guard in held:
-            guard.close()
+    spacing, taken = ports.domains_spanned(participants), 0
+    for first in range(ports.SPACING, ports.LARGEST_DOMAIN - spacing, ports.SPACING):
+        with ExitStack() as guards:
+            if not _claim(range(first, first + spacing, ports.SPACING), guards):
+                continue
+            if (port := first_taken(udp_ports(first, range(participants)))) is not None:
+                taken = taken or port
+                continue
+            yield first
+            return
+    why = f", or UDP ports in them, such as {held_port({taken}) or taken}" if taken else ""
+    raise RunError(
+        f"no ROS domain is free on this machine: the guard ports of all {ports.LARGEST_DOMAIN // ports.SPACING} are "
+        f"taken{why}; end other runs, or the processes that hold these ports"
+    )
 
 
-def _claim(domains: range) -> list[socket.socket]:
-    """Bind the guard ports of all these domains, or of none of them."""
-    held: list[socket.socket] = []
+def _claim(domains: range, guards: ExitStack) -> bool:
+    """Bind the guard ports of all these domains; return whether that was possible."""
     for domain in domains:
-        guard = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        held.append(guard)
+        guard = guards.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
         try:
             guard.bind((_LOOPBACK, ports.PORT_BASE + ports.DOMAIN_GAIN * domain + ports.GUARD_OFFSET))
         except OSError:
-            for each in held:
-                each.close()
-            return []
-    return held
+            return False
+    return True
+
+
+def udp_ports(domain: int, participants: Iterable[int]) -> list[int]:
+    """Return the UDP ports on which participants of a domain listen, and that of its multicast groups."""
+    first = [ports.metatraffic_port(domain, participant) for participant in participants]
+    step = ports.DATA_OFFSET - ports.METATRAFFIC_OFFSET
+    return [ports.multicast_port(domain), *(port + offset for port in first for offset in (0, step))]
+
+
+def first_taken(udp: Iterable[int]) -> int | None:
+    """Return the first UDP port that cannot be bound, None if all can.
+
+    A socket on any address counts: participants bind those of multicast groups, too.
+    """
+    for port in udp:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", port))
+            except OSError:
+                return port
+    return None
+
+
+def held_port(udp: Collection[int], own: Collection[int] = ()) -> str:
+    """Return the first of these UDP ports that a process holds whose id is not among the `own`, with this process.
+
+    Empty if there is none; the process is named as far as the system tells.
+    """
+    with suppress(psutil.Error, OSError):
+        for held in psutil.net_connections("udp"):
+            if held.laddr and held.laddr.port in udp and held.pid not in own:
+                name = "" if held.pid is None else f" of process {held.pid} ({psutil.Process(held.pid).name()})"
+                return f"{held.laddr.port}{name}"
+    return ""
 
 
 def dds_environment(domain: int, profile_path: str) -> dict[str, str]:
@@ -109,11 +143,11 @@ def dds_environment(domain: int, profile_path: str) -> dict[str, str]:
     }
 
 
-def multicast_group(participant: int, *, gathers: bool) -> str:
-    """Return the address of the group to which a participant listens; a coordinator may gather the robots' states."""
-    if participant >= COORDINATORS:
+def multicast_group(participant: int, *, gathers: bool, robot: bool) -> str:
+    """Return the address of the group to which a participant listens: of robots, of who gathers states, or its own."""
+    if robot:
         return _ROBOTS_GROUP
-    return _GATHERERS_GROUP if gathers else f"{_GROUPS}{_OWN_GROUP + participant}"
+    return _GATHERERS_GROUP if gathers else f"{_OWN_GROUPS}.{participant // 256}.{participant % 256}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure, realtime
@@ -13,7 +14,6 @@ from swarmabs_config.configure import options_for
 from swarmabs_config.graph import (
     CONTROLLER,
     COORDINATORS,
-    FIRST_SPARE,
     LOCKSTEP,
     NODES,
     OBSERVER,
@@ -166,23 +166,24 @@ def _lockstep_plan(
         coordinators[STEERER] = common | place | {"step_seconds": options.step_seconds}
     for node in PAIRED if options.standby else ():
         coordinators[node] |= {"pair": PRIMARY, "pair_window": window}
-    single = [_coordinator(node, LOCKSTEP, parameters, scenario, also) for node, parameters in coordinators.items()]
-    return (
-        *single,
-        *(_standby(process, folder, options) for process in single if options.standby and process.name in PAIRED),
-        *_agent_processes(scenario, common | packed, folder, options),
-    )
+    robots = tuple(_agent_processes(scenario, common | packed, folder, options))
+    spare = count(COORDINATORS + len(robots))
+    single = [
+        _coordinator(node, LOCKSTEP, parameters, scenario, also, spare) for node, parameters in coordinators.items()
+    ]
+    paired = [process for process in single if options.standby and process.name in PAIRED]
+    return (*single, *(_standby(process, folder, options, next(spare)) for process in paired), *robots)
 
 
-def _standby(primary: ProcessPlan, folder: RunFolder, options: RunOptions) -> ProcessPlan:
-    """Return the process of a coordinator's standby, with the spare participant id of its primary."""
+def _standby(primary: ProcessPlan, folder: RunFolder, options: RunOptions, participant: int) -> ProcessPlan:
+    """Return the process of a coordinator's standby."""
     parameters = primary.parameters | {"pair": STANDBY}
     if primary.name == RECORDER and options.record:
         parameters["bag"] = str(folder.standby.bag)
     return replace(
         primary,
         name=standby_name(primary.name),
-        participant=FIRST_SPARE + primary.participant,
+        participant=participant,
         parameters=parameters,
     )
 
@@ -226,12 +227,18 @@ def _coordinator(
     parameters: Parameters,
     scenario: AnyScenario,
     also: frozenset[Option] = frozenset(),
+    spare: Iterator[int] | None = None,
 ) -> ProcessPlan:
-    """Return the process of a node that exists once per run."""
+    """Return the process of a node that exists once per run, if necessary with the next spare participant id."""
     kind = NODES[node]
+    participant = kind.participant
+    if participant is None:
+        assert spare is not None  # noqa: S101 - only nodes in lockstep have no id of their own
+        participant = next(spare)
     ends = endpoints(node, driver, options_of(parameters) | also, robots=len(scenario.agents))
+    name = scenario.family.node if node == PLANE else node
     return ProcessPlan(
-        node, kind.modules[driver], kind.participant, parameters, ends.publications, tuple(ends.subscriptions)
+        name, kind.modules[driver], participant, parameters, ends.publications, tuple(ends.subscriptions)
     )
 
 

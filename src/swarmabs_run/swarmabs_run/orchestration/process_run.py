@@ -10,12 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_config.configure import plugins
-from swarmabs_config.graph import LOCKSTEP, REALTIME, RECORDER, Driver, standby_name
-from swarmabs_config.ports import domains_spanned
+from swarmabs_config.graph import COORDINATORS, LOCKSTEP, REALTIME, RECORDER, Driver, standby_name
 from swarmabs_run.ending import end_asked, end_grace
 from swarmabs_run.orchestration.launcher_client import LauncherClient
 from swarmabs_run.orchestration.machine import ThisMachine, woken_by_signals
-from swarmabs_run.orchestration.network import claimed_domain, dds_environment, multicast_works, profile_xml
+from swarmabs_run.orchestration.network import (
+    claimed_domain,
+    dds_environment,
+    multicast_works,
+    profile_xml,
+    udp_ports,
+)
 from swarmabs_run.orchestration.plan import Arrange, ProcessPlan, plan
 from swarmabs_run.orchestration.run_files import ProgressFile, write_network, write_processes
 from swarmabs_run.orchestration.supervision import Failure, Supervision, last_lines
@@ -23,7 +28,7 @@ from swarmabs_run.run import DEFAULTS, Outcome, Progress, RunOptions
 from swarmabs_run.tracing_files import tracing_files_removed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Collection, Iterable
     from typing import ClassVar
 
     from swarmabs_bag.run_folder import RunFolder
@@ -73,6 +78,7 @@ class ProcessRun:
         )
         self._machine: Machine
         self._begun: float
+        self._domain: int
         self._started: float | None = None
         self._finished: float | None = None
 
@@ -89,8 +95,10 @@ class ProcessRun:
         profile, realtime = self._folder.logs / "fastdds.xml", self._driver is REALTIME
         with ExitStack() as stack:
             stack.enter_context(tracing_files_removed())
-            domain = stack.enter_context(claimed_domain(domains_spanned(participants)))
-            profile.write_text(profile_xml(domain, multicast=multicast_works(), realtime=realtime), encoding="utf-8")
+            domain = stack.enter_context(claimed_domain(participants))
+            peers = [*range(COORDINATORS), *(p.participant for p in self._plan if not p.agents)]
+            text = profile_xml(domain, peers=dict.fromkeys(peers), multicast=multicast_works(), realtime=realtime)
+            profile.write_text(text, encoding="utf-8")
             write_network(self._folder.logs, domain, participants, realtime=realtime)
             stack.callback(self._progress_file.over)
             asked = stack.enter_context(end_asked())
@@ -111,7 +119,7 @@ class ProcessRun:
         The run's folder already holds the input files; `begun` is the time of the request, s on the steady clock, from
         which the log counts.
         """
-        self._machine, self._begun = machine, begun
+        self._machine, self._begun, self._domain = machine, begun, domain
         self._note(f"{self._scenario.name}: {len(self._plan)} processes in ROS domain {domain}")
         return self._conclude(self._supervise())
 
@@ -198,7 +206,14 @@ class ProcessRun:
     def _not_started(self) -> Failure:
         missing = self._supervision.not_ready()
         shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
-        return Failure(f"{shown}: counterparts not found; no progress for {START_SILENCE:g} s", missing[:2])
+        why = self._taken_port(missing) or "counterparts not found"
+        return Failure(f"{shown}: {why}; no progress for {START_SILENCE:g} s", missing[:2])
+
+    def _taken_port(self, names: Collection[str]) -> str:
+        """Return which UDP port of these processes another one holds, and the remedy; empty if there is none."""
+        ids = (process.participant for process in self._plan if process.name in names)
+        taken = self._machine.held_port(udp_ports(self._domain, ids), set(self._supervision.pids.values()))
+        return f"UDP port {taken} is not free; end that process" if taken else ""
 
     def _conclude(self, failure: Failure | None) -> Outcome:
         """Let the recorder complete the bag if the run did not finish, and return the outcome."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_config.graph import RECORDER, agent_name, standby_name, writers
-from swarmabs_core.messages import BROADCASTS, PLANE_STATE
+from swarmabs_core.messages import EVENTS, FAMILIES, EventKind, word_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 RESTARTS = 2
 """Largest number of restarts of a robot's process that fails to start."""
 
-PUBLISHER_OF = {topic.name: writers(topic)[0] for topic in (PLANE_STATE, *BROADCASTS)}
+PUBLISHER_OF = {topic.name: writers(topic)[0] for family in FAMILIES for topic in family.broadcasts}
+PUBLISHER_OF |= {family.parent.name: family.node for family in FAMILIES}
+"""The process that publishes a topic with a single publisher, by the name of the topic."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +74,7 @@ class Supervision:
     failure: Failure | None = None
     timing: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     steered: list[Mapping[str, Any]] = field(default_factory=list)
+    published: set[str] = field(default_factory=set)
 
     def take(self, report: Mapping[str, Any]) -> None:
         """Process a report of a node or of the launcher."""
@@ -102,6 +105,10 @@ class Supervision:
             self.timing[node] = {name: value for name, value in report.items() if name not in {"node", "pid", "event"}}
         elif event == "steered":
             self.steered.append(report)
+        elif event == "publishes":
+            self.published.update(digest for digest, *_ in report["events"])
+        elif event == "recorded":
+            self._refuse_foreign(node, report["events"])
         elif event == "done":
             self._recorded(node, report)
 
@@ -135,6 +142,19 @@ class Supervision:
                 return
             how = f"{how}; {peer} (process {self.pids.get(peer)}) {self.gone.get(peer, 'ended')} before"
         self._fail(Failure(f"{name} (process {self.pids.get(name)}) {how}", (name,)))
+
+    def _refuse_foreign(self, recorder: str, events: Iterable[tuple[str, int, int, int]]) -> None:
+        """Fail if a recorder has recorded an event that no node of the run has reported before publishing it."""
+        for digest, step, agent_id, kind in events:
+            if digest not in self.published:
+                of = f" of robot {agent_id}" if agent_id else ""
+                what = f"an event '{word_of(EventKind, kind).replace('_', ' ')}'{of} of step {step}"
+                self._fail(
+                    Failure(
+                        f"{recorder}: {EVENTS.name}: {what} that no node of this run has published; is a second swarm "
+                        "in this namespace?"
+                    )
+                )
 
     def _recorded(self, recorder: str, report: Mapping[str, Any]) -> None:
         """Take the result of a recorder: the first complete one counts, or that of the last one."""

@@ -187,7 +187,7 @@ function unit(event, kinds) {
   if (!event.agent) {
     return begins("torque limited") ? " N m" : begins("end stop") ? " rad" : "";
   }
-  if (begins("off the plane")) {
+  if (/(out of|back in) range/.test(event.detail) || begins("off the plane")) {
     return " m";
   }
   return begins("command limited") ? { single_integrator: " m/s", double_integrator: " N" }[kinds.get(event.agent)] ?? "" : "";

@@ -1,0 +1,80 @@
+"""A simulation that loses robots at any step, and that can be copied before."""
+
+from __future__ import annotations
+
+import copy
+from typing import TYPE_CHECKING
+
+from swarmabs_core.behaviours import Observer
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.membership import SILENT
+from swarmabs_core.publishers import NodeKind, NodeName
+from swarmabs_run.simulation import Network, nodes_in_process
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from swarmabs_analysis.losses.measures import Watch
+    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.messages import Message
+
+
+class Rehearsal:
+    """The nodes of a scenario in this process, without a recording.
+
+    Attributes
+    ----------
+    step : int
+        The step in which the robots wait for the desired state.
+    """
+
+    def __init__(self, scenario: AnyScenario) -> None:
+        self._nodes = nodes_in_process(scenario)
+        self._desired = scenario.family.desired.message
+        self._network = Network(self._nodes.values())
+        self.step = -1
+
+    def copy(self) -> Rehearsal:
+        """Return a copy that continues independently.
+
+        Raises
+        ------
+        InputError
+            If a part of an installed package cannot be copied.
+        """
+        try:
+            return copy.deepcopy(self)
+        except Exception as error:  # foreign objects may raise anything
+            what = " ".join(f"{type(error).__name__}: {error}".split())
+            raise InputError(f"the parent controller cannot be copied ({what}): give it attributes that can") from error
+
+    def advance(self, step: int, watch: Watch, lost: Collection[int] = ()) -> None:
+        """Simulate until the robots wait for the desired state of a step; robots that are `lost` die at once.
+
+        They have published their last states and remain at rest, as after a fault ``kill``. If the run fails, the
+        reason becomes the `failure` of the watch.
+        """
+        try:
+            if self.step < 0:
+                self._network.start()
+            if lost:
+                self._lose(lost, watch)
+            self._until(step, watch)
+        except RunError as error:
+            watch.failure = str(error)
+
+    def _lose(self, lost: Collection[int], watch: Watch) -> None:
+        for robot in lost:
+            self._network.disconnect(self._nodes[NodeName(NodeKind.AGENT, robot)])
+        self._until(self.step + 1, watch)
+        observer = self._nodes[NodeName(NodeKind.OBSERVER)].behaviour
+        assert isinstance(observer, Observer)  # noqa: S101 - by its name
+        self._network.pending.extend(observer.drop(lost, SILENT))
+
+    def _until(self, step: int, watch: Watch) -> None:
+        def later(message: Message) -> bool:
+            return isinstance(message, self._desired) and message.step >= step
+
+        for message in self._network.deliver(later):
+            self.step = max(self.step, message.step)
+            watch(message)

@@ -1,0 +1,49 @@
+"""The events about robots beyond the ends of the plane as versions before the ranges of coordinates told them."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from swarmabs_config.scenario import SystemScenario
+from swarmabs_core.messages import EventKind, SwarmEvent
+from swarmabs_core.ranges import RangeMonitor, crossing_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.systems import Quantity
+
+OFF_END = "off the plane's end"
+"""`SwarmEvent.detail` in bags of these versions, for each step in which a robot has just crossed an end."""
+
+
+def are_earlier(events: Iterable[SwarmEvent], scenario: AnyScenario) -> bool:
+    """Return whether the events of a run are those of such a version: the first about a robot out of range decides.
+
+    If there is none, they are, unless the parent system states ends of coordinates, as only later versions can.
+    """
+    for event in events:
+        if crossing_of(event) is not None:
+            return False
+        if event.kind == EventKind.LIMIT_HIT and event.detail == OFF_END:
+            return True
+    stated = scenario.named.made.robot if isinstance(scenario, SystemScenario) else ()
+    return not any(isfinite(end) for row in stated for end in (row.low, row.high))
+
+
+class EarlierEnds(RangeMonitor):
+    """Tells of robots that have just crossed an end of the plane; on other parent systems of none."""
+
+    def __init__(self, ranges: Sequence[Quantity]) -> None:
+        super().__init__(ranges)
+        self._lane = ranges
+        self._outside: set[int] = set()
+
+    def watch(self, robots: Iterable[tuple[int, Sequence[float]]], step: int, stamp: int) -> list[SwarmEvent]:
+        """Return the events of a step; see `RangeMonitor.watch`."""
+        places = {robot: q[0] for robot, q in robots if not self._assumes and abs(q[0]) > self._lane[0].high}
+        new = places.keys() - self._outside
+        self._outside = {*places}
+        return [SwarmEvent(stamp, step, i, EventKind.LIMIT_HIT, places[i], OFF_END) for i in sorted(new)]
