@@ -5,7 +5,8 @@
 
 from dataclasses import dataclass
 from itertools import cycle
-from math import cos as cosine, inf, nan, pi, sin as sine, tanh
+from math import cos as cosine, fsum, inf, nan, pi, sin as sine, tanh
+from operator import imul
 from pathlib import Path
 from typing import Any
 
@@ -358,6 +359,12 @@ FAULTS: dict[str, dict[str, Any]] = {
     "refuses_plainly": {"controller": lambda *_: _refuse("no wheel is left")},
     "limits_of_kinds": {"limits": lambda _, __, kind: {"double_integrator": ((-1.0,), (1.0,))}[kind]},
     "none": {},
+    "columns": {"columns": True},
+    "columns_power": {"columns": True, "contribution": lambda _, q, c: (G * c[0] * q[0], c[0] * q[0] ** 2)},
+    "columns_function": {"columns": True, "own_motion": lambda _, q, c: (0.0 * sine(q[0]),)},
+    "columns_branch": {"columns": True, "own_motion": lambda _, q, c: (0.0 if q[0] > 1.0 else -0.0,)},
+    "columns_in_place": {"columns": True, "weight": lambda _, c: imul(c[0], 1.0)},
+    "columns_joined": {"columns": True, "weight": lambda _, c: fsum((c[0], 0.0))},
     "jacobian": {"jacobian": lambda _, q, c: ((G * c[0],), (c[0] * q[0],))},
     "jacobian_shape": {"jacobian": lambda _, q, c: (G * c[0], 2.0 * c[0] * q[0])},
     "contribution_nan": {"contribution": lambda *_: (nan, 0.0)},

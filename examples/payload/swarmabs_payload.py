@@ -35,6 +35,7 @@ class Payload:
     place = (Constant("x", "m"), Constant("y", "m"), Constant("spin", "1", 0.0))
     constants = (*place, Constant("time_constant", "s"), Constant("highest", "N"))
     tracked = tuple(Tracked(name, 0.3) for name in "xyz")
+    columns = True
     initial = (0.0,) * 12
 
     @property

@@ -39,6 +39,7 @@ class Plate:
     robot = (Quantity("x", "m"), Quantity("y", "m"))
     constants = (Constant("mass", "kg"), Constant("damping", "N s/m", 0.0))
     tracked = (Tracked("alpha", 0.01), Tracked("beta", 0.01))
+    columns = True
 
     @property
     def needs(self) -> tuple[Need, ...]:

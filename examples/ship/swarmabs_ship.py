@@ -38,6 +38,7 @@ class Ship:
     robot = (Quantity("position", "m"),)
     constants = (Constant("mass", "kg"), Constant("damping", "N s/m", 0.0))
     tracked = (Tracked("roll", 0.02),)
+    columns = True
 
     @property
     def needs(self) -> tuple[Need, ...]:

@@ -87,7 +87,12 @@ def test_it_is_quiet_while_no_robot_can_cross_an_end() -> None:
     assert not monitor.quiet(nan)
     monitor.watch([(1, (0.6,))], 0, 0)
     assert not monitor.quiet(0.1), "a robot has to return"
-    assert not RangeMonitor((Quantity("x", ""),)).quiet(0.0), "first places count"
+    assumed = RangeMonitor((Quantity("x", ""),))
+    assert not assumed.quiet(0.0, same=True), "first places count"
+    assumed.watch([(1, (2.0,))], 0, 0)
+    assert assumed.quiet(200.0, same=True)
+    assert not assumed.quiet(200.1, same=True)
+    assert not assumed.quiet(0.0), "another robot may come"
 
 
 def event(step: int, robot: int, detail: str, value: float = 0.0, kind: EventKind = EventKind.LIMIT_HIT) -> SwarmEvent:

@@ -24,7 +24,8 @@ from swarmabs_core.publishers import NodeKind, NodeName
 from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 from swarmabs_run.simulation import Simulation, nodes_in_process, simulate, simulated_steps
-from swarmabs_run.vector_simulation import NotVectorisableError, VectorSimulation, vectorisable
+from swarmabs_run.swarm_columns import NotVectorisableError
+from swarmabs_run.vector_simulation import VectorSimulation, vectorisable
 
 SHORT = "duration=0.5"
 

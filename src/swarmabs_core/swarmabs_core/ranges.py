@@ -101,10 +101,14 @@ class RangeMonitor:
         self._known: set[int] = set()
         self._phases: dict[tuple[int, int], Phase] = {}
 
-    def quiet(self, farthest: float) -> bool:
-        """Return whether nothing can be told of robots none of whose coordinates is beyond a distance from 0."""
+    def quiet(self, farthest: float, *, same: bool = False) -> bool:
+        """Return whether nothing can be told of robots none of whose coordinates is beyond a distance from 0.
+
+        The first places of robots may widen assumed ranges, unless they are the `same` robots in all steps.
+        """
         inside = all(farthest <= min(-ends.low, ends.high) for ends in self._ends)
-        return inside and not (self._phases or self._assumes)
+        met = not self._assumes or (same and self._known)
+        return inside and bool(met) and not self._phases
 
     def borders(self, place: int = 0) -> list[float]:
         """Return ascending values of a coordinate: while it moves between two of them, nothing is told."""

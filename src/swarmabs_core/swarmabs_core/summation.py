@@ -31,6 +31,23 @@ def exact_sum(terms: Iterable[float]) -> float:
         return nan
 
 
+def added(terms: Iterable[Any]) -> Any:
+    """Return the sum of at least one term, numbers or columns, rounded as the built-in `sum` rounds it.
+
+    Since Python 3.12, it carries the rounding errors of its additions along and adds them in the end.
+    """
+    terms = list(terms)
+    if isinstance(terms[0], float):
+        return sum(terms)
+    total, lost = terms[0] + 0.0, 0.0
+    for term in terms[1:]:
+        after = total + term
+        part = after - total
+        lost = lost + ((total - (after - part)) + (term - part))
+        total = after
+    return total + lost
+
+
 def exact_total(*columns: Iterable[float]) -> float:
     """Return the `exact_sum` of all numbers in columns."""
     return exact_sum(columns[0] if len(columns) == 1 else chain.from_iterable(columns))

@@ -15,7 +15,7 @@ from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.figures import PLANE_TRACKING, RunFigures, Tracking
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, ROBOT, Option, endpoints
-from swarmabs_config.scenario import AnyScenario, Scenario, dump_scenario, parse_scenario
+from swarmabs_config.scenario import AnyScenario, dump_scenario, parse_scenario
 from swarmabs_config.scenarios import as_override
 from swarmabs_core.arrays import RunArrays, RunEvent, run_arrays, run_event, table
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
@@ -25,7 +25,8 @@ from swarmabs_core.messages import PLANE_STATE, SYSTEM_FAMILY, TOPIC_OF
 from swarmabs_core.publishers import NodeKind, NodeName
 from swarmabs_core.record import Record
 from swarmabs_core.systems import SystemTables
-from swarmabs_run.vector_simulation import NotVectorisableError, VectorSimulation, vectorisable
+from swarmabs_run.swarm_columns import NotVectorisableError
+from swarmabs_run.vector_simulation import VectorSimulation, vectorisable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -171,7 +172,7 @@ def simulated_steps(scenario: AnyScenario) -> Iterator[Step]:
     Raises `RunError` if the run fails, such as when the plane turns over.
     """
     done = 0
-    if isinstance(scenario, Scenario) and vectorisable(scenario):
+    if vectorisable(scenario):
         try:
             for step in VectorSimulation(scenario).steps():
                 yield step

@@ -38,6 +38,10 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
+class NotVectorisableError(Exception):
+    """A robot behaves individually from this step on; only the state machines can continue."""
+
+
 def on_columns(scenario: Scenario) -> bool:
     """Return whether the robots of a scenario, apart from faults, behave alike and use laws that support arrays."""
     plane, swarm = scenario.plane, scenario.swarm

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
 from swarmabs_bag.blocks import BLOCK_BYTES, BLOCK_SECONDS, Block
 from swarmabs_config import configure
+from swarmabs_config.scenario import Scenario, SystemScenario
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.arrays import LAYOUT, table
 from swarmabs_core.behaviours import Controller
@@ -16,134 +17,229 @@ from swarmabs_core.cdr import encode
 from swarmabs_core.membership import ALWAYS
 from swarmabs_core.messages import (
     AGENT_STATE,
-    MAIN_TOPICS,
+    PLANE_FAMILY,
     AbstractState,
     AuxiliaryState,
     DesiredAbstractState,
     PlaneState,
     SwarmEvent,
 )
-from swarmabs_core.plant import PlaneDynamics, SwarmLoad
+from swarmabs_core.plant import PlaneDynamics
 from swarmabs_core.ranges import RangeMonitor, lane
 from swarmabs_core.record import Record
-from swarmabs_run.swarm_columns import SwarmColumns, on_columns
+from swarmabs_run.swarm_columns import NotVectorisableError, SwarmColumns, on_columns
+from swarmabs_run.system_columns import SystemSwarm, system_on_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from swarmabs_bag.recording import Step
-    from swarmabs_config.scenario import Scenario
-    from swarmabs_core.messages import Message
+    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.messages import AnyParentState, Family, Messages
+    from swarmabs_core.systems.interface import Quantity
 
     Floats = NDArray[np.float64]
 
 
-Coordinated: TypeAlias = tuple[PlaneState, AbstractState, AuxiliaryState, DesiredAbstractState]
+Coordinated: TypeAlias = tuple[Any, Any, Any, Any]
 """The messages of the coordinators in a step, in the order of a bag."""
 
 
-class NotVectorisableError(Exception):
-    """A robot behaves individually from this step on; only the state machines can continue."""
-
-
-def vectorisable(scenario: Scenario) -> bool:
+def vectorisable(scenario: AnyScenario) -> bool:
     """Return whether all robots of a scenario always behave alike and use laws that support arrays.
 
     If robots may be dropped, each step has a message of the observer more, which arrays do not provide.
     """
-    return not scenario.faults and configure.division(scenario) < ALWAYS and on_columns(scenario)
+    if scenario.faults or configure.division(scenario) >= ALWAYS:
+        return False
+    if isinstance(scenario, SystemScenario):
+        return system_on_columns(scenario)
+    return isinstance(scenario, Scenario) and on_columns(scenario)
+
+
+def swarm_of(scenario: AnyScenario) -> Swarm:
+    """Return all robots of a scenario for which `vectorisable` holds, with their parent, at step 0."""
+    if isinstance(scenario, SystemScenario):
+        return SystemSwarm(scenario)
+    assert isinstance(scenario, Scenario)  # noqa: S101 - there are two kinds
+    return PlaneSwarm(scenario)
+
+
+class Swarm(Protocol):
+    """All robots of a swarm with their parent, at one step."""
+
+    @property
+    def family(self) -> Family:
+        """The topics."""
+        ...
+
+    @property
+    def ids(self) -> Sequence[int]:
+        """Ids of the robots, in the order of `places`."""
+        ...
+
+    @property
+    def ranges(self) -> Sequence[Quantity]:
+        """The coordinates of a robot, with their ends."""
+        ...
+
+    @property
+    def size(self) -> int:
+        """Size of the robots' messages of a step, bytes."""
+        ...
+
+    def observed(self, step: int, stamp: int) -> tuple[Any, Any]:
+        """Return abstract and auxiliary state."""
+        ...
+
+    def parent(self, step: int, stamp: int) -> AnyParentState:
+        """Return the state of the parent."""
+        ...
+
+    def move(self, stamp: int, abstract: Any, auxiliary: Any, desired: Any) -> None:
+        """Command all robots, and move them and the parent for one period.
+
+        Raises `NotVectorisableError` if a robot has to behave individually.
+        """
+        ...
+
+    def places(self) -> Floats:
+        """Return the coordinates of the robots, (N, d)."""
+        ...
+
+    def motion(self) -> Any:
+        """Return what changes of the robots, arrays that are not written to any more."""
+        ...
+
+    def states(self, steps: NDArray[np.uint64], stamps: NDArray[np.int64], motions: Sequence[Any]) -> NDArray[np.void]:
+        """Return the robots' messages of K steps with their stamps (ns), by step and ascending id: (K, N)."""
+        ...
 
 
 class Motion(NamedTuple):
-    """Positions (m), velocities (m/s) and commands of the robots, step by step: (K, N)."""
+    """Positions (m), velocities (m/s) and commands of the robots, (N,)."""
 
     position: Floats
     velocity: Floats
     command: Floats
 
 
-class _Swarm:
-    """The robots: their constants, and positions, velocities and commands in the same order."""
+class PlaneSwarm:
+    """Robots on the plane, as `Swarm`."""
+
+    family = PLANE_FAMILY
 
     def __init__(self, scenario: Scenario) -> None:
         configs = {config.agent_id: config for config in configure.agent_configs(scenario)}
-        self.columns = SwarmColumns(scenario, configs.values())
-        self.position = np.array([configs[agent_id].position for agent_id in self.columns.ids])
-        self.velocity = np.array([configs[agent_id].velocity for agent_id in self.columns.ids])
-        self.command = np.zeros(len(configs))
+        plane = scenario.plane
+        self._columns = SwarmColumns(scenario, configs.values())
+        self.ids = self._columns.ids
+        self.ranges = lane(plane.length)
+        self.size = LAYOUT[AGENT_STATE].itemsize * len(configs)
+        self._motion = Motion(
+            np.array([configs[agent_id].position for agent_id in self.ids]),
+            np.array([configs[agent_id].velocity for agent_id in self.ids]),
+            np.zeros(len(configs)),
+        )
+        self._dynamics = PlaneDynamics(plane, scenario.period)
+        self._plane = plane.angle, plane.angular_velocity
+        self._length = plane.length
 
-    def sums(self, step: int, stamp: int) -> tuple[AbstractState, AuxiliaryState]:
+    def observed(self, step: int, stamp: int) -> tuple[AbstractState, AuxiliaryState]:
         """Return abstract and auxiliary state, as `swarmabs_core.abstraction` defines them."""
-        return self.columns.observed(step, stamp, self.position, self.velocity)
+        return self._columns.observed(step, stamp, *self._motion[:2])
 
-    def move(self, abstract: AbstractState, sums: AuxiliaryState, desired: DesiredAbstractState) -> SwarmLoad:
-        """Command all robots, move them for one period, and return their load on the plane over it."""
-        columns, before = self.columns, (self.position, self.velocity)
-        self.command = columns.commands(*before, abstract, sums, desired)
-        if not bool(np.isfinite(self.command).all()):
+    def parent(self, step: int, stamp: int) -> PlaneState:
+        """Return the state of the plane."""
+        return PlaneState(stamp, step, *self._plane)
+
+    def move(
+        self, stamp: int, abstract: AbstractState, auxiliary: AuxiliaryState, desired: DesiredAbstractState
+    ) -> None:
+        """Command all robots, and move them and the plane for one period."""
+        if is_degenerate(auxiliary.s0, auxiliary.s3, self._length):
             raise NotVectorisableError
-        self.position, self.velocity = columns.moved(*before, self.command)
-        return columns.load(before, (self.position, self.velocity))
+        columns, before = self._columns, self._motion[:2]
+        command = columns.commands(*before, abstract, auxiliary, desired)
+        if not bool(np.isfinite(command).all()):
+            raise NotVectorisableError
+        after = columns.moved(*before, command)
+        self._motion = Motion(*after, command)
+        self._plane = self._dynamics.advance(*self._plane, stamp / 1e9, columns.load(before, after))
+
+    def places(self) -> Floats:
+        """Return the positions of the robots, (N, 1)."""
+        return self._motion.position[:, np.newaxis]
+
+    def motion(self) -> Motion:
+        """Return positions, velocities and commands."""
+        return self._motion
+
+    def states(
+        self, steps: NDArray[np.uint64], stamps: NDArray[np.int64], motions: Sequence[Motion]
+    ) -> NDArray[np.void]:
+        """Return the robots' messages of K steps with their stamps (ns), by step and ascending id: (K, N)."""
+        return self._columns.states(steps, stamps, *map(np.array, zip(*motions, strict=True)))
 
 
 class _Gathered:
     """The steps since the last block."""
 
-    def __init__(self, swarm: _Swarm) -> None:
-        robots, layouts = len(swarm.columns.ids), [LAYOUT[topic].itemsize for topic in MAIN_TOPICS]
-        most = max(1, BLOCK_BYTES // (layouts[0] * robots + sum(layouts[1:])))
+    def __init__(self, swarm: Swarm) -> None:
         self._swarm = swarm
-        self._motion = Motion(*(np.empty((most, robots)) for _ in Motion._fields))
-        self._messages: list[Coordinated] = []
+        self._motions: list[Any] = []
+        self._messages: list[tuple[int, int]] = []
+        self._payloads: list[tuple[bytes, ...]] = []
+        self._most = 0
         self._begun = 0.0
 
     @property
     def full(self) -> bool:
         """Whether the steps are as many, or as old, as a block may be."""
-        return len(self._messages) == len(self._motion.position) or time.monotonic() - self._begun >= BLOCK_SECONDS
+        return len(self._motions) >= self._most or time.monotonic() - self._begun >= BLOCK_SECONDS
 
     def add(self, messages: Coordinated) -> None:
         """Add the messages of a step and the state of the robots."""
-        swarm, place = self._swarm, len(self._messages)
-        if not place:
+        payloads = tuple(map(encode, messages))
+        if not self._motions:
             self._begun = time.monotonic()
-        for values, now in zip(self._motion, (swarm.position, swarm.velocity, swarm.command), strict=True):
-            values[place] = now
-        self._messages.append(messages)
+            self._most = max(1, BLOCK_BYTES // (self._swarm.size + sum(map(len, payloads))))
+        self._motions.append(self._swarm.motion())
+        self._messages.append(messages[0][:2])
+        self._payloads.append(payloads)
 
-    def take(self, events: list[Message] | None = None) -> Iterator[Step]:
-        """Yield the steps as a block, the last one on its own if it has events, and begin the next block."""
-        if not self._messages:
+    def take(self, once: Messages = (), events: Messages = ()) -> Iterator[Step]:
+        """Yield the steps as a block, the last one on its own if it has further messages, and begin the next block."""
+        if not self._motions:
             return
-        columns = zip(MAIN_TOPICS[1:], zip(*self._messages, strict=True), strict=True)
-        tables = {topic: table(topic, b"".join(map(encode, messages))) for topic, messages in columns}
-        steps = np.array([plane.step for plane, *_ in self._messages], dtype=np.uint64)
-        stamps = np.array([plane.stamp for plane, *_ in self._messages])
-        self._messages.clear()
-        block = Block({AGENT_STATE: self._swarm.columns.states(steps, stamps, *self._motion), **tables})
-        if not events:
+        family = self._swarm.family
+        columns = zip(family.main[1:], zip(*self._payloads, strict=True), strict=True)
+        tables = {topic: table(topic, b"".join(payloads)) for topic, payloads in columns}
+        stamps, steps = zip(*self._messages, strict=True)
+        states = self._swarm.states(np.array(steps, dtype=np.uint64), np.array(stamps), self._motions)
+        block = Block({family.robot: states, **tables})
+        for gathered in (self._motions, self._messages, self._payloads):
+            gathered.clear()
+        if not once and not events:
             yield block
             return
         if len(block) > 1:
             yield block[:-1]
         (last,) = block[-1:].recorded()
         added = sorted(map(Record.of, events), key=lambda record: record.payload)
-        yield last._replace(records=(*last.records, *added))
+        yield last._replace(records=(*map(Record.of, once), *last.records, *added))
 
 
 class VectorSimulation:
     """Simulates a scenario whose robots all behave alike: one for which `vectorisable` holds."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: AnyScenario) -> None:
         self._scenario = scenario
-        self._controller = Controller(
-            configure.controller_config(scenario, recording_window=0), configure.parent_controller(scenario)
-        )
-        self._dynamics = PlaneDynamics(scenario.plane, scenario.period)
-        self._swarm = _Swarm(scenario)
-        self._ranges = RangeMonitor(lane(scenario.plane.length))
+        self._controller = Controller(configure.controller_config(scenario, recording_window=0))
+        self._swarm = swarm_of(scenario)
+        self._ranges = RangeMonitor(self._swarm.ranges)
 
     def steps(self) -> Iterator[Step]:
         """Run, and yield the steps in blocks, a step with events on its own.
@@ -152,40 +248,34 @@ class VectorSimulation:
         `RunError` if the run fails, such as when the plane turns over.
         """
         gathered = _Gathered(self._swarm)
+        once: Messages = configure.parent_config(self._scenario).described()
         try:
             for messages, events in self._messages():
                 gathered.add(messages)
-                if events or gathered.full:
-                    yield from gathered.take(events)
+                if once or events or gathered.full:
+                    yield from gathered.take(once, events)
+                    once = ()
         except Exception:
             yield from gathered.take()
             raise
         yield from gathered.take()
 
-    def _messages(self) -> Iterator[tuple[Coordinated, list[Message]]]:
+    def _messages(self) -> Iterator[tuple[Coordinated, Messages]]:
         """Yield the messages of the coordinators and the events of every step, while the robots are at that step."""
         scenario, swarm = self._scenario, self._swarm
-        angle, angular_velocity = scenario.plane.angle, scenario.plane.angular_velocity
-        length = scenario.plane.length
         for step in range(scenario.steps + 1):
             stamp = step * scenario.step_ns
-            abstract, sums = swarm.sums(step, stamp)
-            plane = PlaneState(stamp, step, angle, angular_velocity)
-            answers = self._controller.handle(plane)
-            desired = answers[-1]
-            assert isinstance(desired, DesiredAbstractState)  # noqa: S101 - the last message of the controller
-            yield (plane, abstract, sums, desired), [*self._crossings(step, stamp), *answers[:-1]]
+            observed = swarm.observed(step, stamp)
+            parent = swarm.parent(step, stamp)
+            *events, desired = self._controller.handle(parent)
+            yield (parent, *observed, desired), (*self._crossings(step, stamp), *events)
             if step == scenario.steps:
                 return
-            if is_degenerate(sums.s0, sums.s3, length):
-                raise NotVectorisableError
-            load = swarm.move(abstract, sums, desired)
-            angle, angular_velocity = self._dynamics.advance(angle, angular_velocity, stamp / 1e9, load)
+            swarm.move(stamp, *observed, desired)
 
     def _crossings(self, step: int, stamp: int) -> list[SwarmEvent]:
-        """Return an event for each robot that has just crossed an end of the plane."""
-        position = self._swarm.position
-        if self._ranges.quiet(float(np.abs(position).max())):
+        """Return an event for each robot that has just crossed an end of its range."""
+        places = self._swarm.places()
+        if self._ranges.quiet(float(np.abs(places).max()), same=True):
             return []
-        places = zip(self._swarm.columns.ids, position.tolist(), strict=True)
-        return self._ranges.watch([(robot, (place,)) for robot, place in places], step, stamp)
+        return self._ranges.watch(zip(self._swarm.ids, places.tolist(), strict=True), step, stamp)

@@ -45,6 +45,11 @@ SAID = {
     "refuses": r"^parent system 'faulty': no wheel is left$",
     "refuses_plainly": r"^parent system 'faulty': no wheel is left$",
     "limits_of_kinds": r"limits\(\) of robot 1 raises KeyError: 'single_integrator' \(systems_of_tests\.py:\d+\)$",
+    "columns_power": r"contribution\(\) does not accept columns: TypeError: square is applied to columns",
+    "columns_function": r"own_motion\(\) does not accept columns: TypeError: a column is used as a number",
+    "columns_branch": r"own_motion\(\) does not accept columns: TypeError: greater is applied to columns",
+    "columns_in_place": r"weight\(\) does not accept columns: TypeError: multiply is applied to columns",
+    "columns_joined": r"weight\(\) does not accept columns: TypeError: a column is used as a number",
     "outline": r"outline\(\) raises TypeError: cannot unpack",
     "robot_place": r"robot_place\(\) is \(0\.0, 0\.0, 0\.0\); it must be a tuple of 1 or 2 finite numbers",
     "controller_raises": r"controller\(\) raises KeyError: 'x'",
@@ -80,7 +85,12 @@ SAID = {
 }
 
 
-REMEDIES = {"impure": "make it a pure function, ", "shared": "make it a pure function, ", "refuses": "add a wheel"}
+REMEDIES = {
+    "columns": "use only + - * / there",
+    "impure": "make it a pure function, ",
+    "shared": "make it a pure function, ",
+    "refuses": "add a wheel",
+}
 
 
 def found(name: str, given: Sequence[Robot], gains: SystemGains | None = None, **settings: str) -> list[Problem]:
@@ -116,6 +126,10 @@ def test_a_faulty_system_is_refused_in_one_line(fault: str) -> None:
 def test_sound_systems_are_accepted(name: str, given: list[Robot]) -> None:
     assert found(name, given) == []
     assert found(name, given, SystemGains((1.0,), (2.0,), (3.0,))) == []
+
+
+def test_functions_that_apply_arithmetic_only_accept_columns() -> None:
+    assert found("faulty", LINE, fault="columns") == []
 
 
 def test_robots_start_within_the_ends_of_their_coordinates() -> None:

@@ -31,6 +31,7 @@ from swarmabs_core.parameters import Settings
 from swarmabs_core.robot_controller import BRAKING_TIME, NOT_FINITE
 from swarmabs_core.sensing import ParentSensor
 from swarmabs_core.steering import StepChange
+from swarmabs_core.summation import exact_sum
 from swarmabs_core.systems.desired import Requests, SystemDesiredState
 from swarmabs_core.systems.interface import SYSTEMS, NamedSystem
 from swarmabs_core.systems.law import RobotLaw, SystemGains
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
     from swarmabs_core.messages import AnyRobotState, SwarmBroadcast
     from swarmabs_core.systems.interface import Quantity, Vector
+    from swarmabs_core.systems.swarm import Add
 
 HELD = "no robot follows the law yet (the Gram matrix vanishes)"
 """`SwarmEvent.detail` where a robot brakes because the law is not defined."""
@@ -132,9 +134,9 @@ class SystemParentConfig(OfSystem):
         """The coordinates of a robot, with their ends."""
         return self.named.made.robot
 
-    def motion(self) -> SystemMotion:
-        """Return the parent at its initial state."""
-        return SystemMotion(self)
+    def motion(self, system: NamedSystem | None = None, add: Add = exact_sum) -> SystemMotion:
+        """Return the parent at its initial state, by default for robots one by one, whose terms are added."""
+        return SystemMotion(self, system or self.named, add)
 
     def described(self) -> Messages:
         """Return the description of the system, which is published once."""
@@ -144,9 +146,9 @@ class SystemParentConfig(OfSystem):
 class SystemMotion:
     """The motion of any parent system under the robots."""
 
-    def __init__(self, config: SystemParentConfig) -> None:
+    def __init__(self, config: SystemParentConfig, system: NamedSystem, add: Add) -> None:
         self._config = config
-        self._motion = ParentMotion(config.named, config.period_ns / 1e9)
+        self._motion = ParentMotion(system, config.period_ns / 1e9, add)
         self._state: Vector = tuple(map(float, config.named.made.initial))
 
     def advance(
@@ -212,6 +214,18 @@ class SystemAgentConfig(OfSystem):
     def refuse_contradictions(self) -> None:
         """Accept everything: the check of the system covers it."""
 
+    def law(self) -> RobotLaw:
+        """Return the law of the robot."""
+        return RobotLaw(
+            self.named,
+            self.kind,
+            self.constants,
+            self.gains,
+            self.period_ns / 1e9,
+            second_order=self.force_law == "second_order",
+            effort=self.effort,
+        )
+
     def body(self, _: object) -> SystemRobot:
         """Return the robot at its initial state."""
         return SystemRobot(self)
@@ -223,15 +237,7 @@ class SystemRobot:
     def __init__(self, config: SystemAgentConfig) -> None:
         self._config = config
         self._period = config.period_ns / 1e9
-        self._law = RobotLaw(
-            config.named,
-            config.kind,
-            config.constants,
-            config.gains,
-            self._period,
-            second_order=config.force_law == "second_order",
-            effort=config.effort,
-        )
+        self._law = config.law()
         self._q = config.coordinates
         self._velocity = config.velocities or (0.0,) * len(self._q)
         self._command: Vector = (0.0,) * len(self._q)

@@ -278,6 +278,12 @@ def _of_start(
     made: Any = system.made
     k, start, remedy = len(made.abstract), made.initial, "spread the robots, or add robots"
     contributions = {robot.agent_id: _contribution(made, robot) for robot in robots}
+    if getattr(made, "columns", False):
+        from swarmabs_core.systems.columns import problem_on_columns  # noqa: PLC0415 - numpy, which few systems need
+
+        if problem := problem_on_columns(made, robots):
+            remedy = "use only + - * / there (x * x, not x ** 2), or omit columns"
+            raise _FaultyError(problem, remedy)
     present = [robot for robot in robots if robot.agent_id not in later]
     at_start = 0.0, start, total((contributions[robot.agent_id] for robot in present), k), (0.0,) * k
     _numbers("derivative()", len(start), lambda: made.derivative(*at_start))

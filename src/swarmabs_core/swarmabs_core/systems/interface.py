@@ -132,7 +132,7 @@ class ParentController(Protocol):
 class ParentSystem(Protocol):
     """A parent system with the abstraction through which a swarm controls it.
 
-    Optional methods, with their use:
+    Optional members, with their use:
 
     - ``limits(constants, kind)``: a robot's lowest and highest command, (d,) each; it holds a limit that it reaches.
     - ``disturbed(time, state, abstract, rate, value)``: the derivative during a fault ``disturbance`` of a value.
@@ -141,6 +141,7 @@ class ParentSystem(Protocol):
     - ``generated(number, count, constants)``: initial coordinates (d,) of a generated robot by its number, 1 to count.
     - ``robot_place(state, q, constants)``: where a robot is drawn, (1,) or (2,); by default its first two coordinates.
     - ``outline(state)``: lines to draw, a tuple of tuples of points (x, y).
+    - ``columns = True``: what is computed of robots applies only + - * /, so that ``simulate`` may pass arrays (N,).
     - ``reach(abstract)``: whether robots within their limits can have an abstract state; ``check`` reports it.
     """
 

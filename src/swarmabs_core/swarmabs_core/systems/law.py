@@ -17,19 +17,23 @@ commands give these rates in the mean. A robot needs its own coordinates and con
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from math import exp, expm1, inf, sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.declaration import setting
 from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.messages import RobotKind, word
+from swarmabs_core.summation import added
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from typing_extensions import Self
+
     from swarmabs_core.messages import SwarmAbstract, SwarmBroadcast, SwarmDesired
-    from swarmabs_core.systems.interface import Matrix, NamedSystem, Quantity, Vector
+    from swarmabs_core.systems.interface import Matrix, NamedSystem, ParentSystem, Quantity, Vector
 
 SINGULAR = 1e-12
 """Smallest pivot of a Gram matrix with which a run may start, in units of its largest diagonal entry, both scaled."""
@@ -166,11 +170,62 @@ def by_row(gain: Sequence[float], size: int) -> tuple[float, ...]:
     return tuple(gain) if len(gain) == size else (gain[0],) * size
 
 
+class RobotDynamics(NamedTuple):
+    """The numbers of a robot that do not change: its constants, and how it moves over a control period.
+
+    Attributes
+    ----------
+    constants : tuple of float
+        In the order of the system.
+    weight : float
+        Weight W of its motion.
+    mass, damping : float
+        Of a double integrator, kg and N s/m.
+    gain : float
+        Of a double integrator, force per mean acceleration, kg; of a lag, step of the command per mean velocity, s.
+    time_constant, decay : float
+        Of a lag, s, and the share of its gap that remains after a period.
+    drive : DoubleIntegratorDrive
+        Of a double integrator.
+    """
+
+    constants: Vector
+    weight: float
+    mass: float = 1.0
+    damping: float = 0.0
+    gain: float = 1.0
+    time_constant: float = 1.0
+    decay: float = 0.0
+    drive: DoubleIntegratorDrive = DoubleIntegratorDrive(1.0, 0.0, 0.0, 0.0)
+
+    @classmethod
+    def of(cls, system: NamedSystem, kind: RobotKind, constants: Vector, period: float) -> Self:
+        """Return those of a robot of a kind, for a control period, s."""
+        weight = system.made.weight(constants)
+        if kind is RobotKind.SINGLE_INTEGRATOR:
+            return cls(constants, weight)
+        if kind is RobotKind.FIRST_ORDER_LAG:
+            time_constant = system.constant(constants, "time_constant", 1.0)
+            ratio = -period / time_constant
+            return cls(constants, weight, gain=period / -expm1(ratio), time_constant=time_constant, decay=exp(ratio))
+        mass, damping = system.constant(constants, "mass", 1.0), system.constant(constants, "damping")
+        z = damping * period / mass
+        gain = mass * (z / -expm1(-z) if z else 1.0)
+        return cls(constants, weight, mass, damping, gain, drive=DoubleIntegratorDrive.of(period, mass, damping))
+
+
 class RobotLaw:
     """The law of one robot, its motion over a control period (s), and the effort bound of the swarm.
 
     `effort` limits the norm of the motion of the whole swarm, the square root of sum W |q' - xi|^2, without a message:
     every robot computes it from the broadcasts.
+
+    Attributes
+    ----------
+    system : ParentSystem
+        The system.
+    dynamics : RobotDynamics
+        The numbers of the robot.
     """
 
     def __init__(
@@ -184,17 +239,17 @@ class RobotLaw:
         second_order: bool = True,
         effort: float = inf,
     ) -> None:
-        self._system, self._kind, self._constants, self._period = system.made, kind, constants, period
-        size = len(self._system.abstract)
+        self.system, self._kind, self._period = system.made, kind, period
+        size = len(self.system.abstract)
         self._k, self._kp, self._kd = (by_row(gain, size) for gain in (gains.k, gains.kp, gains.kd))
         self._sigma, self._second_order, self._effort = gains.sigma, second_order, effort
-        self._weight = self._system.weight(constants)
-        self._mass = system.constant(constants, "mass", 1.0)
-        self._damping = system.constant(constants, "damping")
-        if kind is RobotKind.DOUBLE_INTEGRATOR:
-            self._drive = DoubleIntegratorDrive.of(period, self._mass, self._damping)
-        if kind is RobotKind.FIRST_ORDER_LAG:
-            self.time_constant = system.constant(constants, "time_constant", 1.0)
+        self.dynamics = RobotDynamics.of(system, kind, constants, period)
+
+    def on(self, system: ParentSystem, dynamics: RobotDynamics) -> RobotLaw:
+        """Return the same law for another robot of the kind, given by its numbers, on an equal system."""
+        law = copy(self)
+        law.system, law.dynamics = system, dynamics
+        return law
 
     def rate(self, q: Vector, velocity: Vector, heard: SwarmBroadcast, held: Vector | None = None) -> Vector | None:
         """Return what the law prescribes at coordinates and velocities, (d,) each; None if no robot follows it yet.
@@ -207,7 +262,7 @@ class RobotLaw:
         lower, drift = auxiliary.gram, auxiliary.drift
         if held is not None:
             lower, drift = self._joined(q, held, lower, drift)
-        gram = Gram(lower, self._system.abstract)
+        gram = Gram(lower, self.system.abstract)
         if gram.empty:
             return None
         force = self._kind is RobotKind.DOUBLE_INTEGRATOR
@@ -226,10 +281,10 @@ class RobotLaw:
         if self._effort < inf:
             effort = sqrt(max(0.0, sum(a * b for a, b in zip(right, y, strict=True))))
             y = [value * min(1.0, self._effort / effort) for value in y] if effort else y
-        found = motion(self._system.jacobian(q, self._constants), y, self._weight, len(q))
+        found = motion(self.system.jacobian(q, self.dynamics.constants), y, self.dynamics.weight, len(q))
         if second_order:
             return tuple(a - self._sigma * v for a, v in zip(found, velocity, strict=True))
-        target = [a + b for a, b in zip(self._system.own_motion(q, self._constants), found, strict=True)]
+        target = [a + b for a, b in zip(self.system.own_motion(q, self.dynamics.constants), found, strict=True)]
         if force:
             return tuple((goal - v) / self._period for goal, v in zip(target, velocity, strict=True))
         return tuple(target)
@@ -237,15 +292,15 @@ class RobotLaw:
     def dispensable(self, q: Vector, lower: Vector, *, inside: bool) -> bool:
         """Return whether the others control all rows without this robot, which is `inside` a Gram matrix, or not."""
         if inside:
-            own = gram_of(self._system.jacobian(q, self._constants), self._weight)
+            own = gram_of(self.system.jacobian(q, self.dynamics.constants), self.dynamics.weight)
             lower = tuple(a - b for a, b in zip(lower, own, strict=True))
-        return Gram(lower, self._system.abstract).least > LEAST_PIVOT
+        return Gram(lower, self.system.abstract).least > LEAST_PIVOT
 
     def _joined(self, q: Vector, held: Vector, lower: Vector, drift: Vector) -> tuple[Vector, Vector]:
         """Return Gram matrix and drift with this robot among those that follow the law, instead of its held rate."""
-        jacobian = self._system.jacobian(q, self._constants)
-        gap = [xi - v for xi, v in zip(self._system.own_motion(q, self._constants), held, strict=True)]
-        own = gram_of(jacobian, self._weight)
+        jacobian = self.system.jacobian(q, self.dynamics.constants)
+        gap = [xi - v for xi, v in zip(self.system.own_motion(q, self.dynamics.constants), held, strict=True)]
+        own = gram_of(jacobian, self.dynamics.weight)
         return (
             tuple(a + b for a, b in zip(lower, own, strict=True)),
             tuple(
@@ -274,12 +329,10 @@ class RobotLaw:
         """Return the command (d,) that, held for a period, gives the rate of the law."""
         if self._kind is RobotKind.SINGLE_INTEGRATOR:
             return rate
+        own = self.dynamics
         if self._kind is RobotKind.FIRST_ORDER_LAG:
-            gain = self._period / -expm1(-self._period / self.time_constant)
-            return tuple(x + gain * v for x, v in zip(q, rate, strict=True))
-        z = self._damping * self._period / self._mass
-        gain = self._mass * (z / -expm1(-z) if z else 1.0)
-        return tuple(self._damping * v + gain * a for v, a in zip(velocity, rate, strict=True))
+            return tuple(x + own.gain * v for x, v in zip(q, rate, strict=True))
+        return tuple(own.damping * v + own.gain * a for v, a in zip(velocity, rate, strict=True))
 
     def brake(self, q: Vector, velocity: Vector, time: float) -> Vector:
         """Return the command (d,) that brings the robot to rest, a double integrator with a time constant (s)."""
@@ -287,14 +340,14 @@ class RobotLaw:
             return q
         if self._kind is RobotKind.SINGLE_INTEGRATOR:
             return (0.0,) * len(q)
-        return tuple(-self._mass * v / time for v in velocity)
+        return tuple(-self.dynamics.mass * v / time for v in velocity)
 
     def limited(self, command: Vector) -> Vector:
         """Return a command (d,) within the limits of the robot, if the system declares limits."""
-        limits = getattr(self._system, "limits", None)
+        limits = getattr(self.system, "limits", None)
         if limits is None:
             return command
-        low, high = limits(self._constants, word(self._kind))
+        low, high = limits(self.dynamics.constants, word(self._kind))
         return tuple(min(max(u, a), b) for u, a, b in zip(command, low, high, strict=True))
 
     def advance(self, q: Vector, velocity: Vector, command: Vector) -> tuple[Vector, Vector]:
@@ -303,10 +356,10 @@ class RobotLaw:
         if self._kind is RobotKind.SINGLE_INTEGRATOR:
             return tuple(x + u * period for x, u in zip(q, command, strict=True)), command
         if self._kind is RobotKind.FIRST_ORDER_LAG:
-            decay = exp(-period / self.time_constant)
+            decay = self.dynamics.decay
             after = tuple(u + (x - u) * decay for x, u in zip(q, command, strict=True))
-            return after, tuple((u - x) / self.time_constant for x, u in zip(after, command, strict=True))
-        moved = [self._drive.advance(x, v, u) for x, v, u in zip(q, velocity, command, strict=True)]
+            return after, tuple((u - x) / self.dynamics.time_constant for x, u in zip(after, command, strict=True))
+        moved = [self.dynamics.drive.advance(x, v, u) for x, v, u in zip(q, velocity, command, strict=True)]
         return tuple(x for x, _ in moved), tuple(v for _, v in moved)
 
     def held_rate(self, q: Vector, command: Vector) -> Vector:
@@ -317,7 +370,7 @@ class RobotLaw:
 def gram_of(jacobian: Matrix, weight: float) -> list[float]:
     """Return a robot's part of the Gram matrix, the lower triangle of J W^-1 J^T by rows, (k (k + 1) / 2,)."""
     return [
-        sum(a * b for a, b in zip(jacobian[i], jacobian[j], strict=True)) / weight
+        added(a * b for a, b in zip(jacobian[i], jacobian[j], strict=True)) / weight
         for i in range(len(jacobian))
         for j in range(i + 1)
     ]
@@ -325,4 +378,4 @@ def gram_of(jacobian: Matrix, weight: float) -> list[float]:
 
 def motion(jacobian: Matrix, y: Sequence[float], weight: float, size: int) -> list[float]:
     """Return J^T y / W, (d,)."""
-    return [sum(row[j] * value for row, value in zip(jacobian, y, strict=True)) / weight for j in range(size)]
+    return [added(row[j] * value for row, value in zip(jacobian, y, strict=True)) / weight for j in range(size)]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.errors import RunError, one_line
 from swarmabs_core.messages import RobotKind
+from swarmabs_core.summation import exact_sum
 from swarmabs_core.systems.swarm import along, total
 
 if TYPE_CHECKING:
@@ -14,17 +15,18 @@ if TYPE_CHECKING:
 
     from swarmabs_core.messages import RobotState
     from swarmabs_core.systems.interface import NamedSystem, Vector
+    from swarmabs_core.systems.swarm import Add
 
 
 class ParentMotion:
     """Integrates a parent system by the classical Runge-Kutta method with equal substeps.
 
     The cubic has the values of the abstract state and its rate at both ends of the period (s). It is exact for single
-    integrators with contributions of degree 2, and of fourth order otherwise.
+    integrators with contributions of degree 2, and of fourth order otherwise. `add` adds the terms of robots.
     """
 
-    def __init__(self, system: NamedSystem, period: float) -> None:
-        self._system, self._period = system.made, period
+    def __init__(self, system: NamedSystem, period: float, add: Add = exact_sum) -> None:
+        self._system, self._period, self._add = system.made, period, add
         self._constant = system.constant
         self._count = max(1, ceil(period / self._system.substep * (1.0 - 1e-12)))
 
@@ -76,14 +78,14 @@ class ParentMotion:
 
     def _cubic(self, robots: Iterable[tuple[RobotState, RobotState]]) -> list[tuple[float, float, float, float]]:
         """Return the coefficients of the abstract state by s in [0, 1], lowest power first, row by row."""
-        made, size = self._system, len(self._system.abstract)
+        made, size, add = self._system, len(self._system.abstract), self._add
         pairs = tuple(robots)
-        start = total((made.contribution(a.coordinates, a.constants) for a, _ in pairs), size)
-        end = total((made.contribution(b.coordinates, b.constants) for _, b in pairs), size)
+        start = total((made.contribution(a.coordinates, a.constants) for a, _ in pairs), size, add)
+        end = total((made.contribution(b.coordinates, b.constants) for _, b in pairs), size, add)
         slopes = [self._slopes(a, b) for a, b in pairs]
         moving = list(zip(pairs, slopes, strict=True))
-        d0 = total((along(made.jacobian(a.coordinates, a.constants), v) for (a, _), (v, _) in moving), size)
-        d1 = total((along(made.jacobian(b.coordinates, b.constants), v) for (_, b), (_, v) in moving), size)
+        d0 = total((along(made.jacobian(a.coordinates, a.constants), v) for (a, _), (v, _) in moving), size, add)
+        d1 = total((along(made.jacobian(b.coordinates, b.constants), v) for (_, b), (_, v) in moving), size, add)
         found = []
         for a, b, u, v in zip(start, end, d0, d1, strict=True):
             rise = b - a

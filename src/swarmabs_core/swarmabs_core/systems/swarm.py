@@ -5,14 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_core.messages import RobotStatus, StandingState, SwarmAbstract, SwarmAuxiliary
-from swarmabs_core.summation import exact_sum
+from swarmabs_core.summation import added, exact_sum
 from swarmabs_core.systems.law import gram_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
+    from typing import TypeAlias
 
     from swarmabs_core.messages import RobotState
     from swarmabs_core.systems.interface import Matrix, NamedSystem, ParentSystem, Vector
+
+    Add: TypeAlias = Callable[[Iterable[float]], float]
 
 _SHORT = 1e-3
 """Time, s, over which the Jacobian is differentiated; exact where contributions have degree 2."""
@@ -20,17 +23,24 @@ _SHORT = 1e-3
 
 def along(jacobian: Matrix, velocity: Sequence[float]) -> list[float]:
     """Return J v, (k,)."""
-    return [sum(a * b for a, b in zip(row, velocity, strict=True)) for row in jacobian]
+    return [added(a * b for a, b in zip(row, velocity, strict=True)) for row in jacobian]
 
 
-def total(rows: Iterable[Sequence[float]], size: int) -> Vector:
+def total(rows: Iterable[Sequence[float]], size: int, add: Add = exact_sum) -> Vector:
     """Return the sum of vectors (size,), correctly rounded in each component."""
     columns = list(zip(*rows, strict=True)) or [()] * size
-    return tuple(exact_sum(column) for column in columns)
+    return tuple(add(column) for column in columns)
 
 
 def observed(
-    system: NamedSystem, stamp: int, step: int, robots: Sequence[RobotState], *, curvature: bool
+    system: NamedSystem,
+    stamp: int,
+    step: int,
+    robots: Sequence[RobotState],
+    *,
+    curvature: bool,
+    count: int | None = None,
+    add: Add = exact_sum,
 ) -> tuple[SwarmAbstract, SwarmAuxiliary]:
     """Return the messages that an observer publishes in a step.
 
@@ -42,6 +52,10 @@ def observed(
         All robots that contribute; those that stand have velocities of 0 and are not active.
     curvature : bool
         Whether robots need the curvature.
+    count : int, optional
+        Number of robots, by default that of the states; each state may be that of several robots as columns.
+    add : callable
+        What adds the terms of all states in one component.
     """
     made = system.made
     size = len(made.abstract)
@@ -59,15 +73,20 @@ def observed(
             drifts.append(rate)
         if curvature:
             bends.append(_curvature(made, q, velocity, constants))
+
+    def summed(rows: list[list[float]] | list[Vector], length: int = size) -> Vector:
+        return total(rows, length, add)
+
+    number = len(robots) if count is None else count
     return (
-        SwarmAbstract(stamp, step, system.hash, len(robots), total(values, size), total(rates, size)),
+        SwarmAbstract(stamp, step, system.hash, number, summed(values), summed(rates)),
         SwarmAuxiliary(
             stamp,
             step,
             system.hash,
-            total(grams, size * (size + 1) // 2),
-            total(drifts, size),
-            total(bends, size) if curvature else (),
+            summed(grams, size * (size + 1) // 2),
+            summed(drifts),
+            summed(bends) if curvature else (),
         ),
     )
 
