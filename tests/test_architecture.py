@@ -8,7 +8,7 @@ import pytest
 from tests.processes import ROOT
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 def test_imports_keep_to_the_contracts() -> None:
     program = "import sys; from importlinter.cli import lint_imports; sys.exit(lint_imports(no_cache=True))"
     done = subprocess.run(

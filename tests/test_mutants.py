@@ -28,7 +28,6 @@ def test_bounded():
 """
 
 
-@pytest.mark.timeout(60)
 @pytest.mark.skipif(sys.version_info < (3, 12), reason="lines are watched by sys.monitoring, new in Python 3.12")
 def test_mutants_are_noticed_or_missed(tmp_path: Path) -> None:
     (tmp_path / "bounded.py").write_text(SOURCE, encoding="utf-8")

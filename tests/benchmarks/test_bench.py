@@ -20,7 +20,7 @@ from tests.processes import marked_processes, until
 
 from swarmabs_core.errors import RunError
 
-pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(300)]
 
 BENCH = (sys.executable, "-m", "swarmabs_cli", "bench", "--robots", "4", "--large", "4", "--agents-per-process", "3")
 BAD = """

@@ -78,7 +78,6 @@ def draw(script: str, *arguments: Path, within: float = 50.0) -> None:
 
 
 @pytest.mark.system
-@pytest.mark.timeout(60)
 def test_pictures_of_a_run_and_of_the_architecture(tmp_path: Path) -> None:
     draw("figures/run.py", record(tmp_path / "run", "pd_het_4", "duration=9.0"), tmp_path / "run.png")
     assert (tmp_path / "run.png").read_bytes()[:4] == b"\x89PNG"
@@ -87,7 +86,6 @@ def test_pictures_of_a_run_and_of_the_architecture(tmp_path: Path) -> None:
 
 
 @pytest.mark.system
-@pytest.mark.timeout(60)
 def test_pictures_of_the_paper(tmp_path: Path) -> None:
     for name in SCENARIOS_OF_THE_PAPER:
         record(tmp_path / "runs" / name, name)

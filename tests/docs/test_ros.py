@@ -254,7 +254,7 @@ def by_hand(nothing_survives: str, tmp_path: Path) -> Iterator[NodesByHand]:
 
 
 @pytest.mark.system
-@pytest.mark.timeout(90)
+@pytest.mark.timeout(300)
 def test_planned_nodes_record_the_run_without_an_orchestrator(by_hand: NodesByHand, tmp_path: Path) -> None:
     """What the launch file starts, started as it starts them: the bag holds what `simulate` gives."""
     folder = new_run_folder(tmp_path / "run")
@@ -272,7 +272,7 @@ def test_planned_nodes_record_the_run_without_an_orchestrator(by_hand: NodesByHa
 
 
 @pytest.mark.system
-@pytest.mark.timeout(90)
+@pytest.mark.timeout(300)
 def test_nodes_of_the_page_level_the_plane_and_its_script_sees_it(by_hand: NodesByHand) -> None:
     for index, (module, *arguments) in enumerate(documented_nodes()):
         by_hand.start(module, *arguments, name=f"{index} {module}")

@@ -17,7 +17,7 @@ from swarmabs_run.summary import Times, summarise
 from swarmabs_view.visualization.node import PARAMETERS
 from swarmabs_view.visualization.ros_messages import VISUAL_TOPICS
 
-pytestmark = pytest.mark.timeout(120)  # the first of these tests imports the whole system, and draws it
+pytestmark = pytest.mark.timeout(300)  # the first of these tests imports the whole system, and draws it
 
 
 def test_what_is_written_by_the_script_is_up_to_date_and_a_changed_default_noticed() -> None:

@@ -14,7 +14,7 @@ from tests.docs.pages import ROOT, blocks, read
 
 from swarmabs_bag.arrays import load_arrays
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 FIRST = "docs/tutorials/first_controller.md"
 SHIP = "docs/tutorials/parent_system.md"
 GAINS = "docs/tutorials/gain_study.ipynb"

@@ -24,7 +24,6 @@ from swarmabs_core.errors import InputError
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-pytestmark = pytest.mark.timeout(60)
 
 # The defaults of docs/reference/scenario.md, and the command filter of docs/explanation/equations.md.
 GRAVITY, INERTIA, CURVATURE, OFFSET, FILTER = 9.81, 0.5, 0.0125, 0.025, 50.0
@@ -214,7 +213,7 @@ def test_layers_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.system
-@pytest.mark.timeout(150)
+@pytest.mark.timeout(300)
 def test_processes_over_dds_leave_the_same_digests(nothing_survives: str, tmp_path: Path) -> None:
     assert main(["-o", str(tmp_path / "processes"), "--processes", "--set", "duration=0.5"]) == 0
     cascade = load_cascade(overrides=["duration=0.5"])

@@ -113,7 +113,7 @@ def python(*words: object, cwd: Path, path: tuple[Path, ...]) -> str:
 
 
 @pytest.mark.system
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 @pytest.mark.usefixtures("nothing_survives")
 @pytest.mark.parametrize("extra", [(), ("--agents-per-process", "2")], ids=["apart", "together"])
 def test_processes_and_simulation_agree(installed: Path, tmp_path: Path, extra: tuple[str, ...]) -> None:

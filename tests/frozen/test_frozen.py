@@ -48,7 +48,7 @@ def check(name: str, done: Finished, folder: Path) -> None:
 
 
 @same_libm
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", ALONE)
 def test_a_command_is_as_before(name: str, folder: Path, names: dict[str, str]) -> None:
     check(name, commands.run_case(name, folder, names), folder)
@@ -56,7 +56,7 @@ def test_a_command_is_as_before(name: str, folder: Path, names: dict[str, str]) 
 
 @same_libm
 @pytest.mark.system
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("during", commands.DURING)
 def test_commands_for_a_run_that_goes_on_are_as_before(during: str, folder: Path, names: dict[str, str]) -> None:
     with commands.going_on(during, folder) as run:
@@ -83,7 +83,7 @@ def test_a_simulation_gives_its_frozen_results(name: str, tmp_path: Path) -> Non
 
 @same_libm
 @pytest.mark.system
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     ("name", "options"),
     [

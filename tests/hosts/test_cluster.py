@@ -18,7 +18,7 @@ from tests.hosts.datagrams import Receiver
 from tests.hosts.switch import Impairment
 from tests.processes import ROOT, SEARCH_PATH, marked_processes, until
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(100), pytest.mark.usefixtures("possible")]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.usefixtures("possible")]
 
 COUNT = 2000
 BAD = Impairment(delay=0.03, jitter=0.01, loss=0.1, duplicate=0.1)

@@ -18,7 +18,7 @@ from swarmabs_config.ports import metatraffic_port
 from swarmabs_fleet.node_files import DISCOVERY_GROUP
 from swarmabs_run.orchestration.network import FIRST_FREE, Discovery, dds_environment, network_profile_xml
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(100), pytest.mark.usefixtures("possible")]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.usefixtures("possible")]
 
 DOMAIN = 7
 

@@ -11,7 +11,7 @@ from tests.swarmabs_fleet.fleets import ONE_HOST, deployed, edited
 
 from swarmabs_config.fleet.loader import load_fleet
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(100), pytest.mark.usefixtures("possible")]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.usefixtures("possible")]
 
 OTHER = "203.0.113.9"
 """Address of another fleet on the same host."""

@@ -12,7 +12,7 @@ from tests.swarmabs_fleet.fleets import EXAMPLES, contents, edited, uses_keys
 from swarmabs_config.fleet.loader import load_fleet
 from swarmabs_fleet.bundle import deploy
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(100), pytest.mark.usefixtures("possible")]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.usefixtures("possible")]
 
 TUNNEL, TARGET = "wg-quick@floor0.service", "swarmabs-floor.target"
 

@@ -26,7 +26,7 @@ WITHOUT = "no wireguard-go on the search path or in WIREGUARD_GO: go install gol
 
 pytestmark = [
     pytest.mark.system,
-    pytest.mark.timeout(100),
+    pytest.mark.timeout(300),
     pytest.mark.usefixtures("possible"),
     pytest.mark.skipif(PROGRAM is None, reason=WITHOUT),
     pytest.mark.skipif(not Path("/dev/net/tun").exists(), reason="this kernel has no TUN devices"),

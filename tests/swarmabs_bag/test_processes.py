@@ -56,7 +56,7 @@ def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(words, capture_output=True, text=True, check=False, env=os.environ | SEARCH_PATH)
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("what", ["reading", "repair", "merge"])
 def test_a_few_damages_have_no_wrong_answer(what: str, tmp_path: Path) -> None:
     trial = KINDS[what](tmp_path)
@@ -76,7 +76,7 @@ def test_no_damage_of_many_has_a_wrong_answer(what: str, number: int, tmp_path: 
 
 
 @pytest.mark.system
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 def test_large_bag_is_described_and_iterated_over_but_not_loaded(bag: Path, tmp_path: Path) -> None:
     """It is several times larger than what the program is allowed: one chunk again and again, not compressed."""
     records = split((bag / "bag_0.mcap").read_bytes())

@@ -146,7 +146,6 @@ def damaged(path: Path, problem: str | None = None) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.timeout(60)
 def test_wherever_a_file_is_cut_all_before_is_read_and_saved(file: Path, tmp_path: Path, run: list[Message]) -> None:
     data, written = file.read_bytes(), payloads(run)
     chunks = [found for found in split(data) if found.opcode == Opcode.CHUNK]
@@ -184,7 +183,6 @@ def test_wherever_a_file_is_cut_all_before_is_read_and_saved(file: Path, tmp_pat
     assert len(set(counts)) > 3
 
 
-@pytest.mark.timeout(60)
 def test_no_change_of_a_byte_goes_unnoticed_and_nothing_wrong_is_kept(bag: Path, file: Path, tmp_path: Path) -> None:
     data, written = bytearray(file.read_bytes()), kept(open_bag(bag))
     draw = random.Random(1)

@@ -35,8 +35,6 @@ from swarmabs_config.configure import members
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, STANDING, Message, PlaneState
 
-pytestmark = pytest.mark.timeout(60)  # a report takes 5 s of processor time
-
 MakeBag: TypeAlias = Callable[..., Path]
 
 

@@ -53,7 +53,7 @@ def test_a_dumb_terminal_and_a_pipe_get_lines(monkeypatch: pytest.MonkeyPatch, c
 
 
 @pytest.mark.system
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 def test_a_real_terminal_shows_a_run_of_many_processes(tmp_path: Path, nothing_survives: str) -> None:
     environment = {name: text for name, text in os.environ.items() if name not in CLEARED} | SETTINGS
     ours, theirs = pty.openpty()

@@ -192,7 +192,6 @@ MIXED = {"agent_001/leave": "", "agent_009/leave": "was not found", "agent_001/j
 
 
 @pytest.mark.usefixtures("ros")
-@pytest.mark.timeout(60)
 def test_an_operator_calls_announces_and_hears(tmp_path: Path) -> None:
     before = time.time_ns()
     swarm = Target("one", "/hall", {"agent_001": "cart-1"}, (1,), {}, schedule=Schedule(10_000_000, before))
@@ -232,7 +231,6 @@ def test_an_operator_calls_announces_and_hears(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("ros")
-@pytest.mark.timeout(60)
 def test_a_stop_reports_who_has_stopped_and_fails_if_a_robot_is_not_known_to(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -127,7 +127,6 @@ def test_a_discovery_server_that_is_told_to_end_while_it_waits_serves_nobody(mon
 
 
 @pytest.mark.system
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("discovery", ["static", "multicast", "server, server: base"])
 def test_nodes_meet_with_each_discovery_on_one_address_only(
     discovery: str, tmp_path: Path, nothing_survives: str

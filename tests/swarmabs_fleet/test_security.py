@@ -395,7 +395,7 @@ def differences(used: dict[str, Endpoints], rights: dict[str, Rights]) -> dict[s
 
 
 @pytest.mark.system
-@pytest.mark.timeout(150)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("plane", ["simulated", "topic: /encoder", pytest.param("source: imu", marks=pytest.mark.full)])
 def test_every_node_may_do_what_it_does_and_no_more(plane: str, tmp_path: Path, nothing_survives: str) -> None:
     with claimed_domain() as domain:

@@ -140,7 +140,7 @@ def top(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.system
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(300)
 def test_top_of_a_run(tmp_path: Path, nothing_survives: str) -> None:
     words = [*SWARM, "run", "--duration", "10000", "--no-bag"]
     with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as run:

@@ -14,7 +14,7 @@ from tests.swarmabs_view.conftest import PageServer, Served, curves, load, numbe
 from swarmabs_core.messages import EventKind, SwarmEvent
 from swarmabs_view.protocol import Answer, Event, Events, Steering
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 MARKUP = "<img src=x onerror=document.title='broken'><script>document.title='broken'</script>"
 TRY_AGAIN_LATER = 1013

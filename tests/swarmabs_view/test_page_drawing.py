@@ -10,7 +10,7 @@ from tests.swarmabs_view.conftest import HELLO, PageServer, curves
 from swarmabs_bag.swarm_state import Abstract, Instant, ShownRobot
 from swarmabs_view.protocol import Event, Events, Frame, RobotInfo, State
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 NAMES = ("angle", "error", "torque", "inertia")
 

@@ -32,8 +32,6 @@ from swarmabs_view.server import (
     serve,
 )
 
-pytestmark = pytest.mark.timeout(60)
-
 PAUSE = '{"v": 1, "type": "pause"}'
 
 

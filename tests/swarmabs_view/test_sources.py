@@ -105,7 +105,6 @@ def follows(view: RunView | SwarmView, work: Callable[[Page], Awaitable[None]]) 
 
 
 @pytest.mark.usefixtures("ros")
-@pytest.mark.timeout(60)
 def test_a_run_is_shown_from_before_its_start_into_its_bag(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     nodes: list[SpeakingNode] = []
 

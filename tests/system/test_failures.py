@@ -30,7 +30,7 @@ from swarmabs_run.orchestration.run_files import ProgressReport, read_progress
 from swarmabs_run.run import Progress
 from swarmabs_run.simulation import simulated_steps
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 MESSAGES = 8
 """Messages of a step of the scenario."""

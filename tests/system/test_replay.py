@@ -15,7 +15,7 @@ from tests.processes import until
 from tests.system.helpers import LONGEST, BagMessage, bag_messages, seconds, started_swarm, swarm
 from tests.system.realtime import Client, started_client
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 FAULTS = "faults=[{at: 0.2, kind: join, agent: 4}, {at: 0.4, kind: kill, agent: 3}, {at: 0.6, kind: leave, agent: 2}]"
 TYPES = {

@@ -15,7 +15,7 @@ from tests.system import helpers as runs
 from swarmabs_core.messages import EventKind
 from swarmabs_run.orchestration.plan import ProcessPlan
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 
 def same_as_simulated(folder: Path, scenario: str, *overrides: str, **options: Any) -> None:

@@ -30,7 +30,7 @@ from swarmabs_run.orchestration.plan import ProcessPlan
 from swarmabs_run.orchestration.run_files import is_running, read_processes, read_progress
 from swarmabs_run.steering.client import SteeringClient
 
-pytestmark = [pytest.mark.smoke, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.smoke, pytest.mark.timeout(300)]
 
 AGENTS = (1, 2, 3, 4)
 STEPS = 150

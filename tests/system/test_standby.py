@@ -17,7 +17,7 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, standby_name
 from swarmabs_core.messages import EventKind
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 SCENARIOS = {"pd_het_4": 10.0, "arise_het_20": 4.0}
 """With the simulated time, s: four robots, and twenty with packed messages."""

@@ -35,7 +35,6 @@ from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 
 WIDTHS = {"mappingEx": COLUMN, "posMapping": COLUMN, "PD_res": PAGE, "ARISE_res": PAGE, "ARISE_lg_swarm": PAGE}
-pytestmark = pytest.mark.timeout(60)  # drawing takes 1 to 3 s for each file, and more where all cores are busy
 SCRIPT = """
 import hashlib, sys
 from pathlib import Path
@@ -74,7 +73,7 @@ def test_a_file_depends_neither_on_other_formats_nor_on_the_users_own_style(shor
 
 
 @pytest.mark.system
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 def test_another_process_gives_the_same_bytes(short_runs: Path) -> None:
     names = ("mappingEx", "posMapping", "PD_res")
     words = [sys.executable, "-c", SCRIPT, short_runs, *names]

@@ -23,7 +23,7 @@ from swarmabs_core.errors import RunError
 BUSY = 5.0
 """Processor time, s, after which a worker has done more than to start."""
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture

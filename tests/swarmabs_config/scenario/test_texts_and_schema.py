@@ -133,9 +133,6 @@ def test_schema_accepts_what_loads_and_refuses_what_does_not_load() -> None:
         assert not SCHEMA.is_valid(yaml.safe_load(text)), text
 
 
-pytestmark = pytest.mark.timeout(60)
-
-
 @given(st.integers(1, 2**31 * 10**9 - 10**9))
 def test_every_time_that_a_float_can_tell_is_exact(nanoseconds: int) -> None:
     seconds = nanoseconds / 10**9

@@ -76,7 +76,6 @@ START, AT_REST = {"initial state"}, {"ks, all terms at rest", "initial state"}
         ("pd_si_4", ("faults=[{kind: delay, steps: 2147483647}]",), {"period, SI errors", "delay, SI errors"}),
     ],
 )
-@pytest.mark.timeout(60)  # the longest delay makes matrices of a hundred rows, a thousand times
 def test_what_fails_is_named(name: str, overrides: tuple[str, ...], failing: set[str]) -> None:
     report = check(name, *overrides)
     failed = {one.name for theorem, one in report.failed if not theorem.label.startswith("General")}

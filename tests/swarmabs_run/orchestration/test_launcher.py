@@ -20,7 +20,7 @@ from swarmabs_run.orchestration import launcher_client
 from swarmabs_run.orchestration.launcher import CROWD
 from swarmabs_run.orchestration.launcher_client import LauncherClient
 
-pytestmark = [pytest.mark.smoke, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.smoke, pytest.mark.timeout(300)]
 
 ENVIRONMENT = {**SEARCH_PATH, "PYTHONUNBUFFERED": ""}
 """What is printed waits in the memory of a node until it is flushed."""
