@@ -426,3 +426,34 @@ def test_losses_ages_and_stops() -> None:
     assert said["losses"]["swarm/abstract_state"] == {"received": 0, "missing": 0}
     assert said["broadcast_ages"] == {"2": 1, "3": 1, "6": 1}
     assert said["safe_stops"] == 1
+
+
+def of(participant: bytes, entity: int) -> bytes:
+    """Return the GID of a writer of a process."""
+    return participant[:12] + entity.to_bytes(4, "big")
+
+
+def test_an_event_waits_until_more_is_heard_of_its_process_and_strangers_events_are_dropped_and_told() -> None:
+    kept, strange = Kept(), EVENT._replace(detail="forged")
+    assert kept.take(EVENT, CLOCK.begin(5), of(FIRST, 7)) == ()
+    assert kept.take(strange, CLOCK.begin(5), of(SECOND, 7)) == ()
+    assert kept.take(ROBOT, CLOCK.begin(5), of(FIRST, 4)) == (ROBOT, EVENT)
+    later = EVENT._replace(step=6)
+    assert kept.take(later, CLOCK.begin(6), of(FIRST, 7)) == (later,)
+    assert kept.take(PLANE._replace(angle=9.0), CLOCK.begin(6), of(SECOND, 3)) != (), "nobody believes it"
+    found = [m for step in range(7, 400) for m in kept.take(ROBOT._replace(step=step), CLOCK.begin(step), of(FIRST, 4))]
+    (told,) = [message for message in found if isinstance(message, msg.SwarmEvent)]
+    assert told.kind == msg.EventKind.REFUSED
+    assert told.detail == "swarm/events: an event of a process from which nothing else of this swarm is heard"
+    assert told.step == 5, "it arrived then"
+    assert kept.take(EVENT._replace(step=400), CLOCK.begin(400), of(SECOND, 7)) == ()
+    assert [record.message.detail for record in kept.finish()] == [], "told once in a while"
+    assert kept.refused == 3
+
+
+def test_a_flood_of_events_is_dropped_without_being_kept() -> None:
+    kept = Kept()
+    for number in range(3000):
+        kept.take(EVENT._replace(detail=str(number)), CLOCK.begin(5), of(SECOND, 7))
+    assert kept.refused == 2000
+    assert kept.take(ROBOT, CLOCK.begin(5), of(FIRST, 4)) == (ROBOT,)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from tests.processes import until
 from tests.system import helpers as runs
-from tests.system.forger import ANGLE
+from tests.system.forger import ANGLE, FORGED
 from tests.system.realtime import PATIENCE, Client, Network, realtime_network, start_swarm, started_client
 
 from swarmabs_bag.reader import open_bag
@@ -80,8 +80,11 @@ def test_a_third_party_on_the_topic_of_the_plane_enters_no_bag_and_is_reported(f
     assert outcome.status == "interrupted"
     recorded = [record.message for record in open_bag(folder).records((PLANE_STATE, EVENTS))]
     assert all(message.angle != ANGLE for message in recorded if isinstance(message, PlaneState))
-    told = [message for message in recorded if isinstance(message, SwarmEvent) and message.kind == EventKind.REFUSED]
+    events = [message for message in recorded if isinstance(message, SwarmEvent)]
+    assert all(event.detail != FORGED for event in events)
+    told = [event for event in events if event.kind == EventKind.REFUSED]
     assert 0 < len(told) < 50
+    assert any(event.detail.startswith("swarm/events: an event of a process") for event in told)
     verdict = runs.swarm("verify", folder, "--json")
     assert verdict.code == 1
     assert (verdict.summary()["first_difference"], list(verdict.summary()["second_senders"])) == (

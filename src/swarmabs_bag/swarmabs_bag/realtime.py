@@ -16,6 +16,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (
     BASIS,
     BROADCASTS,
+    EVENTS,
     PLANE_STATE,
     AgentState,
     Basis,
@@ -111,6 +112,18 @@ class _Disputed:
     renewed: int
 
 
+class _Waiting(NamedTuple):
+    """An event that arrived in a step from a process of which nothing else has been heard."""
+
+    record: Record
+    writer: bytes
+    step: int
+
+
+_MOST_WAITING = 1000
+_STRANGER = Problem("an event of a process from which nothing else of this swarm is heard").of(EVENTS.name)
+
+
 class RealtimeCollector:
     """Selects the messages to record, which may arrive in any order and repeatedly.
 
@@ -120,7 +133,8 @@ class RealtimeCollector:
 
     As nodes do, it binds each topic and robot to a writer, and drops the messages of a second one. Different messages
     for the same place, and messages of another swarm or time, are dropped too. Events report this: two for each
-    dispute, with its first and its last step, because other receivers may be bound to the other writer.
+    dispute, with its first and its last step, because other receivers may be bound to the other writer. Nodes publish
+    more than events: an event waits until a process that has sent it is bound to another topic, or is dropped.
 
     Parameters
     ----------
@@ -155,6 +169,7 @@ class RealtimeCollector:
         plane = schedule.steps(limits.plane_age_limit)
         self.writers = Writers(schedule.steps(limits.state_age_limit), {**broadcasts, PLANE_STATE.name: plane})
         self._disputes: dict[tuple[str, Topic, int], _Disputed] = {}
+        self._waiting: list[_Waiting] = []
         self._now = 0
         self.repeated = self.different = 0
 
@@ -176,7 +191,39 @@ class RealtimeCollector:
         ended = self._end_disputes(step) if self._disputes else ()
         problem = self._problem(record, step, writer)
         if problem:
-            return (*ended, *map(Record.of, self._refusals.add(problem, step, now)))
+            return (*ended, *self._refuse(problem, step))
+        if writer and isinstance(record.message, SwarmEvent) and not self.writers.speaks(writer):
+            if len(self._waiting) == _MOST_WAITING:
+                return (*ended, *self._refuse(_STRANGER, step))
+            self._waiting.append(_Waiting(record, writer, step))
+            return ended
+        kept = self._keep(record, step, writer)
+        return (*ended, *kept, *(self._settle(step) if self._waiting else ()))
+
+    def finish(self) -> tuple[Record, ...]:
+        """Return the events to write at the end of the recording."""
+        return (*self._settle(None), *self._end_disputes(None))
+
+    def _refuse(self, problem: Problem, step: int) -> tuple[Record, ...]:
+        """Count a dropped message; return the event that reports it, if it is due."""
+        return tuple(map(Record.of, self._refusals.add(problem, step, self._now)))
+
+    def _settle(self, step: int | None) -> tuple[Record, ...]:
+        """Return waiting events whose senders are known by now; drop old ones, without a step all others."""
+        found: list[Record] = []
+        still: list[_Waiting] = []
+        for one in self._waiting:
+            if self.writers.speaks(one.writer):
+                found += self._keep(one.record, one.step, one.writer)
+            elif step is None or step - one.step > QUIET_STEPS + self.writers.longest_age:
+                found += self._refuse(_STRANGER, one.step)
+            else:
+                still.append(one)
+        self._waiting = still
+        return tuple(found)
+
+    def _keep(self, record: Record, step: int, writer: bytes) -> tuple[Record, ...]:
+        """Return the records to write of a message that is not refused."""
         if record.topic.agent_id:
             record = record._replace(topic=usual_topic(record.topic))
         topic, _, message, payload, *_ = record
@@ -186,16 +233,12 @@ class RealtimeCollector:
         second = self._is_of_second(record, step, writer)
         if first == payload:
             self.repeated += 1
-            return ended
+            return ()
         if first is None and not second:
             known[place] = payload
-            return (*ended, record)
+            return (record,)
         self.different += 1
-        return (*ended, *self._dispute(record, SECOND_WRITER if second else TWO_MESSAGES, step))
-
-    def finish(self) -> tuple[Record, ...]:
-        """Return the events to write at the end of the recording."""
-        return self._end_disputes(None)
+        return self._dispute(record, SECOND_WRITER if second else TWO_MESSAGES, step)
 
     def _is_of_second(self, record: Record, step: int, writer: bytes) -> bool:
         """Return whether a message is that of a second writer, by the rule of the nodes."""

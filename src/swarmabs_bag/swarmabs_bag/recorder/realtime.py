@@ -28,7 +28,7 @@ from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.lockstep import INTERRUPTED
 from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
 from swarmabs_ros.parameters import declare
-from swarmabs_ros.realtime import IDENTIFIED, arrived
+from swarmabs_ros.realtime import arrived
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, OWN_TOPICS, choose
 from swarmabs_ros.runner import COMMON, Settings
 from swarmabs_ros.start import SwarmNode, run_program
@@ -75,7 +75,7 @@ class RealtimeRecorder:
 
     def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos], status: StatusChannel, rank: str) -> None:
         self._depths = {topic: qos.depth for topic, qos in subscriptions.items()}
-        self._receiver = WaitSetReceiver(node, subscriptions, identified=IDENTIFIED)
+        self._receiver = WaitSetReceiver(node, subscriptions, identified=tuple(subscriptions))
         self._status = status
         self._name, self._rank = node.get_name(), rank
         self._begun = time.monotonic()

@@ -39,6 +39,8 @@ QUIET_NS = 10_000_000_000
 """Time between two reports of the same reason, ns, so that an intruder cannot flood the events."""
 SLACK = 1.05
 """Factor by which a bound may be exceeded, because measured positions are not exact."""
+PARTICIPANT = 12
+"""Number of first bytes of a writer's GID that its participant, a process, has in common with its other writers."""
 _MOST_SHOWN = 20
 SHOWN_AGES = 100
 """For how many age limits a health status shows that there was a second sender."""
@@ -361,6 +363,16 @@ class Writers:
     def is_bound(self, origin: Origin, writer: bytes) -> bool:
         """Return whether a writer is the first of an origin."""
         return origin in self._bound and self._bound[origin][0] == writer
+
+    def speaks(self, writer: bytes) -> bool:
+        """Return whether the participant of a writer is that of the first writer of any origin."""
+        participant = writer[:PARTICIPANT]
+        return any(bound[:PARTICIPANT] == participant for bound, _ in self._bound.values())
+
+    @property
+    def longest_age(self) -> int:
+        """The longest age limit of any origin, in steps."""
+        return max(self._age, *self._ages.values()) if self._ages else self._age
 
     def warned(self, health: Health) -> Health:
         """Return a health status with the origins that have a second writer, or had one recently, and the writers.
