@@ -14,13 +14,13 @@ from tests.swarmabs_bag.test_systems import BEAM, LIFT, SHEET
 from tests.swarmabs_core.helpers import agent_state, builtin
 from tests.swarmabs_ros.nodes import settings_from
 
-from swarmabs_bag.arrivals import AHEAD
 from swarmabs_bag.blocks import Block
 from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.recorder import node
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_config import configure
+from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core import messages as msg
 from swarmabs_core.cdr import encode, places
@@ -215,7 +215,7 @@ def test_ordinary_steps_come_in_blocks_of_the_same_robots() -> None:
 
 
 def test_messages_of_far_ahead_are_kept_as_records() -> None:
-    scenario = builtin("pd_si_4", f"duration={2 * AHEAD / 100}").resolved()
+    scenario = builtin("pd_si_4", f"duration={2 * KEPT_STEPS / 100}").resolved()
     steps = list(Simulation(scenario).steps())
     book = collector(scenario, 250)
     for step in reversed(steps):

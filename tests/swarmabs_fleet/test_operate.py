@@ -29,13 +29,13 @@ from swarmabs_bag.realtime import recorded as recorded_topics
 from swarmabs_cli import main
 from swarmabs_cli.fleet import operate as operate_commands
 from swarmabs_config.fleet.loader import load_fleet
+from swarmabs_config.graph import SILENCE
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import AGENT_STATE, REMOVALS, AgentState, EventKind, Kind, Removal, Status
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_fleet.operate import (
     SILENT,
-    SILENT_AFTER,
     HealthMonitor,
     Row,
     StopMonitor,
@@ -76,8 +76,8 @@ def test_nodes_are_shown_in_their_order_and_strangers_behind_them() -> None:
 def test_a_node_that_falls_silent_is_no_longer_believed_nor_in_order_with_an_error_or_an_unknown_level() -> None:
     monitor = HealthMonitor({"agent_001": "cart-1"})
     monitor.hear("agent_001", 0, "follows the broadcasts", {}, 10.0)
-    assert in_order(monitor.rows(10.0 + SILENT_AFTER))
-    (row,) = monitor.rows(10.1 + SILENT_AFTER)
+    assert in_order(monitor.rows(10.0 + SILENCE))
+    (row,) = monitor.rows(10.1 + SILENCE)
     assert (row.level, row.text) == (SILENT, "no diagnostics for 3 s; last: follows the broadcasts")
     monitor.hear("agent_001", 0, "follows the broadcasts", {}, 14.0)
     levels = {}

@@ -12,12 +12,12 @@ from hypothesis import given, strategies as st
 from tests.swarmabs_ros.nodes import desired
 from tests.transport.network import Inbox, Outbox, Reports
 
-from swarmabs_config.graph import Qos
+from swarmabs_config.graph import KEPT_STEPS, Qos
 from swarmabs_core.behaviours.base import ConflictError
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, PLANE_STATE, Message, Messages, PlaneState, Topic
-from swarmabs_ros.lockstep import FIRST, LONGEST, SLICE, WINDOW, Lockstep, NodeSpec, Repeater, RunningClock
+from swarmabs_ros.lockstep import FIRST, LONGEST, SLICE, Lockstep, NodeSpec, Repeater, RunningClock
 
 
 def silence(repeater: Repeater, now: float, count: int) -> list[tuple[float, int]]:
@@ -45,7 +45,7 @@ def test_windows_and_intervals_grow_to_their_bounds_and_begin_anew_with_progress
     repeater = Repeater(0.0)
     assert repeater.due(0.99 * repeater.wait(0.0)) == 0
     repetitions = silence(repeater, 0.0, 33)
-    assert [size for _, size in repetitions[:7]] == [1, 4, 16, 64, WINDOW, 1, 4]
+    assert [size for _, size in repetitions[:7]] == [1, 4, 16, 64, KEPT_STEPS, 1, 4]
     gaps = [after - before for (before, _), (after, _) in pairwise(repetitions)]
     assert gaps == sorted(gaps)
     assert gaps[-1] == pytest.approx(LONGEST)
@@ -68,7 +68,7 @@ def test_a_slow_run_repeats_later_but_everything_before_silence_is_a_stall(usual
     repeater = Repeater(0.0)
     now = stepping(repeater, [usual] * 500)
     assert repeater.wait(now) == pytest.approx(wait, rel=0.1)
-    all_repeated = next(time for time, size in silence(repeater, now, 20) if size == WINDOW)
+    all_repeated = next(time for time, size in silence(repeater, now, 20) if size == KEPT_STEPS)
     assert all_repeated - now < 5.0 or usual > 0.1
 
 
@@ -97,7 +97,7 @@ def test_bounds_hold_in_any_course_of_events(course: list[tuple[float, bool]]) -
             repeater.progress(now)
             assert repeater.due(now) == 0
         due = repeater.due(now)
-        assert due in {0, 1, 4, 16, 64, WINDOW}
+        assert due in {0, 1, 4, 16, 64, KEPT_STEPS}
         assert (FIRST - 1e-9 if due else 0.0) <= repeater.wait(now) <= LONGEST + 1e-9
 
 
@@ -180,7 +180,7 @@ def test_who_waits_too_long_repeats_ever_more_but_no_more_than_the_window() -> N
     bench.run(30.0)
     assert [step for _, step in bench.published[:1000]] == list(range(1000))
     groups = [[step for _, step in group] for _, group in groupby(bench.published[1000:], itemgetter(0))]
-    assert [len(group) for group in groups[:6]] == [1, 4, 16, 64, WINDOW, 1]
+    assert [len(group) for group in groups[:6]] == [1, 4, 16, 64, KEPT_STEPS, 1]
     assert all(group == list(range(1000 - len(group), 1000)) for group in groups)
 
 

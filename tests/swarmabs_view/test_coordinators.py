@@ -11,14 +11,14 @@ from tests.processes import until
 from tests.swarmabs_view.conftest import HELLO, PageServer, told
 
 from swarmabs_bag.swarm_state import SwarmState
-from swarmabs_config.graph import CONTROLLER, DIAGNOSTICS, OBSERVER, RECORDER, standby_name
+from swarmabs_config.graph import CONTROLLER, DIAGNOSTICS, OBSERVER, RECORDER, SILENCE, standby_name
 from swarmabs_core.messages import EventKind
 from swarmabs_core.pair_role import role_values
 from swarmabs_core.realtime.base import Health, Level
 from swarmabs_ros.managed import diagnostic_array
 from swarmabs_ros.start import SwarmNode, initialise
 from swarmabs_run.roles import SILENT, STANDS_BY, Roles, write_roles
-from swarmabs_view.coordinators import FORGOTTEN, DiagnosedRoles, coordinators_at, takeovers
+from swarmabs_view.coordinators import DiagnosedRoles, coordinators_at, takeovers
 from swarmabs_view.listener import DiagnosticsListener
 from swarmabs_view.live import LiveSession, LiveView
 from swarmabs_view.playback import PlaybackSession, open_recording
@@ -107,7 +107,7 @@ def test_in_real_time_one_whose_diagnostics_end_is_silent() -> None:
     assert shown(heard.message(101.5)) == [("leads", 41, "is silent", None)]
     heard.hear(standby_name(OBSERVER), dict(role_values("standby", "stands by", 3.0)), 101.0)
     assert shown(heard.message(102.0)) == [("leads", 42, "stands by", 4)]
-    assert shown(heard.message(100.6 + FORGOTTEN)) == [("is silent", 3, "stands by", 5)]
+    assert shown(heard.message(100.6 + SILENCE)) == [("is silent", 3, "stands by", 5)]
 
 
 @pytest.mark.usefixtures("ros")

@@ -17,11 +17,12 @@ from tests.swarmabs_bag.sample_run import make_run, make_step
 from tests.swarmabs_view.conftest import HELLO, told
 
 from swarmabs_bag.swarm_state import Abstract, Instant, RobotIdentity, SwarmState
+from swarmabs_config.graph import SILENCE
 from swarmabs_core.messages import EventKind, Kind, PlaneState, SwarmEvent
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_view import protocol
 from swarmabs_view.facts import Shading, regions
-from swarmabs_view.live import RATE_WINDOW, SILENCE, CurveBuffer, LiveSession, LiveView, StepRate
+from swarmabs_view.live import RATE_WINDOW, CurveBuffer, LiveSession, LiveView, StepRate
 from swarmabs_view.sources import ProcessWatch
 
 

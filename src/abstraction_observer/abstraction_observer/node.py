@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.behaviours import Observer, ObserverConfig, Steered
+from swarmabs_core.behaviours.base import Lockstep
 from swarmabs_core.behaviours.systems import SystemObserverConfig
+from swarmabs_core.declaration import parameters_of
 from swarmabs_core.membership import SILENT
 from swarmabs_core.messages import Messages
-from swarmabs_core.parameters import Parameter
 from swarmabs_ros.lockstep import NodeSpec
-from swarmabs_ros.parameters import BySystem
+from swarmabs_ros.parameters import BySystem, choose
 from swarmabs_ros.runner import PACKED, PAIR, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     from swarmabs_core.messages import Topic
 
-ON_STALL = Parameter("on_stall", "fail", "reaction to a robot that does not answer", choices=("fail", "drop"))
+(ON_STALL,) = choose(parameters_of(Lockstep), "on_stall")
 CONFIG = BySystem(ObserverConfig, SystemObserverConfig)
 PARAMETERS = (CONFIG, ON_STALL, PACKED, STEERED, *PAIR)
 

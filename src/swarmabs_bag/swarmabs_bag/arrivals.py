@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmabs_bag.blocks import Block
+from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_core.arrays import PADDING, constant, layout_of, raw
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND
 from swarmabs_core.errors import MalformedMessageError
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Family, Topic
 
     Rows = NDArray[np.void]
-
-AHEAD = 128
-"""Steps from the current one on whose messages are held: more than a run may be ahead of its recorder."""
 
 
 class _Table:
@@ -64,7 +62,7 @@ class _Table:
 
 
 class Arrivals:
-    """The messages of the main topics of a run, from a number of past steps on until `AHEAD` steps later.
+    """The messages of the main topics of a run, from a number of past steps on until `KEPT_STEPS` steps later.
 
     Parameters
     ----------
@@ -91,7 +89,7 @@ class Arrivals:
         self._family = family
         self._membership = membership
         self._members = np.array(sorted(members))
-        self._capacity = memory + AHEAD
+        self._capacity = memory + KEPT_STEPS
         self._system = system
         self._tables: dict[Topic, _Table] = {}
         self.newest = -1

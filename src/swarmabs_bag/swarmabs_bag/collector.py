@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_bag.arrivals import AHEAD, Arrivals
+from swarmabs_bag.arrivals import Arrivals
 from swarmabs_bag.recording import RecordedStep
+from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError, refuse_other_system
 from swarmabs_core.behaviours.steering import Orders
 from swarmabs_core.cdr import decode, split
@@ -199,7 +200,7 @@ class RunCollector:
             return None
         steps = messages["step"].astype(np.int64)
         wanted = (steps >= max(0, self._step - self._memory)) & (steps <= self._last_step)
-        taken = wanted & (steps < self._step + AHEAD)
+        taken = wanted & (steps < self._step + KEPT_STEPS)
         if self._slots:
             taken &= ~np.isin(steps, list(self._slots))
         if taken.all():
@@ -232,13 +233,13 @@ class RunCollector:
     def _advance(self, count: int) -> None:
         for step in range(self._step, self._step + count):
             self._slots.pop(step - self._memory, None)
-        self._arrivals.forget(self._step + AHEAD, count)
+        self._arrivals.forget(self._step + KEPT_STEPS, count)
         self._step += count
 
     def _apart(self, step: int) -> _Slot:
         """Hold the messages of a step as records."""
         slot = self._slots[step] = self._slot(step)
-        if step < self._step + AHEAD:
+        if step < self._step + KEPT_STEPS:
             self._arrivals.forget(step)
         return slot
 
@@ -247,7 +248,7 @@ class RunCollector:
         slot = self._slots.get(step)
         if slot is None:
             slot = _Slot()
-            for topic, payload in self._arrivals.messages(step) if step < self._step + AHEAD else ():
+            for topic, payload in self._arrivals.messages(step) if step < self._step + KEPT_STEPS else ():
                 record = Record.heard(topic, payload)
                 if record.agent_id:
                     slot.agents[record.agent_id] = record

@@ -222,6 +222,12 @@ RECORDING_MESSAGES = 20_000
 SHORTEST_RECORDING_WINDOW = 4
 
 
+SILENCE = 3.0
+"""Age, s, from which the last report of a node no longer tells of it; nodes report once a second."""
+KEPT_STEPS = 128
+"""Largest number of steps that a receiver keeps and a sender repeats: a run is less ahead of its recorder."""
+
+
 def recording_window(robots: int) -> int:
     """Return how many steps a recorded run may be ahead of the bag on disk: fewer if a step has many messages."""
     return max(SHORTEST_RECORDING_WINDOW, min(RECORDING_STEPS, RECORDING_MESSAGES // max(1, robots)))

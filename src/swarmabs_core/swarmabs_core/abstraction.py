@@ -200,14 +200,14 @@ LEAST_SPREAD = 1e-4
 _LEAST = 1e-9
 
 
-def _edge(s0: float, length: float) -> float:
-    """Return S3 at the least spread."""
+def least_s3(s0: float, length: float) -> float:
+    """Return S3 (kg^4 m^2) at the least spread, for S0 (kg^2) and the length of the plane (m)."""
     return LEAST_SPREAD * LEAST_SPREAD * s0 * s0 * length * length
 
 
 def is_degenerate(s0: float, s3: float, length: float) -> bool:
     """Return whether S3 is too small to divide by: all robots are nearly at one point of a plane of this length (m)."""
-    return not s3 > _edge(s0, length)
+    return not s3 > least_s3(s0, length)
 
 
 def conditioned(sums: AuxiliaryState, length: float) -> AuxiliaryState:
@@ -219,6 +219,6 @@ def conditioned(sums: AuxiliaryState, length: float) -> AuxiliaryState:
     s0, s1, s3 = sums.s0, sums.s1, sums.s3
     if not is_degenerate(s0, s3, length):
         return sums
-    edge = _edge(s0, length)
+    edge = least_s3(s0, length)
     damped = edge * edge / max(s3, _LEAST * edge)
     return sums._replace(s2=(damped + s1 * s1) / s0, s3=damped)

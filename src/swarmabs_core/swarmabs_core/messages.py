@@ -233,12 +233,12 @@ class DesiredAbstractState(NamedTuple):
     mode: Annotated[int, Field("uint8", constants=Mode)]
     torque: Annotated[float, Field("float64", "N m")]
     inertia: Annotated[float, Field("float64", "kg m^2")]
-    torque_rate: Annotated[float, Field("float64", "N m/s")]
-    inertia_rate: Annotated[float, Field("float64", "kg m^2/s")]
-    mean_torque_rate: Annotated[float, Field("float64", "N m/s", "mean over the step")]
-    mean_inertia_rate: Annotated[float, Field("float64", "kg m^2/s", "mean over the step")]
-    torque_acceleration: Annotated[float, Field("float64", "N m/s^2", "mean over the step")]
-    inertia_acceleration: Annotated[float, Field("float64", "kg m^2/s^2")]
+    torque_rate: Annotated[float, Field("float64", "N m/s")] = 0.0
+    inertia_rate: Annotated[float, Field("float64", "kg m^2/s")] = 0.0
+    mean_torque_rate: Annotated[float, Field("float64", "N m/s", "mean over the step")] = 0.0
+    mean_inertia_rate: Annotated[float, Field("float64", "kg m^2/s", "mean over the step")] = 0.0
+    torque_acceleration: Annotated[float, Field("float64", "N m/s^2", "mean over the step")] = 0.0
+    inertia_acceleration: Annotated[float, Field("float64", "kg m^2/s^2")] = 0.0
 
 
 class SwarmEvent(NamedTuple):

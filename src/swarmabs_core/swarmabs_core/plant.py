@@ -193,9 +193,15 @@ class Plane:
         description="whether the plane's motion acts on the double integrators, force -m g sin(th) + m p w^2",
     )
     end_stop: float = setting(
-        inf, "angle of inelastic end stops on both sides, below 1.5 rad", above=0.0, below=STEEPEST, unset=0.0
+        inf, f"angle of inelastic end stops on both sides, below {STEEPEST:g} rad", above=0.0, below=STEEPEST, unset=0.0
     )
     sensor: PlaneSensor = part(PlaneSensor, "sensor of the plane's motion")
+
+
+def substeps(period: float, longest: float) -> int:
+    """Return the number of equal substeps of a period, both s, of which none is longer than the longest."""
+    # Rounding must not add a substep to a period that is a multiple of the substep.
+    return max(1, ceil(period / longest * (1.0 - 1e-12)))
 
 
 class PlaneDynamics:
@@ -215,8 +221,7 @@ class PlaneDynamics:
     def __init__(self, plane: Plane, period: float) -> None:
         self._plane = plane
         self._period = period
-        # Rounding must not add a substep to a period that is a multiple of the substep.
-        self._count = max(1, ceil(period / plane.substep * (1.0 - 1e-12)))
+        self._count = substeps(period, plane.substep)
         self._shares = [n / (2 * self._count) for n in range(2 * self._count + 1)]
         self.impact: tuple[float, float] | None = None
 

@@ -234,7 +234,7 @@ TRAJECTORY = (
     ),
     *(parameter for each in _DECLARED for parameter in parameters_of(each, prefix="trajectory.")),
     Parameter("trajectory.times", (0.0, 1.0), "times of the rows of csv, increasing, s", minimum=0.0),
-    Parameter("trajectory.angles", (0.0, 0.0), "angles of the rows of csv, rad", minimum=-1.5, maximum=1.5),
+    Parameter("trajectory.angles", (0.0, 0.0), "angles of the rows of csv, rad", minimum=-STEEPEST, maximum=STEEPEST),
 )
 """Settings of a controller that follows a trajectory; they appear in a scenario as ``controller.trajectory``."""
 

@@ -28,6 +28,7 @@ from swarmabs_config.graph import (
     PLANE,
     REALTIME,
     RECORDER,
+    SILENCE,
     agent_name,
     own_topic,
     requested,
@@ -60,8 +61,6 @@ SLICE = 0.01
 """Longest wait, s, before checking again whether enough has been received."""
 GRACE = 1.0
 """Time, s, for which the other services of several are still waited for when one has reported success."""
-SILENT_AFTER = 3.0
-"""Time, s, without diagnostics after which a node counts as silent; nodes publish them once a second."""
 SILENT, STALE = "silent", "STALE"
 
 
@@ -488,7 +487,7 @@ class HealthMonitor:
         if node not in self._latest:
             return Row(node, host, SILENT, "no diagnostics received", {})
         heard, level, text, values = self._latest[node]
-        if now - heard > SILENT_AFTER:
+        if now - heard > SILENCE:
             return Row(node, host, SILENT, f"no diagnostics for {now - heard:.0f} s; last: {text}", values)
         names = {int(each): each.name for each in Level}
         return Row(node, host, names.get(level, STALE), text, values)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
+from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_core.cdr import decode, encode, step_of
 from swarmabs_core.messages import TOPIC_OF, SwarmEvent
 from swarmabs_ros.announcements import send_events
@@ -39,8 +40,6 @@ FIRST = 0.05
 """Shortest wait before a repetition, s."""
 LONGEST = 1.0
 """Longest wait between repetitions, s."""
-WINDOW = 128
-"""Largest number of steps that are repeated: more than a run may be ahead of its recorder."""
 
 INTERRUPTED = "interrupted"
 """Argument of `NodeSpec.on_exit` if the user has stopped the node (SIGINT)."""
@@ -131,7 +130,7 @@ class Repeater:
     longer, and repetitions before an answer is possible would only add load.
     """
 
-    def __init__(self, now: float, *, first: float = FIRST, most: int = WINDOW) -> None:
+    def __init__(self, now: float, *, first: float = FIRST, most: int = KEPT_STEPS) -> None:
         self._first = first
         self._longest = max(LONGEST, 4.0 * first)
         self._most = most
@@ -188,7 +187,7 @@ class Lockstep:
         topics: Collection[Topic],
         stall_timeout: float,
         repeat_after: float = FIRST,
-        repeat_steps: int = WINDOW,
+        repeat_steps: int = KEPT_STEPS,
         clock: Callable[[], float] | None = None,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
@@ -203,7 +202,7 @@ class Lockstep:
         self._repeater: Repeater
         self._hear = spec.hear or self._decoded
         self._pair, self._early = spec.pair, EarlyMessages()
-        self._inputs = None if spec.compares else Inputs(2 * WINDOW)
+        self._inputs = None if spec.compares else Inputs(2 * KEPT_STEPS)
         self._topics = topics
         self._echoed = spec.echoed if spec.pair is None else spec.pair.topic
         self._own = OwnMessages()
@@ -348,7 +347,7 @@ class Lockstep:
                 self._send(topic, data)
             self._sent.append((message.step, topic, data))
         if self._sent:
-            oldest = self._sent[-1][0] - WINDOW
+            oldest = self._sent[-1][0] - KEPT_STEPS
             while self._sent[0][0] < oldest:
                 self._sent.popleft()
 

@@ -24,6 +24,12 @@ _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 """Parameters that every node of rclpy may have."""
 
 
+def choose(table: tuple[Parameter, ...], *names: str) -> tuple[Parameter, ...]:
+    """Return parameters of a table by name."""
+    known = {parameter.name: parameter for parameter in table}
+    return tuple(known[name] for name in names)
+
+
 class BySystem(NamedTuple):
     """The declaration of a node's parameters on the plane, and on the parent system that ``system.type`` names."""
 

@@ -75,12 +75,6 @@ _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h on Linux, x86-64 and ARM
 Table = tuple[Parameter | type, ...]
 
 
-def choose(table: tuple[Parameter, ...], *names: str) -> tuple[Parameter, ...]:
-    """Return parameters of a table by name: those of a lockstep node that have the same meaning in real time."""
-    known = {parameter.name: parameter for parameter in table}
-    return tuple(known[name] for name in names)
-
-
 def run_realtime(
     name: str,
     table: Table,

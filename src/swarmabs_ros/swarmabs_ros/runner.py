@@ -6,7 +6,7 @@ import signal
 import time
 from typing import TYPE_CHECKING, Any, cast
 
-from swarmabs_config.graph import LOCKSTEP, Endpoints, endpoints, options_of
+from swarmabs_config.graph import KEPT_STEPS, LOCKSTEP, Endpoints, endpoints, options_of
 from swarmabs_core.behaviours.base import Run
 from swarmabs_core.declaration import DeclarationT, made_of, parameters_of
 from swarmabs_core.errors import InputError, RunError
@@ -14,7 +14,7 @@ from swarmabs_core.messages import TOPICS, Topic
 from swarmabs_core.parameters import Parameter, SettingError
 from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY
 from swarmabs_ros.endpoints import advertise, receiver
-from swarmabs_ros.lockstep import FIRST, INTERRUPTED, SLICE, WINDOW, Lockstep
+from swarmabs_ros.lockstep import FIRST, INTERRUPTED, SLICE, Lockstep
 from swarmabs_ros.pairs import BehindError, LockstepLeadership
 from swarmabs_ros.parameters import BySystem, declare, given_values, table_of
 from swarmabs_ros.start import SwarmNode, run_program
@@ -42,10 +42,10 @@ COMMON = (
     ),
     Parameter(
         "repeat_steps",
-        WINDOW,
+        KEPT_STEPS,
         "largest number of steps whose messages are sent again at once",
         minimum=1,
-        maximum=WINDOW,
+        maximum=KEPT_STEPS,
     ),
     Parameter("match", (), "endpoints to wait for before the start, each 'TOPIC NUMBER'; none: start at once"),
 )

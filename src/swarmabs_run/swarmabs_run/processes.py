@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import psutil
 
+from swarmabs_config.graph import SILENCE
 from swarmabs_core.errors import InputError
 from swarmabs_run.orchestration.run_files import NETWORK_FILE, RunOverError, is_running, orchestrator_of, read_progress
 
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
 ORCHESTRATOR = "orchestrator"
 SHARES = 16
 """Processes whose PSS a snapshot reads, in turn: the kernel sums it page by page, which blocks the process."""
-SILENCE = 3.0
-"""Age, s, from which the step rate of a progress report is no longer valid."""
 
 
 class Row(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, standby_name
+from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, SILENCE, standby_name
 from swarmabs_core.messages import EventKind, SwarmEvent
 from swarmabs_core.pair_role import RECORDS, ROLE, ROLE_FOR
 from swarmabs_run.roles import LEADS, LOST, SILENT, roles_at
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from swarmabs_run.roles import Role
 
-FORGOTTEN = 3.0
-"""Time, s, without diagnostics after which a node counts as silent; nodes publish them once a second."""
 _STANDBY_RECORDER = standby_name(RECORDER)
 _UNHEARD = Coordinator(role=SILENT, seconds=None, ok=False)
 
@@ -55,7 +53,7 @@ class DiagnosedRoles:
 
 
 def _shown(heard: _Heard, age: float) -> Coordinator:
-    if age > FORGOTTEN:
+    if age > SILENCE:
         return Coordinator(role=SILENT, seconds=int(age), ok=False)
     return Coordinator(role=heard.role, seconds=int(heard.seconds + age), ok=True)
 

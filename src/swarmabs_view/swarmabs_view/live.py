@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from swarmabs_bag.swarm_state import ShownRobot, SystemSwarmState
+from swarmabs_config.graph import SILENCE
 from swarmabs_core.messages import SystemDescription
 from swarmabs_view.coordinators import DiagnosedRoles, coordinators_at, takeovers
 from swarmabs_view.facts import Shading
@@ -38,8 +39,6 @@ INTERVAL = 1.0 / 30.0
 """Time between two polls of the received messages, s."""
 RATE_WINDOW = 2.0
 """Time over which the step rate is computed, s."""
-SILENCE = 3.0
-"""Time without a new step after which the swarm counts as silent, s."""
 MOST_PLACES = 1000
 """Most points of each robot's position."""
 ROBOTS_A_STEP = 10

@@ -16,6 +16,7 @@ from swarmabs_config.graph import (
     CONTROLLER,
     COORDINATORS,
     FIRST_TOOL,
+    KEPT_STEPS,
     LOCKSTEP,
     OBSERVER,
     PLANE,
@@ -41,7 +42,7 @@ from swarmabs_core.parameters import resolve
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.observer import RealtimeObserverConfig
 from swarmabs_core.realtime.plane import RealtimePlaneConfig
-from swarmabs_ros.lockstep import FIRST, WINDOW
+from swarmabs_ros.lockstep import FIRST
 from swarmabs_ros.parameters import table_of
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON, Settings
@@ -245,7 +246,7 @@ def test_the_more_robots_the_later_a_node_repeats_itself(monkeypatch: pytest.Mon
     for patience, seconds in ((PATIENCE, FIRST), (0.5, 2.0)):
         monkeypatch.setattr("swarmabs_run.orchestration.plan.PATIENCE", patience)
         found = planned(scenario_of("pd_het_4"))[PLANE].parameters
-        assert (found["repeat_after"], found["repeat_steps"]) == (seconds, WINDOW)
+        assert (found["repeat_after"], found["repeat_steps"]) == (seconds, KEPT_STEPS)
 
 
 def steerable(*faults: str, agents_per_process: int = 1, steered: bool = True) -> dict[str, ProcessPlan]:

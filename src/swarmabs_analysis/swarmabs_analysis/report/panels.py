@@ -38,6 +38,8 @@ from swarmabs_bag.colours import (
     SAFE_STOP,
     TORQUE,
 )
+from swarmabs_bag.figures import TOLERANCE
+from swarmabs_core.abstraction import least_s3
 from swarmabs_core.messages import EventKind, Kind, RobotKind, said
 
 if TYPE_CHECKING:
@@ -51,8 +53,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-TOLERANCE = 0.01
-"""Tracking error below which the plane counts as settled, rad."""
+_SETTLED = f"{1e3 * TOLERANCE:g} mrad"
 BEFORE, AFTER, MOST_ZOOMS, MOST_NAMED = 1.0, 4.0, 6, 5
 """Time shown before and after an event, s, the most events that have a panel, and the most others named in it."""
 ZOOMED = {
@@ -192,12 +193,14 @@ def _plane(recorded: Recorded) -> Iterator[Panel]:
     bound = np.full(len(arrays.time), TOLERANCE)
     lines = [
         Line("reference - θ", recorded.error, ERROR),
-        Line("±10 mrad", bound, BLACK, DOTTED),
+        Line(f"±{_SETTLED}", bound, BLACK, DOTTED),
         Line("_", -bound, BLACK, DOTTED),
     ]
     about = joined(
         span("tracking error", recorded.error, "rad"),
-        "it does not stay within 10 mrad" if settled is None else f"it stays within 10 mrad from {settled:g} s on",
+        f"it does not stay within {_SETTLED}"
+        if settled is None
+        else f"it stays within {_SETTLED} from {settled:g} s on",
     )
     draw = lines_over_time(recorded, "error, rad", lines, moment=moment)
     yield Panel("tracking", "plane", "Tracking error of the angle", draw, about, note)
@@ -205,7 +208,7 @@ def _plane(recorded: Recorded) -> Iterator[Panel]:
         recorded,
         "|error|, rad",
         [Line("|reference - θ|", np.abs(recorded.error), ERROR)],
-        level=Mark("10 mrad", TOLERANCE, BLACK, DOTTED),
+        level=Mark(_SETTLED, TOLERANCE, BLACK, DOTTED),
         moment=moment,
         positive=True,
     )
@@ -317,7 +320,7 @@ def _abstract(recorded: Recorded) -> Iterator[Panel]:
 
 def _margins(recorded: Recorded) -> Iterator[Panel]:
     time, margin = recorded.arrays.time, recorded.margins
-    limit = 1e-12 * recorded.scenario.plane.length**2
+    limit = least_s3(1.0, recorded.scenario.plane.length)
     level = Mark("end of the plane", 0.0, FAILED, DASHED)
     draw = lines_over_time(recorded, "m", [Line("L/2 - largest |p|", margin.end, BLACK)], level=level)
     about = joined(span("margin", margin.end, "m"), _lowest(margin.end, time, "m"))
@@ -337,7 +340,7 @@ def _margins(recorded: Recorded) -> Iterator[Panel]:
     yield Panel("margin-set", "margins", "Distance to the boundary of A_A", draw, about, NORM)
     draw = lines_over_time(recorded, "m²", [Line("S₃/S₀²", margin.spread, BLACK)], positive=True)
     about = joined(span("S₃/S₀²", margin.spread, "m²"), _lowest(margin.spread, time, "m²"))
-    note = f"At 0 all robots are at one point and the swarm law has no solution: the robots stop below {limit:.3g} m²."
+    note = f"At 0 all robots are at one point; below {limit:.3g} m² the robots control the inertia only in part."
     yield Panel("margin-spread", "margins", "Spread of the robots, S₃/S₀²", draw, about, note)
 
 

@@ -18,6 +18,7 @@ from matplotlib.patheffects import withStroke
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
 from swarmabs_bag.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
+from swarmabs_bag.figures import TOLERANCE
 from swarmabs_config.scenario import SystemScenario, parse_scenario
 from swarmabs_config.theory_setting import setting
 from swarmabs_core.systems.components import labelled
@@ -68,7 +69,7 @@ METRICS = {
 MAP = "viridis"
 # The greys and the red differ in lightness, and from every colour of the map.
 LOOKS = {
-    "settled": (tint(PLANE, 0.1), "settles within 10 mrad"),
+    "settled": (tint(PLANE, 0.1), f"settles within {1e3 * TOLERANCE:g} mrad"),
     "unsettled": (tint(ABSENT, 0.35), "stays up, but does not settle"),
     "off_plane": (tint(ABSENT, 0.8), "a robot leaves the plane"),
     "failed": (FAILED, "the run fails: the plane turns over"),

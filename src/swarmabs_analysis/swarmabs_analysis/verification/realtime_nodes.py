@@ -476,6 +476,4 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
         torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
         if self._last is not None and self._last.torque == torque:
             inertia = self._last.inertia
-        return self._judge(
-            stored, DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia, *(0.0,) * 6)
-        )
+        return self._judge(stored, DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia))

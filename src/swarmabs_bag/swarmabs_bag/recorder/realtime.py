@@ -27,9 +27,9 @@ from swarmabs_core.record import Record
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.lockstep import INTERRUPTED
 from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
-from swarmabs_ros.parameters import declare
+from swarmabs_ros.parameters import choose, declare
 from swarmabs_ros.realtime import arrived
-from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, OWN_TOPICS, choose
+from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, OWN_TOPICS
 from swarmabs_ros.runner import COMMON, Settings
 from swarmabs_ros.start import SwarmNode, run_program
 from swarmabs_ros.status import Heartbeat, notify

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from swarmabs_core.manifold import Manifold
 
 SMALLEST_S3 = 1e-12
-"""Lower bound of S3 in units of S0^2 L^2; below it, the swarm cannot control torque and inertia independently."""
+"""S3 in units of S0^2 L^2 with which a run may start: with less, all robots are at one point but for rounding."""
 
 
 def findings(scenario: "UncheckedScenario") -> list[Finding]:
@@ -157,14 +157,14 @@ def _positions(scenario: "UncheckedScenario") -> Iterator[Finding]:
 
 def _plane(scenario: "UncheckedScenario") -> Iterator[Finding]:
     plane = scenario.plane
-    if plane.end_stop is not None and abs(plane.angle) > plane.end_stop:
+    if abs(plane.angle) > plane.end_stop:
         yield Finding.of(
             ("plane", "angle"),
             f"{plane.angle!r} rad is beyond the end stop at {plane.end_stop!r} rad",
             "start between the end stops, or move them",
             see=("plane", "end_stop"),
         )
-    if plane.robot_gravity and (any(plane.sensor.noise) or any(plane.sensor.resolution)):
+    if plane.robot_gravity and not plane.sensor.perfect:
         yield Finding.of(
             ("plane", "sensor"),
             "robot_gravity uses the plane's true angle and cannot be combined with sensor noise or resolution",

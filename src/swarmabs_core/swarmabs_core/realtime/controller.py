@@ -352,7 +352,7 @@ class RealtimeController:
         self._last_published = max(self._last_published, step)
         asked = self._asked
         torque, inertia = (0.0, self._config.manifold.offset) if asked is None else (asked.torque, asked.inertia)
-        return DesiredAbstractState(now, max(0, step), self._mode.now, torque, inertia, *(0.0,) * 6)
+        return DesiredAbstractState(now, max(0, step), self._mode.now, torque, inertia)
 
     def _announced(self, now: int, step: int) -> Messages:
         """Return what tells of STOP or RESET in a step."""

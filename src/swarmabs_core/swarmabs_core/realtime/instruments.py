@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from swarmabs_core.declaration import part, setting
 from swarmabs_core.parameters import SettingError
+from swarmabs_core.plant import STEEPEST
 
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 """Names of signed axes; the sign is mandatory, because YAML, and therefore ROS, reads a bare y as yes."""
@@ -121,7 +122,7 @@ class PlaneInstrument:
     )
     bandwidth: float = setting(100.0, "bandwidth of the differentiation of the angle, rad/s", above=0.0)
     age_limit: float = setting(0.05, "age of a reading above which the sensor is silent, s", above=0.0)
-    angle_limit: float = setting(1.5, "largest plausible angle, rad", above=0.0, maximum=1.5)
+    angle_limit: float = setting(STEEPEST, "largest plausible angle, rad", above=0.0, maximum=STEEPEST)
     max_rate: float = setting(10.0, "largest plausible angular velocity, rad/s", above=0.0)
     max_jump: float = setting(0.05, "difference of two readings allowed in addition to max_rate, rad", minimum=0.0)
 

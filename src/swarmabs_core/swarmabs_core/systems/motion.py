@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from math import ceil, isfinite
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from swarmabs_core.errors import RunError, one_line
 from swarmabs_core.messages import RobotKind
+from swarmabs_core.plant import substeps
 from swarmabs_core.summation import exact_sum
 from swarmabs_core.systems.swarm import along, total
 
@@ -28,7 +29,7 @@ class ParentMotion:
     def __init__(self, system: NamedSystem, period: float, add: Add = exact_sum) -> None:
         self._system, self._period, self._add = system.made, period, add
         self._constant = system.constant
-        self._count = max(1, ceil(period / self._system.substep * (1.0 - 1e-12)))
+        self._count = substeps(period, self._system.substep)
 
     def advance(
         self, time: float, state: Vector, robots: Iterable[tuple[RobotState, RobotState]], disturbance: float = 0.0

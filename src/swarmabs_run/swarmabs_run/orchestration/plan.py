@@ -14,6 +14,7 @@ from swarmabs_config.configure import options_for
 from swarmabs_config.graph import (
     CONTROLLER,
     COORDINATORS,
+    KEPT_STEPS,
     LOCKSTEP,
     NODES,
     OBSERVER,
@@ -34,7 +35,7 @@ from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import FAMILIES, Topic
 from swarmabs_core.realtime.leadership import PRIMARY, STANDBY
 from swarmabs_core.steering import STEERER
-from swarmabs_ros.lockstep import FIRST, WINDOW
+from swarmabs_ros.lockstep import FIRST
 from swarmabs_run.run import DEFAULTS
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ def _lockstep_plan(
         "last_step": scenario.steps,
         "stall_timeout": scenario.lockstep.stall_timeout,
         "repeat_after": max(FIRST, PATIENCE * len(scenario.agents)),
-        "repeat_steps": min(WINDOW, 2 * window),
+        "repeat_steps": min(KEPT_STEPS, 2 * window),
     }
     # These nodes begin each step by applying the steering requests for it.
     obeying = common | packed | ({"steered": True} if options.steered else {})

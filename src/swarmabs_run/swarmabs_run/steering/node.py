@@ -41,7 +41,7 @@ PARAMETERS = (
 )
 
 LARGEST_OFFSET = 1.0
-"""Largest offset of the reference that can be requested, rad: a run ends at a plane angle of 1.5 rad."""
+"""Largest offset of the reference that can be requested, rad; a run ends at `plant.STEEPEST`."""
 
 _NAMES = {action: name for name, action in (*VALUED.items(), *ROBOTS.items()) if name != "leave"}
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_bag import colours
 from swarmabs_core.messages import Kind
+from swarmabs_core.plant import STEEPEST
 from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 WORLD, PLANE = "world", "plane"
 JOINT = "plane_tilt"
 AXIS = (0.0, -1.0, 0.0)
-LARGEST_ANGLE = 1.5
-"""Angle at which every run ends, rad."""
 _THICKNESS = 0.02
 _LARGEST_ROBOT = 0.08
 _NARROWEST = 0.2
@@ -293,7 +292,7 @@ def plane_urdf(scene: Scene, inertia: float) -> str:
             joint=JOINT,
             axis=_numbers(*AXIS),
             colour=_numbers(*(round(part, 4) for part in PLATE)),
-            limit=_numbers(LARGEST_ANGLE),
+            limit=_numbers(STEEPEST),
             size=_numbers(length, width, thickness),
             mass=_numbers(mass),
             ixx=_numbers(mass * (width**2 + thickness**2) / 12.0),
