@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections import UserDict
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from swarmabs_config.files import write_whole
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AgentState
 
@@ -62,15 +62,11 @@ class MemoryFile(UserDict[int, AgentState]):
 
     def _write(self) -> None:
         """Replace the file."""
-        new = self._path.with_name(f"{self._path.name}.new")
         silent = [state._asdict() for _, state in sorted(self.data.items())]
         try:
-            new.write_text(json.dumps({"silent": silent}) + "\n", encoding="utf-8")
-            new.replace(self._path)
+            write_whole(self._path, f"{json.dumps({'silent': silent})}\n".encode())
         except OSError as error:
             self._on_problem(f"{self._path}: {error.strerror}: the positions of silent robots are not stored")
-            with suppress(OSError):
-                new.unlink(missing_ok=True)
 
 
 def _state(item: dict[str, float]) -> AgentState:

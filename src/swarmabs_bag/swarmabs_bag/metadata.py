@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from swarmabs_bag.run_folder import write_whole
+from swarmabs_config.files import write_whole
 from swarmabs_config.graph import Qos
 from swarmabs_config.model.errors import ScenarioError
 from swarmabs_config.scenario.yaml_tree import read_tree

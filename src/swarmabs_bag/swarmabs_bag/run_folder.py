@@ -13,6 +13,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import CONVERT, NotABagError
+from swarmabs_config.files import write_whole
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_core.errors import InputError, RunError
 
@@ -73,34 +74,6 @@ class RunFolder:
     def write_summary(self, summary: Mapping[str, object]) -> None:
         """Write ``summary.json`` completely or not at all."""
         write_whole(self.summary, (json.dumps(summary, indent=2, allow_nan=False) + "\n").encode())
-
-
-def write_whole(path: Path, content: bytes, *, mode: int = 0o666, sync: bool = False) -> None:
-    """Write a file completely or not at all, with `sync` even if power fails.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written; a previous file is kept.
-    """
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.unlink(missing_ok=True)
-        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-            file.write(content)
-            if sync:
-                file.flush()
-                os.fsync(file.fileno())
-        part.replace(path)
-        if sync:
-            folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
-    finally:
-        with suppress(OSError):
-            part.unlink()
 
 
 def new_run_folder(path: Path) -> RunFolder:

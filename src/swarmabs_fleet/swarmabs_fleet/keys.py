@@ -24,7 +24,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key, p
 from cryptography.x509 import Certificate, CertificateRevocationList, load_pem_x509_certificate
 from cryptography.x509.oid import NameOID
 
-from swarmabs_bag.run_folder import write_whole
+from swarmabs_config.files import write_whole
 from swarmabs_config.fleet.participants import node_plans
 from swarmabs_config.fleet.parts import Sros2Security
 from swarmabs_config.model.fields import nearest

@@ -9,6 +9,7 @@ import json
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarmabs_config.files import write_whole
 from swarmabs_config.graph import RECORDER, standby_name
 from swarmabs_core.pair_role import RECORDS, PairRole
 
@@ -95,9 +96,7 @@ def roles_at(roles: Iterable[Role], step: int) -> tuple[Role, ...]:
 
 def write_roles(logs: Path, roles: Collection[Role]) -> None:
     """Write the roles next to the logs of a run; the file is replaced, so that readers never see a part of it."""
-    part = (logs / ROLES_FILE).with_suffix(".json.part")
-    part.write_text(json.dumps([role._asdict() for role in roles]) + "\n", encoding="utf-8")
-    part.replace(logs / ROLES_FILE)
+    write_whole(logs / ROLES_FILE, f"{json.dumps([role._asdict() for role in roles])}\n".encode())
 
 
 def read_roles(logs: Path) -> list[Role]:

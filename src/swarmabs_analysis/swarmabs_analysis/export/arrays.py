@@ -13,6 +13,7 @@ from swarmabs_bag.arrays import arrays_since, available_memory, load_messages
 from swarmabs_bag.attached import event_time
 from swarmabs_bag.errors import BagTooLargeError
 from swarmabs_bag.reader import open_bag
+from swarmabs_config.files import whole_file
 from swarmabs_core.arrays import MessageArrays, RunArrays
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS, Field, SwarmEvent, fields_of, word
@@ -56,16 +57,12 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
     units = {name: unit for name, unit in _units(tables).items() if name in arrays}
     described = {"units": units, "words": _words(tables), "summary": run.summary()}
     texts = {name: np.array(json.dumps(content)) for name, content in described.items()}
-    part = file.with_name(f".{file.name}.part")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("wb") as stream:
+        with whole_file(file) as stream:
             np.savez(stream, **texts, **arrays)  # type: ignore[arg-type]
-        part.replace(file)
     except OSError as error:
         raise RunError(f"cannot write {file}: {error.strerror or error}; name another file with -o") from error
-    finally:
-        part.unlink(missing_ok=True)
     return file
 
 

@@ -10,7 +10,8 @@ from swarmabs_analysis.report.page import GENERATOR, lowest, page
 from swarmabs_analysis.report.panels import panels
 from swarmabs_analysis.report.pictures import PNG_MARK, overview
 from swarmabs_analysis.report.record import read_recorded
-from swarmabs_bag.run_folder import find_bag, write_whole
+from swarmabs_bag.run_folder import find_bag
+from swarmabs_config.files import write_whole
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:

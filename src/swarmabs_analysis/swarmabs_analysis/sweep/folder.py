@@ -15,7 +15,8 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.sweep.study import SCENARIO_FILE, Study
-from swarmabs_bag.run_folder import new_run_folder, next_run_folder, write_whole
+from swarmabs_bag.run_folder import new_run_folder, next_run_folder
+from swarmabs_config.files import write_whole
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import psutil
 
+from swarmabs_config.files import write_whole
 from swarmabs_core.errors import InputError
 from swarmabs_run.orchestration.network import FIRST_FREE, dds_environment, profile_xml
 
@@ -180,10 +181,7 @@ def environment_of_run(run: Path) -> dict[str, str]:
 
 
 def _replace(file: Path, document: Mapping[str, object]) -> None:
-    """Write a file atomically, so that readers never see a partial one."""
-    part = file.with_suffix(".json.part")
-    part.write_text(json.dumps(document) + "\n", encoding="utf-8")
-    part.replace(file)
+    write_whole(file, f"{json.dumps(document)}\n".encode())
 
 
 def _network(run: Path) -> dict[str, int]:
