@@ -7,7 +7,6 @@ plane's angle th is positive if the side of positive positions is up. The body's
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import copysign, cos, sin
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,6 @@ from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.realtime.drives import Measurement
 from swarmabs_ros.readings import (
@@ -109,7 +107,7 @@ class TopicDrive:
 
     def __init__(self, settings: TopicSettings, body: Body, connect: Callable[[TopicSettings], TopicLink]) -> None:
         self._single = body.kind is Kind.SINGLE_INTEGRATOR
-        settings = _resolved(settings, single_integrator=self._single)
+        settings = settings.resolved(single_integrator=self._single)
         self._settings, self._body = settings, body
         self._axis, self._sign = signed_axis(settings.axis)
         self._least_cosine = cos(settings.heading_tolerance)
@@ -231,24 +229,3 @@ class TopicDrive:
         check_frame(reading.frame, imu.frame)
         angle, rate = imu_values(reading, self._imu_axis, self._imu_sign)
         self._tilt.offer(reading.stamp, imu.offset + angle, rate, now)
-
-
-def _resolved(settings: TopicSettings, *, single_integrator: bool) -> TopicSettings:
-    """Return the settings with the command type for the robot's kind, and with the names of all topics."""
-    command = settings.command
-    if command == "auto":
-        command = "twist" if single_integrator else "force"
-    if command == "twist" and not single_integrator:
-        raise InputError(
-            "drive.command: a twist is a velocity, but a double integrator is driven by force; use force or joint"
-        )
-    topics = {"odometry": "~/odom", "joint_state": "~/joint_states"}
-    commands = {"twist": "~/cmd_vel", "force": "~/force", "joint": "~/joint_command"}
-    return replace(
-        settings,
-        topic=settings.topic or topics[settings.source],
-        command=command,
-        command_topic=settings.command_topic or commands[command],
-        gravity="none" if single_integrator else settings.gravity,
-        imu=replace(settings.imu, topic=settings.imu.topic or "~/imu"),
-    )

@@ -12,7 +12,7 @@ from swarmabs_config.graph import PLANE_DRIVER
 from swarmabs_core.declaration import part, same
 from swarmabs_core.messages import EventKind, Message, Messages, PlaneState, SwarmEvent
 from swarmabs_core.realtime.base import PLANE_PHASE, UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
-from swarmabs_core.realtime.instruments import PlaneInstrument
+from swarmabs_core.realtime.instruments import MEASURED, PlaneInstrument
 from swarmabs_core.realtime.validation import Problem, Refusals
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
 from swarmabs_ros.readings import (
@@ -151,7 +151,7 @@ PARAMETERS = (PlaneDriverConfig,)
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     """Return the behaviour, with its sensor connected."""
     config = settings.made(PlaneDriverConfig)
-    topic = config.topic or ("~/imu" if config.source == "imu" else "~/joint_states")
+    topic = config.topic or MEASURED[config.source]
     sensor = SensorSubscription(node, config.source, topic, node.loop_group, arrival=config.stamp == "arrival")
     return RealtimeSpec(PlaneDriver(config, sensor.take), PLANE_PHASE)
 

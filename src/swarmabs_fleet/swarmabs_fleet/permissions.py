@@ -19,7 +19,7 @@ from swarmabs_config.graph import (
     usual_topic,
 )
 from swarmabs_core.messages import REMOVALS
-from swarmabs_core.realtime.instruments import TopicSettings
+from swarmabs_core.realtime.instruments import MEASURED, TopicSettings
 
 if TYPE_CHECKING:
     from swarmabs_config.fleet.checked import Fleet
@@ -34,9 +34,6 @@ _DRIVERS_DIAGNOSTICS = "rt/diagnostics"
 """The diagnostics topic of nodes outside the swarm."""
 _COMMAND_LINE = "_ros2cli"
 """Prefix of the names of the nodes that the ``ros2`` command line creates; they offer services, too."""
-_MEASURED = {"odometry": "odom", "joint_state": "joint_states", "imu": "imu"}
-_COMMANDED = {"twist": "cmd_vel", "force": "force", "joint": "joint_command"}
-"""Default topic names, relative to the node's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,19 +86,17 @@ def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
 def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
     """Return the topics on which a node receives measurements of its body or the plane, and those of its commands."""
     own = path_of(fleet.namespace, node.name)
+
+    def named(*names: str) -> list[str]:
+        return [_topic(fleet.namespace, name.replace("~", own, 1)) for name in names]
+
     plane = fleet.coordinators.plane
     if node.kind == PLANE_DRIVER and isinstance(plane, MeasuredPlane):
-        return [_topic(fleet.namespace, plane.instrument.topic or f"{own}/{_MEASURED[plane.instrument.source]}")], []
+        return named(plane.instrument.topic or MEASURED[plane.instrument.source]), []
     if node.robot is None or not isinstance(node.robot.drive, TopicSettings):
         return [], []
-    drive = node.robot.drive
-    measured = [drive.topic or f"{own}/{_MEASURED[drive.source]}"]
-    if drive.gravity == "imu":
-        measured.append(drive.imu.topic or f"{own}/{_MEASURED['imu']}")
-    by_kind = "twist" if node.robot.kind == "single_integrator" else "force"
-    command = by_kind if drive.command == "auto" else drive.command
-    commanded = [drive.command_topic or f"{own}/{_COMMANDED[command]}"]
-    return [_topic(fleet.namespace, name) for name in measured], [_topic(fleet.namespace, name) for name in commanded]
+    drive = node.robot.drive.resolved(single_integrator=node.robot.kind == "single_integrator")
+    return named(drive.topic, *([drive.imu.topic] if drive.gravity == "imu" else [])), named(drive.command_topic)
 
 
 def _of_any_robot(topic: Topic) -> str:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from swarmabs_core.declaration import part, setting
+from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.plant import STEEPEST
 
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 """Names of signed axes; the sign is mandatory, because YAML, and therefore ROS, reads a bare y as yes."""
 
+MEASURED = {"odometry": "~/odom", "joint_state": "~/joint_states", "imu": "~/imu"}
+"""Default topics of readings, below the name of the node, by their source."""
+COMMANDED = {"twist": "~/cmd_vel", "force": "~/force", "joint": "~/joint_command"}
+"""Default topics of commands, by their type."""
 STAMPS = ("header", "arrival")
 """Sources of the time of a reading: its header, or its arrival."""
 
@@ -28,7 +33,7 @@ class Joint:
 class TiltSensor:
     """The robot's IMU, from which a double integrator determines the component of its weight along the plane."""
 
-    topic: str = setting("", "topic of sensor_msgs/Imu; '': ~/imu", names="topic")
+    topic: str = setting("", f"topic of sensor_msgs/Imu; '': {MEASURED['imu']}", names="topic")
     frame: str = setting("imu_link", "required frame_id; '': any", names="frame")
     axis: str = setting("-y", "axis of the IMU about which the robot's nose rises", choices=AXES)
     offset: float = setting(0.0, "angle of the nose, positive upwards, where the IMU reads 0, rad")
@@ -44,12 +49,18 @@ class TopicSettings:
 
     source: str = setting("odometry", "source of the robot's motion", choices=("odometry", "joint_state"))
     topic: str = setting(
-        "", "topic of nav_msgs/Odometry or sensor_msgs/JointState; '': ~/odom or ~/joint_states", names="topic"
+        "",
+        "topic of nav_msgs/Odometry or sensor_msgs/JointState; '': {odometry} or {joint_state}".format(**MEASURED),
+        names="topic",
     )
     command: str = setting(
         "auto", "type of the command; auto: twist (SI), force (DI)", choices=("auto", "twist", "force", "joint")
     )
-    command_topic: str = setting("", "topic of the command; '': ~/cmd_vel, ~/force or ~/joint_command", names="topic")
+    command_topic: str = setting(
+        "",
+        "topic of the command; '': {twist}, {force} or {joint}".format(**COMMANDED),
+        names="topic",
+    )
     command_frame: str = setting("base_link", "frame_id of a twist", names="frame")
     stamp: str = setting("header", "time of a reading: its header stamp, or its arrival", choices=STAMPS)
     frame: str = setting("odom", "required frame_id of odometry; '': any", names="frame")
@@ -98,6 +109,30 @@ class TopicSettings:
             problem = "the orientation in the odometry already states which way the body faces"
             raise SettingError("reversed", problem, "omit it")
 
+    def resolved(self, *, single_integrator: bool) -> TopicSettings:
+        """Return the settings with the command type for the robot's kind, and with the names of all topics.
+
+        Raises
+        ------
+        InputError
+            If the robot's kind cannot be driven by such commands.
+        """
+        command = self.command
+        if command == "auto":
+            command = "twist" if single_integrator else "force"
+        if command == "twist" and not single_integrator:
+            raise InputError(
+                "drive.command: a twist is a velocity, but a double integrator is driven by force; use force or joint"
+            )
+        return replace(
+            self,
+            topic=self.topic or MEASURED[self.source],
+            command=command,
+            command_topic=self.command_topic or COMMANDED[command],
+            gravity="none" if single_integrator else self.gravity,
+            imu=replace(self.imu, topic=self.imu.topic or MEASURED["imu"]),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class PlaneInstrument:
@@ -107,7 +142,9 @@ class PlaneInstrument:
         "joint_state", "source of the plane's motion: an encoder or an IMU", choices=("joint_state", "imu")
     )
     topic: str = setting(
-        "", "topic of sensor_msgs/JointState or sensor_msgs/Imu; '': ~/joint_states or ~/imu", names="topic"
+        "",
+        f"topic of sensor_msgs/JointState or sensor_msgs/Imu; '': {MEASURED['joint_state']} or {MEASURED['imu']}",
+        names="topic",
     )
     stamp: str = setting("header", "time of a reading: its header stamp, or its arrival", choices=STAMPS)
     joint: str = setting("plane_tilt", "joint of the encoder", names="frame")
