@@ -34,11 +34,14 @@ from swarmabs_core.messages import (
     AUXILIARY_STATE,
     BASIS,
     BROADCAST,
+    CONTROLLER_NODE,
     DESIRED_ABSTRACT_STATE,
     EVENTS,
+    OBSERVER_NODE,
     PARENT_STATE,
     PLANE_FAMILY,
     PLANE_STATE,
+    RECORDER_NODE,
     RECORDING_PROGRESS,
     REMOVALS,
     ROBOT_STATE,
@@ -58,8 +61,8 @@ from swarmabs_core.steering import STEERER
 
 # Default names of the nodes; each robot's node has its own name (`agent_name`), and so have standbys (`standby_name`).
 PLANE = PLANE_FAMILY.node  # under another parent system its process has the name of that family
-PLANE_DRIVER, OBSERVER, CONTROLLER = "plane_driver", "abstraction_observer", "parent_controller"
-RECORDER, ROBOT = "recorder", "agent_node"
+PLANE_DRIVER, OBSERVER, CONTROLLER = "plane_driver", OBSERVER_NODE, CONTROLLER_NODE
+RECORDER, ROBOT = RECORDER_NODE, "agent_node"
 
 
 class Driver(Enum):

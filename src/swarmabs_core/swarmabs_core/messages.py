@@ -508,6 +508,10 @@ REMOVALS = Topic("swarm/removals", Removal, EVENTS.ros_type)
 STANDING = _topic("swarm/standing", StandingState)
 
 
+OBSERVER_NODE, CONTROLLER_NODE, RECORDER_NODE = "abstraction_observer", "parent_controller", "recorder"
+"""Names of the nodes that coordinate and record a swarm; that of the parent depends on the `Family`."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
     """The topics by which a swarm controls the plane, or any other parent system.

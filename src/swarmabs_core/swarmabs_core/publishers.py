@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.desired_state import TORQUE_LIMITED
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import FAMILIES, ROBOT_STATES, STANDING, TOPIC_OF, EventKind, SwarmEvent
+from swarmabs_core.messages import FAMILIES, OBSERVER_NODE, ROBOT_STATES, STANDING, TOPIC_OF, EventKind, SwarmEvent
 from swarmabs_core.robot_controller import COMMAND_LIMITED
 from swarmabs_core.steering import DISTURBANCE
 from swarmabs_core.systems.desired import NEED_LIMITED
@@ -89,6 +89,6 @@ def _announcer(event: SwarmEvent) -> NodeName:
     if event.kind == EventKind.STEERING:
         return PARENT if event.detail == DISTURBANCE else CONTROLLER
     if event.kind == EventKind.LEADING:
-        return OBSERVER if event.detail.startswith("abstraction_observer") else CONTROLLER
+        return OBSERVER if event.detail.startswith(OBSERVER_NODE) else CONTROLLER
     asked = event.detail == TORQUE_LIMITED or event.detail.endswith(NEED_LIMITED.format(""))
     return PARENT if event.kind == EventKind.LIMIT_HIT and not asked else CONTROLLER

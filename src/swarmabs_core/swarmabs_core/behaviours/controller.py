@@ -20,8 +20,10 @@ from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
     NEVER,
+    OBSERVER_NODE,
     PARENT_STATES,
     PLANE_FAMILY,
+    RECORDER_NODE,
     RECORDING_PROGRESS,
     STANDING,
     TOPIC_OF,
@@ -167,10 +169,10 @@ class Controller:
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and the awaited node."""
         if self._answered:
-            return self._packing_step, ("abstraction_observer",)
+            return self._packing_step, (OBSERVER_NODE,)
         if self._parent is None:
             return self._step, (self._family.node,)
-        return self._step, ("abstraction_observer",) if self._lacks_division else ("recorder",)
+        return self._step, (OBSERVER_NODE,) if self._lacks_division else (RECORDER_NODE,)
 
     @property
     def _lacks_division(self) -> bool:

@@ -20,6 +20,7 @@ from swarmabs_core.behaviours.parent import Parent
 from swarmabs_core.cdr import decode, encode, split
 from swarmabs_core.messages import (
     EVENTS,
+    OBSERVER_NODE,
     PLANE_FAMILY,
     SWARM_STATES,
     AnyRobotState,
@@ -224,7 +225,7 @@ class PackedParent(Parent):
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and the node that sends the states."""
-        return self._gathering.step, ("abstraction_observer",)
+        return self._gathering.step, (OBSERVER_NODE,)
 
     def _move(self, step: int, stamp: int, states: Sequence[AnyRobotState]) -> list[SwarmEvent]:
         before, plain = self._before, None

@@ -11,6 +11,7 @@ from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
 from swarmabs_core.errors import RunError
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import (
+    CONTROLLER_NODE,
     NEVER,
     PLANE_STATE,
     STANDING,
@@ -103,7 +104,7 @@ class RealtimeController:
         self._last_published = -1
         self._blind = False
         leadership = config.pair.leadership(config.schedule, config.clock_tolerance)
-        self._voice = Voice("parent_controller", leadership, config.pair.rank)
+        self._voice = Voice(CONTROLLER_NODE, leadership, config.pair.rank)
         self._restart()
 
     def _restart(self) -> None:

@@ -12,6 +12,7 @@ from swarmabs_core.declaration import part, same
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     NEVER,
+    OBSERVER_NODE,
     AbstractState,
     AgentState,
     AuxiliaryState,
@@ -162,7 +163,7 @@ class RealtimeObserver:
         self._started = False
         self._under_way_since: int | None = None
         leadership = config.pair.leadership(config.schedule, config.clock_tolerance)
-        self._voice = Voice("abstraction_observer", leadership, config.pair.rank)
+        self._voice = Voice(OBSERVER_NODE, leadership, config.pair.rank)
 
     def tuned(self, config: RealtimeObserverConfig) -> Callable[[], None]:
         """Return a callable that installs the gain of a configuration between two steps."""
