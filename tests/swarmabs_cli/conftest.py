@@ -68,11 +68,14 @@ def rewritten(
     published: Callable[[str, int], int] = lambda _topic, _number: 0,
     more: Mapping[str, bytes] = {},
     namespaces: Sequence[str] = ("",),
+    *,
+    publish_times: bool = True,
     **options: Any,
 ) -> Path:
     """Write the messages and attachments of a bag with the mcap library, into each of some namespaces.
 
-    Messages and attachments may be changed, left out (None), or published later, by ns; there may be more attachments.
+    Messages and attachments may be changed, left out (None), or published later, by ns, or at no known time; there may
+    be more attachments.
     """
     with (run / "bag" / BAG_FILE).open("rb") as source, target.open("wb") as sink:
         reader, writer = make_reader(source), Writer(sink, **options)
@@ -93,7 +96,7 @@ def rewritten(
                 if topic not in channels:
                     made = writer.register_schema(schema.name, schema.encoding, schema.data)
                     channels[topic] = writer.register_channel(topic, "cdr", made, dict(channel.metadata))
-                time = message.publish_time + published(topic, number)
+                time = message.publish_time + published(topic, number) if publish_times else 0
                 writer.add_message(channels[topic], message.log_time, data, time)
         writer.finish()
     return target

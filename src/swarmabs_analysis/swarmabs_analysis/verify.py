@@ -133,7 +133,9 @@ class BagToVerify:
                 if isinstance(found, Block):
                     verification.add_block(found)
                 else:
-                    verification.add(found.topic, found.time, found.payload, found.published)
+                    # SQLite stores no publish times: bags converted from it have 0 there, and no provenance.
+                    known = found.published or self._provenance
+                    verification.add(found.topic, found.time, found.payload, found.published if known else None)
                 if verification.decided:
                     break
                 if on_step is not None:

@@ -197,6 +197,9 @@ class FileIndex:
     def contradicted_by(self, found: FileIndex) -> str | None:
         """Return a contradiction between this summary and a scan of the same file, or None."""
         stated, counted = self.numbers(), found.numbers()
+        if not counted["message_start_time"] and stated["message_start_time"] <= counted["message_end_time"]:
+            # The MCAP library for Go takes a start of 0 for one that is not known yet, and states a later one.
+            stated["message_start_time"] = 0
         for name in {**counted, **stated}:
             if stated.get(name, 0) != counted.get(name, 0):
                 return f"the summary states {name} = {stated.get(name, 0)}, but it is {counted.get(name, 0)}"

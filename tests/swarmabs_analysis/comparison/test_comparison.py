@@ -142,8 +142,17 @@ def test_topics_may_overlap_but_only_so_far_and_a_message_is_there_once() -> Non
     assert compare([*rest[: at + 50], PLANE, *rest[at + 50 :]], RUN).equal
     with pytest.raises(DamagedBagError, match="A: /plane/state at step 4 follows step 13, out of order"):
         compare([*rest[: at + 64], PLANE, *rest[at + 64 :]], RUN)
-    with pytest.raises(DamagedBagError, match="B: /swarm/agent_state of agent 2 at step 11 is duplicated"):
-        compare(RUN, [*RUN[: RUN.index(STATE)], STATE, *RUN[RUN.index(STATE) :]])
+    other = STATE._replace(command=9.0)
+    with pytest.raises(
+        DamagedBagError, match="B: there are two different messages: /swarm/agent_state of agent 2 at st"
+    ):
+        compare(RUN, [*RUN[: RUN.index(STATE)], other, *RUN[RUN.index(STATE) :]])
+
+
+def test_copies_of_messages_which_nodes_repeat_and_other_recorders_keep_are_skipped() -> None:
+    at = RUN.index(STATE)
+    assert compare(RUN, [*RUN[: at + 20], STATE, *RUN[at + 20 :]]).equal
+    assert compare([message for message in RUN for _ in range(3)], RUN).equal
 
 
 def in_blocks(run: Iterable[Message], sizes: Iterable[int]) -> Iterator[Block | RecordedStep]:
