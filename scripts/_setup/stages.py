@@ -30,6 +30,7 @@ EXTRA_LOCKS = {
     "view": "view.lock",
 }
 NEEDED_BYTES = 1_200_000_000
+FINISHED = re.compile(r"^Finished <<< (\w+) ", re.MULTILINE)  # what colcon says of a package that is built
 MANY = 4  # the message names up to this number of packages
 PIP_INSTALL = (
     *(
@@ -233,12 +234,18 @@ def install_changed(
     command += cmake_arguments
     environ = dict(environ, COLCON_HOME=os.path.join(checkout.build, ".colcon"))  # ignores the user's defaults
 
+    stamped.clear()
+
     def watch(log: str) -> None:
-        stage.progress(f"{log.count('Finished <<<')} of {len(changed)} packages")
+        """Stamp each package once it is built, so that a set-up after an interruption continues there."""
+        for name in set(FINISHED.findall(log)) - stamped:
+            stamped.add(name)
+            state.write_stamp(checkout.package_stamp(name), key=changed[name])
+        stage.progress(f"{len(stamped)} of {len(changed)} packages")
 
     run_logged(command, checkout.log("setup-build.log"), environ, lock, watch)
-    for name, content in changed.items():
-        state.write_stamp(checkout.package_stamp(name), key=content)
+    for name in set(changed) - stamped:
+        state.write_stamp(checkout.package_stamp(name), key=changed[name])
     stage.done()
 
 

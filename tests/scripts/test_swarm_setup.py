@@ -14,6 +14,7 @@ from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 from unittest.mock import Mock
 
 import pytest
@@ -325,6 +326,7 @@ class FakeColcon:
         self.checkout = checkout
         self.built: list[str] = []
         self.interrupted = False
+        self.interrupted_after = ""
 
     def install(self, key: str = "key", environ: Mapping[str, str] = os.environ) -> list[str]:
         """Install what has changed; return what was built."""
@@ -332,7 +334,7 @@ class FakeColcon:
         stages.install_changed(self.checkout, key, ["colcon"], environ, NO_LOCK)
         return self.built
 
-    def __call__(self, command: Sequence[str], *_others: object) -> None:
+    def __call__(self, command: Sequence[str], *others: Any) -> None:
         start = command.index("--packages-select") + 1
         self.built = list(command[start : command.index("--cmake-args")])
         for name in self.built:
@@ -341,6 +343,10 @@ class FakeColcon:
             for file in source.glob("*.py"):
                 shutil.copy(file, target)
             if self.interrupted:
+                raise KeyboardInterrupt
+            log = "".join(f"Starting >>> {each}\nFinished <<< {each} [0.5s]\n" for each in self.built)
+            others[-1](log[: log.index("[", log.index(f"<<< {name}")) + 1])
+            if name == self.interrupted_after:
                 raise KeyboardInterrupt
 
 
@@ -380,6 +386,16 @@ class TestInstall:
         colcon.interrupted = False
         assert colcon.install() == ["beta"]
         assert Path(checkout.install, "lib", "beta", "code.py").read_text() == "VALUE = 1\n"
+
+    def test_packages_that_were_built_before_an_interruption_are_kept(
+        self, checkout: Checkout, colcon: FakeColcon
+    ) -> None:
+        colcon.interrupted_after = "beta"
+        with pytest.raises(KeyboardInterrupt):
+            colcon.install()
+        colcon.interrupted_after = ""
+        assert colcon.install() == ["gamma_msgs"]
+        assert colcon.install() == []
 
     def test_compiler_is_needed_for_messages_only(self, checkout: Checkout, tmp_path: Path, colcon: FakeColcon) -> None:
         colcon.install()
@@ -538,6 +554,12 @@ class TestScript:
         site_packages = prepared / "install" / "lib" / "python3.12" / "site-packages"
         expected = ["-m swarmabs_cli run a b", str(site_packages), "set up"]
         assert (ended.returncode, ended.stdout.splitlines(), ended.stderr) == (0, expected, "")
+
+    def test_signals_are_blocked_until_the_command_line_can_handle_them(self, prepared: Path) -> None:
+        told = "import signal; print(*sorted(signal.pthread_sigmask(signal.SIG_BLOCK, ())))"
+        (prepared / ".venv" / "bin" / "python").write_text(f"#!{sys.executable} -S\n{told}\n")
+        blocked = {int(number) for number in self.start(prepared, "run").stdout.split()}
+        assert blocked == {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 
     @pytest.mark.parametrize(
         ("change", "path"),

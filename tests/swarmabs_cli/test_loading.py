@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -105,3 +106,14 @@ def test_nodes_inherit_the_paths_that_their_first_log_message_needs() -> None:
     program = [sys.executable, "-c", LOG_IN_A_NODE]
     done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
     assert int(done.stdout) < 20  # otherwise one for each loaded module, several hundred
+
+
+def test_an_interruption_before_the_command_line_is_loaded_ends_it_in_one_line(tmp_path: Path) -> None:
+    def interrupted() -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # as scripts/swarm does
+        os.kill(os.getpid(), signal.SIGINT)
+
+    command = [sys.executable, "-m", "swarmabs_cli", "run", "-o", str(tmp_path / "run")]
+    ended = subprocess.run(command, preexec_fn=interrupted, text=True, capture_output=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "interrupted\n")
+    assert not (tmp_path / "run").exists()

@@ -99,9 +99,14 @@ def swarm() -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line, by default that of this process, and return the exit code."""
-    if arguments is None:
-        interrupt_once()
-    return exit_code(lambda: swarm.main(arguments, prog_name="swarm", standalone_mode=False))
+
+    def command() -> int | None:
+        if arguments is None:
+            interrupt_once()
+        code: int | None = swarm.main(arguments, prog_name="swarm", standalone_mode=False)
+        return code
+
+    return exit_code(command)
 
 
 def _sentence(text: str) -> str:

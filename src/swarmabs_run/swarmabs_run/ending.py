@@ -74,9 +74,13 @@ def end_asked() -> Iterator[Callable[[], bool]]:
 
 
 def interrupt_once() -> None:
-    """Let the first termination signal raise `KeyboardInterrupt`, and ignore all later ones."""
+    """Let the first termination signal raise `KeyboardInterrupt`, and ignore all later ones.
+
+    It may have come before: ``scripts/swarm`` blocks these signals until this call.
+    """
     for number in _SIGNALS:
         signal.signal(number, _interrupt)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
 
 
 def no_more_interrupts() -> None:
