@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from rig import LENGTH, ROBOTS, Robot
+from rig import END_STOP, LENGTH, ROBOTS, Robot
 
 from swarmabs_config.graph import COORDINATORS
 from swarmabs_core.errors import InputError, RunError
@@ -203,6 +203,14 @@ def rows(truth: Path) -> list[dict[str, float]]:
     return [{name: float(text) for name, text in row.items()} for row in found]
 
 
+def judged(found: list[dict[str, float]]) -> int:
+    """Return the exit code of a run with these true states: 1 if the plane has hit its end stop."""
+    hit = next((row["time"] for row in found if abs(row["angle"]) >= END_STOP), None)
+    if hit is not None:
+        sys.stderr.write(f"error: the plane has hit its end stop at {END_STOP:g} rad after {hit:.2f} s\n")
+    return 0 if hit is None else 1
+
+
 def main(arguments: list[str]) -> int:
     """Run the example and return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -222,7 +230,7 @@ def main(arguments: list[str]) -> int:
     farthest = max(abs(row[name]) for row in found for name in row if name.startswith("position"))
     print(f"angle {found[0]['angle']:.3f} rad initially, at most {max(last):.4f} rad in the last second")
     print(f"no robot was more than {farthest:.3f} m from the axis; true state of the rig: {run.truth}")
-    return 0
+    return judged(found)
 
 
 if __name__ == "__main__":

@@ -43,5 +43,7 @@ def test_faults_are_refused(fault: str, tmp_path: Path) -> None:
 def test_a_folder_that_holds_something_else_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "mine.txt").write_text("keep", encoding="utf-8")
     assert main(["docs", "-o", str(tmp_path)]) == 2
+    (tmp_path / "file").touch()
+    assert main(["docs", "-o", str(tmp_path / "file" / "site")]) == 2
     assert "not built by this command" in capfd.readouterr().err
     assert (tmp_path / "mine.txt").is_file()

@@ -16,7 +16,7 @@ from swarmabs_bag.arrays import load_arrays
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 FIRST = "docs/tutorials/first_controller.md"
-SHIP = "docs/tutorials/parent_system.md"
+FERRY = "docs/tutorials/parent_system.md"
 GAINS = "docs/tutorials/gain_study.ipynb"
 
 
@@ -51,10 +51,10 @@ def test_first_controller(nothing_survives: str, tmp_path: Path) -> None:
 
 
 def test_parent_system(nothing_survives: str, tmp_path: Path) -> None:
-    """The trolleys hold the ship as the page says; the oracle solves its equation of motion with the wanted moment."""
-    follow(SHIP, tmp_path)
-    folder = tmp_path / "ship"
-    assert len((folder / "ship.py").read_text(encoding="utf-8").splitlines()) <= 150
+    """The trolleys hold the ferry as the page says; the oracle solves its equation of motion with the wanted moment."""
+    follow(FERRY, tmp_path)
+    folder = tmp_path / "ferry"
+    assert len((folder / "ferry.py").read_text(encoding="utf-8").splitlines()) <= 150
     assert (folder / "roll.png").read_bytes()[:4] == b"\x89PNG"
     run, passive, gust = (load_arrays(folder / name) for name in ("run", "passive", "gust"))
 

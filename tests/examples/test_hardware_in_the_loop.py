@@ -74,6 +74,14 @@ def test_a_folder_in_use_is_refused(example: Any, tmp_path: Path, capsys: pytest
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
 
 
+def test_a_plane_that_hits_its_stop_fails_the_run(example: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    swing = [{"time": 0.5 * n, "angle": angle} for n, angle in enumerate((0.1, 0.4, -0.499, 0.0))]
+    assert example.judged(swing) == 0
+    swing[2]["angle"] = -0.5
+    assert example.judged(swing) == 1
+    assert "the plane has hit its end stop at 0.5 rad after 1.00 s" in capsys.readouterr().err
+
+
 def is_level(found: list[dict[str, float]]) -> bool:
     """Tell whether the plane has been level for the last second, after 8 s at the earliest."""
     now = found[-1]["time"]

@@ -216,8 +216,9 @@ def test_what_the_scenario_sets_goes_first_and_a_robot_that_has_just_been_added_
             msg.Action.ADD,
             1,
             0.0,
-            "robot 1 is scheduled by the scenario, or was added before; the robots that can be added are 4",
+            "robot 1 takes part already; the robots that can be added are 4",
         ),
+        (msg.Action.ADD, 2, 0.0, "robot 2 has taken part until step 0 (silent), and robots do not return; the robots"),
     ],
 )
 def test_requests_that_are_refused(action: msg.Action, agent_id: int, value: float, reason: str) -> None:

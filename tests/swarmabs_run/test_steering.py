@@ -131,7 +131,7 @@ def test_the_status_says_how_it_is(run: SteeredRun) -> None:
         (b'{"action": "reference", "value": 1.2}', "1.2 rad is out of range"),
         (b'{"action": "disturbance", "value": 5.1}', "5.1 N m is out of range"),
         (b'{"action": "explode"}', "action: Input should be 'reference'"),
-        (b'{"action": "add", "agent": 2}', "robot 2 is scheduled by the scenario"),
+        (b'{"action": "add", "agent": 2}', "robot 2 takes part already"),
         (b'{"action": "status", "request": ""}', "request: String should have at least 1 character"),
         (b'{"action": "status", "shell": "true"}', "shell: Extra inputs are not permitted"),
         (b"", "Invalid JSON"),

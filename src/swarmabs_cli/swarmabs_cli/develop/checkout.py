@@ -128,6 +128,10 @@ def docs(output: Path | None) -> int:
     folder = (output or _checkout() / "build" / "docs").absolute()
     if folder.exists() and not (folder / "sitemap.xml").is_file() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder} was not built by this command; name a new or an empty folder with -o")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder} cannot be made: {error.strerror}; name another folder with -o") from error
     return _run(["docs.build_site", str(folder)], NO_MKDOCS_2_WARNING="1")
 
 

@@ -200,7 +200,7 @@ class SteeringController:
                 return ""
             absent = self.absent
             others = f"the robots that can be added are {_listed(absent)}" if absent else "no robot can be added"
-            return f"robot {agent_id} is scheduled by the scenario, or was added before; {others}"
+            return f"robot {agent_id} {self._presence(agent_id, step)}; {others}"
         there = self._membership.publishing(step)
         if agent_id not in there or self._membership.span(agent_id).first >= step:
             return f"robot {agent_id} does not take part in step {step}; those that do are {_listed(there)}"
@@ -210,6 +210,14 @@ class SteeringController:
         if alone:
             return f"robot {agent_id} is the last one at step {alone[0]}, and a run needs at least one robot"
         return ""
+
+    def _presence(self, agent_id: int, step: int) -> str:
+        """Return why a robot cannot be added at a step."""
+        span = self._membership.span(agent_id)
+        if span.last is not None and span.last < step:
+            why = f" ({span.reason})" if span.reason else ""
+            return f"has taken part until step {span.last}{why}, and robots do not return"
+        return "takes part already" if span.first < step else f"joins at step {span.first} anyway"
 
     def _problem_of_value(self, request: Request) -> str:
         config = self._config
