@@ -250,6 +250,12 @@ def test_a_node_in_lockstep_is_told_how_it_ends(
     assert (exits, told.events()) == ([why], said)
 
 
+def test_a_node_in_lockstep_follows_no_ros_clock(told: Told, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run_node(PLANE, (), lambda *_: NodeSpec(Stepping()), [*COMMAND_LINE, *given(use_sim_time="true")]) == 2
+    assert "error: parameter use_sim_time: no ROS clock determines the steps" in capfd.readouterr().err
+    assert told.events() == ["failed"]
+
+
 @pytest.mark.parametrize("match", ["['swarm/events 2']", "['swarm/events 1', 'plane/state 1']"])
 def test_who_waits_for_others_may_be_told_to_stop(match: str, told: Told, monkeypatch: pytest.MonkeyPatch) -> None:
     waits: list[float] = []
@@ -487,7 +493,7 @@ def test_gains_are_set_until_the_node_is_active_and_used_from_its_activation_on(
         ("gains.ksd", None, "cannot be undeclared"),
         ("gains.k", [1.0], "is not allowed; give 2 elements"),
         ("mass", 0.7, "read-only"),
-        ("use_sim_time", True, "parameter use_sim_time: in real time"),
+        ("use_sim_time", True, "parameter use_sim_time: no ROS clock"),
     ],
 )
 def test_what_cannot_be_set_is_refused_with_its_reason_and_nothing_changes(

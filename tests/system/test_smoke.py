@@ -5,6 +5,8 @@ import os
 import re
 import signal
 import socket
+import subprocess
+import sys
 import urllib.request
 from collections import Counter
 from collections.abc import Sequence
@@ -18,7 +20,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
-from tests.processes import marked_processes, until
+from tests.processes import MARK, marked_processes, until
 from tests.system import helpers as runs
 
 from swarmabs_bag.reader import open_bag
@@ -26,6 +28,7 @@ from swarmabs_bag.repair import repair_bag
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import AGENT_STATE, BROADCASTS, EVENTS, PLANE_STATE, TOPICS, AgentState, EventKind, Status
+from swarmabs_run.orchestration.network import claimed_domain
 from swarmabs_run.orchestration.plan import ProcessPlan
 from swarmabs_run.orchestration.run_files import is_running, read_processes, read_progress
 from swarmabs_run.steering.client import SteeringClient
@@ -316,3 +319,18 @@ def test_what_cannot_be_is_refused_before_anything_starts(folder: Path, words: t
         done = runs.swarm("run", *(word.replace("TAKEN", port) for word in words), "-o", folder)
     assert (done.code, said in done.err) == (2, True), done.err
     assert not folder.exists()
+
+
+def test_a_node_that_is_interrupted_twice_ends_well(nothing_survives: str, tmp_path: Path) -> None:
+    """Ctrl-C reaches a node of a launch file from the terminal and from the launch, at any time until it has ended."""
+    with claimed_domain() as domain:
+        network = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        environment = {**os.environ, **network, "ROS_LOG_DIR": str(tmp_path), MARK: nothing_survives}
+        command = [sys.executable, "-m", "plane_sim.node"]
+        with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as node:
+            assert node.stderr is not None
+            assert any("ready" in line for line in node.stderr)
+            while node.poll() is None:
+                node.send_signal(signal.SIGINT)
+            assert node.stderr.read() == ""
+    assert node.returncode == 0

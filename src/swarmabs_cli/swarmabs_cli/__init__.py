@@ -17,7 +17,7 @@ import click
 
 from swarmabs_cli.options import examples
 from swarmabs_core.errors import InputError, SwarmabsError
-from swarmabs_run.ending import interrupt_once
+from swarmabs_run.ending import interrupt_once, no_more_interrupts
 from swarmabs_run.tracing_files import tracing_files_removed
 
 SECTIONS = {
@@ -106,7 +106,9 @@ def main(arguments: list[str] | None = None) -> int:
         code: int | None = swarm.main(arguments, prog_name="swarm", standalone_mode=False)
         return code
 
-    return exit_code(command)
+    code = exit_code(command)
+    no_more_interrupts()
+    return code
 
 
 def _sentence(text: str) -> str:

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from swarmabs_core.parameters import Value
 
 
-_OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+SIM_TIME = "use_sim_time"
+NO_SIM_TIME = f"parameter {SIM_TIME}: no ROS clock determines the steps of a swarm; omit it"
+_OF_RCLPY = (SIM_TIME, "start_type_description_service", "qos_overrides.")
 """Parameters that every node of rclpy may have."""
 
 
@@ -59,6 +61,12 @@ def table_of(
         for parameter in (each,) if isinstance(each, Parameter) else parameters_of(each, given):
             found.setdefault(parameter.name, parameter)
     return tuple(found.values())
+
+
+def refuse_sim_time(node: Node) -> None:
+    """Raise `InputError` if a node is told to follow a ROS clock."""
+    if node.get_parameter(SIM_TIME).value:
+        raise InputError(NO_SIM_TIME)
 
 
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:

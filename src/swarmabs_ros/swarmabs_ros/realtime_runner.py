@@ -22,12 +22,12 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Realtime, Schedule
 from swarmabs_ros.managed import RealtimeNode, one_line
-from swarmabs_ros.parameters import checked, declare_values, given_values, table_of
+from swarmabs_ros.parameters import checked, declare_values, given_values, refuse_sim_time, table_of
 from swarmabs_ros.realtime import RealtimeLoop
 from swarmabs_ros.runner import Settings
 from swarmabs_ros.start import run_program
 from swarmabs_ros.status import Heartbeat, notify
-from swarmabs_ros.tuning import NO_SIM_TIME, SIM_TIME, Tuning, gains_among
+from swarmabs_ros.tuning import Tuning, gains_among
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -105,8 +105,7 @@ def run_realtime(
 
 
 def _tuning(node: RealtimeNode, own: Table, gains: tuple[str, ...], status: StatusChannel) -> Tuning:
-    if node.get_parameter(SIM_TIME).value:
-        raise InputError(NO_SIM_TIME)
+    refuse_sim_time(node)
     table = table_of(given_values(node), COMMON, own)
     values = checked(node, table)
     if values["await_epoch"]:

@@ -16,7 +16,7 @@ from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY
 from swarmabs_ros.endpoints import advertise, receiver
 from swarmabs_ros.lockstep import FIRST, INTERRUPTED, SLICE, Lockstep
 from swarmabs_ros.pairs import BehindError, LockstepLeadership
-from swarmabs_ros.parameters import BySystem, declare, given_values, table_of
+from swarmabs_ros.parameters import BySystem, declare, given_values, refuse_sim_time, table_of
 from swarmabs_ros.start import SwarmNode, run_program
 
 if TYPE_CHECKING:
@@ -176,6 +176,7 @@ def run_node(
     """
 
     def body(node: Node, status: StatusChannel) -> None:
+        refuse_sim_time(node)
         settings = Settings(declare(node, table_of(given_values(node), COMMON, table)), node.get_namespace())
         _run(name, node, settings, make(settings, status), status)
 

@@ -8,6 +8,7 @@ exits with 2 and an error line if a profile is unreadable.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -69,6 +70,10 @@ def run_program(
         sys.stderr.write(f"error: {error}\n")
         return 2 if isinstance(error, InputError) else 1
     finally:
+        # Ctrl-C in a terminal reaches a node a second time by way of ros2 launch, and Python takes its handlers away
+        # before the process has ended.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         node.destroy_node()  # type: ignore[no-untyped-call]
         rclpy.try_shutdown()
     return 0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rcl_interfaces.msg import SetParametersResult
 
 from swarmabs_core.errors import InputError
-from swarmabs_ros.parameters import plain
+from swarmabs_ros.parameters import NO_SIM_TIME, SIM_TIME, plain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from swarmabs_ros.runner import Settings
 
     Tune = Callable[[Settings], Callable[[], None]]
-
-SIM_TIME = "use_sim_time"
-NO_SIM_TIME = f"parameter {SIM_TIME}: in real time the system clock determines the steps; omit it"
 
 
 def gains_among(table: Iterable[Parameter], parts: tuple[str, ...]) -> tuple[Parameter, ...]:

@@ -17,6 +17,7 @@ from weakref import WeakSet
 from aiohttp import WSCloseCode, WSMsgType, web
 from pydantic import ValidationError
 
+from swarmabs_run.ending import no_more_interrupts
 from swarmabs_view.ports import url_of
 from swarmabs_view.protocol import CONTROL
 
@@ -250,6 +251,8 @@ def serve(
             for number, handler in previous.items():
                 loop.remove_signal_handler(number)
                 signal.signal(number, handler)
+            if asked.is_set():  # a terminal and ros2 launch both send the signal
+                no_more_interrupts()
 
     with suppress(KeyboardInterrupt):
         asyncio.run(main())

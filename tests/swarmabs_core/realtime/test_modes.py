@@ -7,6 +7,7 @@ from hypothesis import given, strategies as st
 from tests.swarmabs_core.realtime.nodes import CLOCK, at, broadcasts, follow, kinds, robot, tell
 
 from swarmabs_core.messages import EventKind, Message, Mode, SwarmEvent
+from swarmabs_core.realtime.base import Level
 from swarmabs_core.realtime.modes import ModeLatch
 
 AGE, AHEAD = 10, 2
@@ -90,7 +91,7 @@ def test_a_contested_reset_is_not_obeyed() -> None:
     one = broadcasts(11, Mode.RESET)[2]
     assert kinds([*node.hear(one, at(11.6)), *node.hear(one._replace(torque=1.0), at(11.6))]) == [EventKind.REFUSED]
     node.tick(at(12))
-    assert node.health(at(12)).text == "safe stop: stop commanded"
+    assert node.health(at(12))[:2] == (Level.WARN, "safe stop: stop commanded"), "somebody wants it so"
 
 
 def test_a_mode_that_changes_within_a_step_accuses_nobody() -> None:

@@ -27,7 +27,7 @@ from swarmabs_core.record import Record
 from swarmabs_ros.endpoints import WaitSetReceiver
 from swarmabs_ros.lockstep import INTERRUPTED
 from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
-from swarmabs_ros.parameters import choose, declare
+from swarmabs_ros.parameters import choose, declare, refuse_sim_time
 from swarmabs_ros.realtime import arrived
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, OWN_TOPICS
 from swarmabs_ros.runner import COMMON, Settings
@@ -188,6 +188,7 @@ def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of `last_step`; return the exit code."""
 
     def body(node: Node, status: StatusChannel) -> None:
+        refuse_sim_time(node)
         _record(node, Settings(declare(node, PARAMETERS), node.get_namespace()), status)
 
     return run_program(RECORDER, SwarmNode, body, args)

@@ -37,12 +37,16 @@ def env(run: Path | None, *, as_json: bool) -> None:
     """Print the environment variables for ROS tools.
 
     With RUN, the folder of a running simulation, the variables also select the network of that run. If you have sourced
-    a ROS installation, its tools stay usable: the workspace is only added to it.
+    a ROS installation, its tools stay usable: the workspace is only added to it. Without RUN, the variables are those
+    with which nodes start by hand; a sourced ROS is then left out, unless SWARMABS_USE_SOURCED_ROS=1.
     """
     variables = {name: os.environ[name] for name in WORKSPACE if name in os.environ}
+    sourced = {name[len(SOURCED) :]: value for name, value in os.environ.items() if name.startswith(SOURCED)}
     if run is not None:
-        sourced = {name[len(SOURCED) :]: value for name, value in os.environ.items() if name.startswith(SOURCED)}
         variables = (sourced or variables) | environment_of_run(run)
+    elif sourced:
+        note = "the ROS that you have sourced is left out, because nodes run on the packages in .venv"
+        click.echo(f"note: {note}; to keep it, run SWARMABS_USE_SOURCED_ROS=1 ./scripts/swarm env", err=True)
     if as_json:
         print_json(variables)
         return

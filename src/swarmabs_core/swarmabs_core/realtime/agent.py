@@ -16,7 +16,7 @@ from swarmabs_core.realtime.drives import DRIVES, SIMULATED, Reporting
 from swarmabs_core.realtime.envelope import LaneEnvelope
 from swarmabs_core.realtime.leadership import Pair
 from swarmabs_core.realtime.validation import Bounds, Refusals
-from swarmabs_core.robot_controller import COMMAND_LIMITED, HELD, Decision, RobotController
+from swarmabs_core.robot_controller import COMMAND_LIMITED, HELD, RESET, STOPPED, Decision, RobotController
 from swarmabs_core.swarm_law import Robot
 
 if TYPE_CHECKING:
@@ -190,7 +190,8 @@ class RealtimeAgent:
         if self._leaving is not None:
             return Health(Level.OK, "has left", values)
         if self._status is not Status.ACTIVE:
-            return Health(Level.ERROR, f"safe stop: {self._problem}", values)
+            level = Level.WARN if self._problem in {STOPPED, RESET} else Level.ERROR
+            return Health(level, f"safe stop: {self._problem}", values)
         if self._held:
             return Health(Level.WARN, f"keeps still: {HELD}", values)
         return Health(Level.OK, f"follows the broadcasts{', ' + self._limited if self._limited else ''}", values)

@@ -241,7 +241,8 @@ class RealtimeObserver:
             heard = self._known()
             return Health(Level.WARN, f"waiting for robots: {heard} heard, {self._needed} needed", values)
         if not count[Role.ACTIVE]:
-            return Health(Level.ERROR, "no robot follows", values)
+            # Robots in a safe stop report why: an operator may have told them to.
+            return Health(Level.WARN if count[Role.STOPPED] else Level.ERROR, "no robot follows", values)
         missing = count[Role.STOPPED] + count[Role.SILENT]
         text = f"{count[Role.ACTIVE]} of {len(self.roles)} robots follow"
         return Health(Level.WARN if missing else Level.OK, text, values)
