@@ -82,6 +82,7 @@ PUBLIC = (
     "swarmabs_analysis.comparison.bags",
     "swarmabs_analysis.export",
     "swarmabs_analysis.losses.check",
+    "swarmabs_analysis.step_response",
     "swarmabs_analysis.sweep",
     "swarmabs_core.registry",
     "swarmabs_core.controllers",

@@ -1,5 +1,6 @@
 """Examples in the documentation and in examples/ work, and the scripts of the pictures."""
 
+import re
 import runpy
 import subprocess
 import sys
@@ -48,7 +49,11 @@ def test_python_of_the_readme_and_example_programs_run(
         program = ROOT / "examples" / path
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(program), run_name="__main__")
-    assert ("[1 2 3 4]" if path == "README.md" else "") in (out := capsys.readouterr().out) and out
+    out = capsys.readouterr().out
+    if path == "README.md":
+        (shown,) = re.findall(r"(?ms)^<!-- output of the example -->\n```text\n(.*?)^```$", read(path))
+        assert out == shown
+    assert out
 
 
 def test_python_of_the_pages_compiles() -> None:
@@ -81,6 +86,8 @@ def draw(script: str, *arguments: Path, within: float = 50.0) -> None:
 def test_pictures_of_a_run_and_of_the_architecture(tmp_path: Path) -> None:
     draw("figures/run.py", record(tmp_path / "run", "pd_het_4", "duration=9.0"), tmp_path / "run.png")
     assert (tmp_path / "run.png").read_bytes()[:4] == b"\x89PNG"
+    draw("figures/gallery.py", tmp_path / "run", tmp_path / "gallery.png")
+    assert (tmp_path / "gallery.png").read_bytes()[:4] == b"\x89PNG"
     draw("figures/architecture.py", tmp_path / "architecture.svg")
     assert "<svg" in (tmp_path / "architecture.svg").read_text(encoding="utf-8")
 

@@ -1,4 +1,4 @@
-"""docs/explanation/general_method.md and losses.md: formulas and numbers, by NumPy and SciPy, not by the package."""
+"""docs/explanation/general_method*.md and losses.md: formulas and numbers, by NumPy and SciPy, not by the package."""
 
 from collections.abc import Callable
 from itertools import product
@@ -12,7 +12,8 @@ from scipy.optimize import brentq
 from tests.docs.pages import read
 
 Array = NDArray[np.float64]
-PAGE = " ".join((read("docs/explanation/general_method.md") + read("docs/explanation/losses.md")).split())
+PAGES = ("general_method", "general_method_ship", "losses")
+PAGE = " ".join("".join(read(f"docs/explanation/{name}.md") for name in PAGES).split())
 GRAVITY = 9.81
 SEEDS = pytest.mark.parametrize("seed", range(5))
 TINY = 1e-30

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import click
+import pytest
 from tests.docs.pages import NAMES, ROOT, blocks, read, spans
 
 from swarmabs_cli import swarm
@@ -93,3 +94,11 @@ def test_invocations_exist() -> None:
         for word in words:
             if word.startswith("-") and not passing_on:
                 assert word in options(COMMANDS[command]), f"no option: swarm {' '.join(words)}"
+
+
+@pytest.mark.parametrize("folder", ["tutorials", "explanation"])
+def test_pages_to_be_read_from_start_to_end_are_short(folder: str) -> None:
+    """The limit of CONTRIBUTING.md; pages for looking things up are not read in one go."""
+    counts = {name: len(read(name).split()) for name in NAMES if name.startswith(f"docs/{folder}/")}
+    assert counts
+    assert {name: count for name, count in counts.items() if count > 2500} == {}

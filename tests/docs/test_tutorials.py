@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from scipy.integrate import solve_ivp
-from tests.docs.pages import ROOT, blocks, read
+from tests.docs.pages import ROOT, blocks, read, script
 
 from swarmabs_bag.arrays import load_arrays
 
@@ -30,8 +30,7 @@ def follow(page: str, folder: Path) -> None:
     for name, content in re.findall(r"`(\w+/[\w.]+)`:\n\n```\w+\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(content, encoding="utf-8")
-    commands = "".join(blocks(text, "sh")).removeprefix("git clone <this repository> swarmabs\ncd swarmabs\n")
-    assert "git clone" not in commands
+    commands = "".join(blocks(text, "sh"))
     installed = str(folder / "installed")  # stands for the environment, which other tests share
     search = f"{installed}:{os.environ.get('PYTHONPATH', '')}"
     environment = {**os.environ, "PIP_TARGET": installed, "PYTHONPATH": search, "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
@@ -42,12 +41,21 @@ def follow(page: str, folder: Path) -> None:
     assert ended.returncode == 0, ended.stderr
 
 
+def picture_of(page: str, folder: Path) -> None:
+    """The script of the pictures draws a page's picture from the followed tutorial."""
+    target = folder / "pictures"
+    target.mkdir()
+    assert script("docs/figures/tutorials.py").draw(folder, target) == [page]
+    assert (target / f"{page}.png").read_bytes()[:4] == b"\x89PNG"
+
+
 def test_first_controller(nothing_survives: str, tmp_path: Path) -> None:
     follow(FIRST, tmp_path)
     assert abs(load_arrays(tmp_path / "mine" / "pd").angle[-1]) == pytest.approx(0.092, abs=0.001)
     assert abs(load_arrays(tmp_path / "mine" / "pid").angle[-1]) < 0.01
     assert (tmp_path / "mine" / "comparison.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "mine" / "pid" / "report.html").is_file()
+    picture_of("first_controller", tmp_path)
 
 
 def test_parent_system(nothing_survives: str, tmp_path: Path) -> None:
@@ -56,6 +64,7 @@ def test_parent_system(nothing_survives: str, tmp_path: Path) -> None:
     folder = tmp_path / "ferry"
     assert len((folder / "ferry.py").read_text(encoding="utf-8").splitlines()) <= 150
     assert (folder / "roll.png").read_bytes()[:4] == b"\x89PNG"
+    picture_of("parent_system", tmp_path)
     run, passive, gust = (load_arrays(folder / name) for name in ("run", "passive", "gust"))
 
     def motion(time: float, state: list[float], gain: float) -> list[float]:

@@ -52,6 +52,11 @@ def test_metrics(page: Page, run: Path, report: Report) -> None:
     assert value(page, "Largest |position|") == positions.max()
     assert value(page, "Messages") == bag.count
     assert report.numbers["digest"] == digest(run / "bag" / "bag_0.mcap")
+    step = report.numbers["step_response"]
+    assert (step["at"], value(page, "Step at")) == (0.0, 0.0)
+    assert value(page, "Steady-state error") == step["steady_state_error"] == error[-1]
+    change = (-error - -error[0]) / (error[0] - error[-1])
+    assert value(page, "Overshoot") == pytest.approx(100.0 * (change.max() - 1.0), abs=1e-9)
     assert ("code", report.numbers["digest"]) in page.texts
 
 

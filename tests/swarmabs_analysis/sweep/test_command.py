@@ -4,6 +4,7 @@ import json
 import os
 import signal
 from collections.abc import Callable, Iterator
+from csv import DictReader
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -87,7 +88,7 @@ def test_only_summary_and_results_together_are_complete(tmp_path: Path) -> None:
     assert folder.complete() == {"status": "ok", "cases": 3}
 
 
-FILES = {"region.png", "region.svg", "results.parquet", "scenario.yaml", "summary.json", "sweep.yaml"}
+FILES = {"region.png", "region.svg", "results.csv", "results.parquet", "scenario.yaml", "summary.json", "sweep.yaml"}
 CASES = 36
 
 
@@ -141,6 +142,13 @@ def test_a_sweep_has_a_row_for_each_case_as_simulate_runs_it(here: type[Here], s
     assert names(tmp_path / "s") == FILES
     table = pq.read_table(tmp_path / "s" / "results.parquet").to_pylist()
     assert [row["case"] for row in table] == list(range(CASES))
+    with (tmp_path / "s" / "results.csv").open(encoding="utf-8", newline="") as file:
+        lines = list(DictReader(file))
+    texts = [{name: "" if value is None else value for name, value in row.items()} for row in table]
+    assert [list(line) for line in lines] == [list(row) for row in table]
+    for line, expected in zip(lines, texts, strict=True):
+        for name, cell in line.items():
+            assert (cell if isinstance(expected[name], str) else json.loads(cell)) == expected[name]
     row = table[9]
     swept = {name: value for name, value in row.items() if "." in name}
     settings = [f"--set={name}={value!r}" for name, value in {**swept, "seed": row["seed"]}.items()]

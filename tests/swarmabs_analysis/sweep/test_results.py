@@ -20,7 +20,7 @@ from tests.swarmabs_core.helpers import digest
 from swarmabs_analysis.sweep import evaluate as module
 from swarmabs_analysis.sweep.evaluate import LONGEST_REASON, OUTCOMES, Task, evaluate, lost
 from swarmabs_analysis.sweep.picture import LOOKS, MARKERS, pictures
-from swarmabs_analysis.sweep.run import parquet
+from swarmabs_analysis.sweep.run import parquet, results_table
 from swarmabs_analysis.sweep.study import Study, Sweep, load_sweep
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.scenarios import builtin_scenarios
@@ -125,8 +125,8 @@ def measured(study: Study) -> dict[int, dict[str, Any]]:
 
 def test_columns_and_rows_are_those_of_the_cases_and_results_that_are_asked_for(study: Study, tmp_path: Path) -> None:
     rows = computed(study)
-    content = parquet(study, rows)
-    assert content == parquet(study, dict(reversed(rows.items())))  # in whatever order cases finish
+    content = parquet(results_table(study, rows))
+    assert content == parquet(results_table(study, dict(reversed(rows.items()))))  # in whatever order cases finish
     table = pq.read_table(io.BytesIO(content))
     assert table.column_names == [
         *("case", "plane.angle", "plane.angular_velocity", "swarm.agents.0.mass", *study.sweep.results),
@@ -138,7 +138,7 @@ def test_columns_and_rows_are_those_of_the_cases_and_results_that_are_asked_for(
     assert table.schema.metadata[b"swarmabs.sweep"] == study.sweep_text.encode()
     assert table.schema.metadata[b"swarmabs.scenario"] == study.scenario.encode()
     study = loaded(tmp_path, "grid: {plane.angle: [0.1, 9]}\nresults: [rms_error]\n")
-    table = pq.read_table(io.BytesIO(parquet(study, computed(study))))
+    table = pq.read_table(io.BytesIO(parquet(results_table(study, computed(study)))))
     names = ("case", "plane.angle", "rms_error", "status", "outcome", "reason", "seed", "digest")
     assert tuple(table.column_names) == names
     assert table["status"].to_pylist() == ["ok", "refused"]
@@ -160,7 +160,7 @@ def test_columns_and_rows_are_those_of_the_cases_and_results_that_are_asked_for(
 )
 def test_type_of_a_parameter(values: list[object], kind: pa.DataType, found: list[object]) -> None:
     study = Study(Sweep.model_validate({"schema": 1, "scenario": "s", "grid": {"a.b": values}}), "")
-    column = pq.read_table(io.BytesIO(parquet(study, pretended(study))))["a.b"]
+    column = pq.read_table(io.BytesIO(parquet(results_table(study, pretended(study)))))["a.b"]
     assert (column.type, column.to_pylist()) == (kind, found)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import asdict
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -86,6 +87,7 @@ def _numbers(recorded: Recorded) -> dict[str, Any]:
         "agents": len(recorded.arrays.agents.ids),
         "steps": recorded.steps,
         **recorded.metrics,
+        "step_response": None if recorded.step_response is None else asdict(recorded.step_response),
         "events": len(recorded.swarm.events),
         "margins": {name: lowest(values) for name, values in margins.items()},
     }

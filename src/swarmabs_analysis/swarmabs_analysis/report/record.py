@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmabs_analysis.figures.runs import RecordedRun
+from swarmabs_analysis.step_response import StepResponse, step_response
 from swarmabs_bag.arrays import arrays_since, digest_of, load_messages
 from swarmabs_bag.attached import attached_provenance, is_realtime, supply_scenario
 from swarmabs_bag.figures import RunFigures, Tracking, tracking_of
@@ -129,6 +130,13 @@ class Recorded:
         """Reference minus recorded angle at each step, rad; of several tracked numbers, the norm of the errors."""
         errors: Floats = self.wanted - self.tracked
         return errors[:, 0] if errors.shape[1] == 1 else np.asarray(np.linalg.norm(errors, axis=1))
+
+    @cached_property
+    def step_response(self) -> StepResponse | None:
+        """Response to the last step of the reference; None without one, and if several numbers are tracked."""
+        if self.tracked.shape[1] != 1:
+            return None
+        return step_response(self.arrays.time, self.tracked[:, 0], self.wanted[:, 0])
 
     @cached_property
     def masses(self) -> Floats:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pyarrow.csv import write_csv
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
 from swarmabs_core.errors import RunError
@@ -54,7 +55,9 @@ def run_sweep(
             computing = time.monotonic() - begun
             from swarmabs_analysis.sweep.picture import pictures  # noqa: PLC0415 - Matplotlib need not delay the cases
 
-            folder.write_whole(folder.results, parquet(study, folder.rows))
+            results = results_table(study, folder.rows)
+            folder.write_whole(folder.table, csv(results))
+            folder.write_whole(folder.results, parquet(results))
             for name, content in pictures(study, folder.rows).items():
                 folder.write_whole(folder.path / name, content)
     except RunError as error:
@@ -84,12 +87,12 @@ def run_sweep(
     return summary
 
 
-def parquet(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> bytes:
-    """Return ``results.parquet``: one row per case in order; all cases must be finished.
+def results_table(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> Any:
+    """Return the results as a table of Arrow: one row per case in order; all cases must be finished.
 
     Columns are ``case``, the parameters by their paths, the results, ``status``, ``outcome``, ``reason``, ``seed`` and
-    ``digest``. A parameter whose values are neither all numbers nor all strings is written as JSON. The file's metadata
-    contains the sweep and its scenario. Equal sweeps give equal bytes.
+    ``digest``. A parameter whose values are neither all numbers nor all strings is written as JSON. The metadata
+    contains the sweep and its scenario.
     """
     cases = list(study.cases())
     found = [{**rows[case.index], "case": case.index, "seed": case.seed} for case in cases]
@@ -102,8 +105,20 @@ def parquet(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> bytes:
     names = (*study.sweep.results, "status", "outcome", "reason", "seed", "digest")
     columns |= {name: column(name) for name in names}
     described = {"swarmabs.sweep": study.sweep_text, "swarmabs.scenario": study.scenario}
+    return pa.table(columns).replace_schema_metadata(described)
+
+
+def parquet(table: Any) -> bytes:
+    """Return ``results.parquet``; equal tables give equal bytes."""
     file = io.BytesIO()
-    pq.write_table(pa.table(columns).replace_schema_metadata(described), file, compression="zstd")
+    pq.write_table(table, file, compression="zstd")
+    return file.getvalue()
+
+
+def csv(table: Any) -> bytes:
+    """Return ``results.csv``: a line of names, then one per case; numbers with every digit, null as an empty field."""
+    file = io.BytesIO()
+    write_csv(table, file)
     return file.getvalue()
 
 

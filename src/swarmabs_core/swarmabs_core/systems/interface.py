@@ -195,7 +195,7 @@ class ParentSystem(Protocol):
         ...
 
     def reference(self, time: float) -> Vector:
-        """Return the wanted values of `tracked` at a time, s."""
+        """Return the reference of each entry of `tracked` at a time, s."""
         ...
 
 
