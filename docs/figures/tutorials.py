@@ -14,7 +14,7 @@ from pathlib import Path
 DOCS = Path(__file__).parents[1]
 PICTURES = {
     "first_controller": ("mine/plot.py", "mine/comparison.png"),
-    "parent_system": ("ship/plot.py", "ship/roll.png"),
+    "parent_system": ("ferry/plot.py", "ferry/roll.png"),
 }
 """By page: the script as the page shows it, and the picture that it makes."""
 
