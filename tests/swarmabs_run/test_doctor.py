@@ -14,6 +14,7 @@ import pytest
 
 from swarmabs_run import doctor
 from swarmabs_run.doctor import CHECKS, examine
+from swarmabs_run.orchestration import network
 
 
 def broken_import(module: str) -> Callable[[str], object]:
@@ -50,8 +51,9 @@ NO_WAIT_SET = types.SimpleNamespace(rclpy_implementation=types.SimpleNamespace()
         (doctor.importlib, "import_module", lambda _: NO_WAIT_SET, "messages", "bad", "too old: .*build"),
         (doctor, "builtin_scenarios", dict, "scenarios", "bad", "missing; build"),
         (doctor, "builtin_scenarios", lambda: {"x": Path("/nowhere")}, "scenarios", "bad", "build"),
-        (socket.socket, "sendto", refuse, "loopback", "bad", "interface lo"),
-        (socket.socket, "bind", refuse, "ROS domain", "bad", "end other runs"),
+        (socket.socket, "sendto", refuse, "loopback", "bad", "ip link set lo up"),
+        (socket.socket, "sendto", refuse, "ROS domain", "bad", "ip link set lo up"),
+        (network, "first_taken", lambda _: 7400, "ROS domain", "bad", "end other runs"),
         (resource, "getrlimit", lambda _: (1023, 4096), "open files", "note", "limit 1023; .*ulimit -n 1024"),
         (resource, "getrlimit", lambda _: (1024, 4096), "open files", "ok", "limit 1024"),
         (resource, "getrlimit", lambda _: (resource.RLIM_INFINITY,) * 2, "open files", "ok", "no limit"),

@@ -7,7 +7,6 @@ import os
 import platform
 import resource
 import shutil
-import socket
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
@@ -21,7 +20,7 @@ from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_core.errors import SwarmabsError
 from swarmabs_core.fingerprint import libm_fingerprint
 from swarmabs_core.messages import TOPICS
-from swarmabs_run.orchestration.network import claimed_domain
+from swarmabs_run.orchestration.network import check_loopback, claimed_domain
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -80,16 +79,9 @@ def _messages() -> Verdict:
 
 def _loopback() -> Verdict:
     try:
-        with (
-            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
-            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
-        ):
-            receiver.bind(("127.0.0.1", 0))
-            receiver.settimeout(2.0)
-            sender.sendto(b"swarmabs", receiver.getsockname())
-            receiver.recv(16)
-    except OSError as error:
-        return "bad", f"UDP on 127.0.0.1 does not work ({error}); bring up the interface lo"
+        check_loopback()
+    except SwarmabsError as error:
+        return "bad", str(error)
     return "ok", "UDP on 127.0.0.1 works"
 
 

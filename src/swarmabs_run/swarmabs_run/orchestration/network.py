@@ -66,8 +66,9 @@ def claimed_domain(participants: int = COORDINATORS) -> Iterator[int]:
 
     The claim is a bound TCP port on loopback, which the kernel releases however this process ends. All UDP ports of
     participants with ids below `participants` are free, too, whoever else uses the machine. Raises `RunError` if there
-    is no such domain.
+    is no such domain, or loopback does not work.
     """
+    check_loopback()
     spacing, taken = ports.domains_spanned(participants), 0
     for first in range(ports.SPACING, ports.LARGEST_DOMAIN - spacing, ports.SPACING):
         with ExitStack() as guards:
@@ -83,6 +84,23 @@ def claimed_domain(participants: int = COORDINATORS) -> Iterator[int]:
         f"no ROS domain is free on this machine: the guard ports of all {ports.LARGEST_DOMAIN // ports.SPACING} are "
         f"taken{why}; end other runs, or the processes that hold these ports"
     )
+
+
+def check_loopback(timeout: float = 2.0) -> None:
+    """Send a datagram to this process on loopback; raises `RunError` if it does not arrive within a time, s."""
+    try:
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+        ):
+            receiver.bind((_LOOPBACK, 0))
+            receiver.settimeout(timeout)
+            sender.sendto(b"swarmabs", receiver.getsockname())
+            receiver.recv(16)
+    except OSError as error:
+        raise RunError(
+            f"UDP on {_LOOPBACK} does not work ({error}); bring up the interface: ip link set lo up"
+        ) from error
 
 
 def _claim(domains: range, guards: ExitStack) -> bool:
