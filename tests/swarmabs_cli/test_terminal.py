@@ -58,7 +58,7 @@ def test_a_real_terminal_shows_a_run_of_many_processes(tmp_path: Path, nothing_s
     environment = {name: text for name, text in os.environ.items() if name not in CLEARED} | SETTINGS
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 90, 0, 0))
-    words = [sys.executable, "-m", "swarmabs_cli", "run", "--duration", "30", "-o", "out"]
+    words = [sys.executable, "-m", "swarmabs_cli", "run", "arise_het_4", "--duration", "30", "-o", "out"]
     with subprocess.Popen(words, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=theirs) as process:
         os.close(theirs)
         parts = []
@@ -73,4 +73,5 @@ def test_a_real_terminal_shows_a_run_of_many_processes(tmp_path: Path, nothing_s
     assert process.returncode == 0 and b"digest" in output
     text = b"".join(parts).decode()
     assert re.search(r"starting, \d of 8 processes ready", text)
-    assert "╭─ pd_het_4: step " in text and "4 active" in text and "■" in text
+    assert "╭─ arise_het_4: step " in text and "4 active" in text and "■" in text
+    assert "\x1b[2Kwarning: theorem ARISE_noHomo_sys" in text  # printed where the panel has been erased

@@ -28,7 +28,7 @@ from swarmabs_run.ending import no_more_interrupts
 from swarmabs_run.orchestration.run_files import start_of
 from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.summary import Times, summarise, summary_table
-from swarmabs_view.terminal import shown_progress
+from swarmabs_view.terminal import ProgressDisplay, shown_progress
 
 if TYPE_CHECKING:
     from swarmabs_analysis.rerun import RepeatableRun
@@ -73,13 +73,13 @@ def carry_out(
     differences = recorded.differences if recorded is not None else ()
     print_warnings((*loaded.warnings(), *differences))
     if not meanwhile:
-        print_theory(loaded)
+        print_warnings(theory_warnings(loaded))
     loaded = loaded.resolved()
     if steered:
         click.echo(f"to steer the run: ./scripts/swarm steer {folder.path} ACTION VALUE", err=True)
     split = Split(max_bag_size, max_bag_duration * 10**9)
 
-    def run(show: Callable[[Progress], None]) -> Outcome:
+    def run(show: ProgressDisplay) -> Outcome:
         options = RunOptions(record=not no_bag, split=split, on_progress=show)
         if not meanwhile:
             return execute(loaded, folder, options)
@@ -106,29 +106,40 @@ def _recorded_run(bag: str, overrides: tuple[str, ...], scenario: str | None) ->
     return recorded_run(bag, overrides, scenario=scenario)
 
 
-def print_theory(scenario: AnyScenario) -> None:
-    """Print the warnings that follow from the theory, which covers scenarios on the plane."""
-    if isinstance(scenario, Scenario):
-        from swarmabs_core.theory.theorems import warnings  # noqa: PLC0415 - SciPy loads longer than a run starts
+def theory_warnings(scenario: AnyScenario) -> tuple[str, ...]:
+    """Return the warnings that follow from the theory, which covers scenarios on the plane."""
+    if not isinstance(scenario, Scenario):
+        return ()
+    from swarmabs_core.theory.theorems import warnings  # noqa: PLC0415 - SciPy loads longer than a run starts
 
-        print_warnings(warnings(setting(scenario)))
+    return tuple(warnings(setting(scenario)))
 
 
 @contextmanager
-def _theory_printed(scenario: AnyScenario, show: Callable[[Progress], None]) -> Iterator[Callable[[Progress], None]]:
-    """Yield a function that shows progress and, after the start of the run, checks the theory in a thread."""
+def _theory_printed(scenario: AnyScenario, show: ProgressDisplay) -> Iterator[Callable[[Progress], None]]:
+    """Yield a function that shows progress and, after the start of the run, checks the theory in a thread.
+
+    The display prints the warnings, at the latest when the run has ended.
+    """
     with ThreadPoolExecutor(1) as pool:
-        checked: Future[None] | None = None
+        checked: Future[tuple[str, ...]] | None = None
+        printed = False
 
         def shown(progress: Progress) -> None:
-            nonlocal checked
+            nonlocal checked, printed
             show(progress)
-            if progress.phase != "starting" and checked is None:
-                checked = pool.submit(print_theory, scenario)
+            if checked is None:
+                if progress.phase != "starting":
+                    checked = pool.submit(theory_warnings, scenario)
+            elif not printed and checked.done():
+                printed = True
+                show.warn(checked.result())
 
-        yield shown
-        if checked is not None:
-            checked.result()
+        try:
+            yield shown
+        finally:
+            if checked is not None and not printed:
+                show.warn(checked.result())
 
 
 def _check_realtime(scenario: AnyScenario, recorded: RepeatableRun | None) -> None:
@@ -144,7 +155,7 @@ def _check_realtime(scenario: AnyScenario, recorded: RepeatableRun | None) -> No
 def summed_up(
     scenario: AnyScenario,
     folder: RunFolder,
-    run: Callable[[Callable[[Progress], None]], Outcome],
+    run: Callable[[ProgressDisplay], Outcome],
     more: Callable[[Outcome], Mapping[str, object]],
 ) -> tuple[Outcome, dict[str, Any]]:
     """Run while showing the progress; return the outcome and the written summary, which includes `more`.

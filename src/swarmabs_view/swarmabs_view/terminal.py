@@ -7,7 +7,7 @@ import time
 from contextlib import contextmanager
 from itertools import groupby
 from operator import itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import click
 from rich import box
@@ -20,7 +20,7 @@ from swarmabs_bag.figures import tracking_of
 from swarmabs_bag.recorder.swarm_summary import LETTERS, THOUSAND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from rich.console import ConsoleOptions, RenderResult
 
@@ -54,14 +54,27 @@ _NOWHERE = (LETTERS["left"], LETTERS[None])
 _LABEL = 8
 
 
+class ProgressDisplay(Protocol):
+    """Shows the progress of a run on standard error; call it from the thread that entered `shown_progress`."""
+
+    def __call__(self, progress: Progress) -> None:
+        """Show the progress, with its new warnings."""
+
+    def warn(self, warnings: Iterable[object]) -> None:
+        """Print warnings, above the panel if there is one."""
+
+
 @contextmanager
-def shown_progress(scenario: AnyScenario) -> Iterator[Callable[[Progress], None]]:
-    """Show the progress of a run on standard error inside the block; pass it to the yielded function."""
-    if sys.stderr.isatty():
-        with _terminal(scenario) as show:
-            yield show
-    else:
-        yield _lines(scenario)
+def shown_progress(scenario: AnyScenario) -> Iterator[ProgressDisplay]:
+    """Show the progress of a run on standard error inside the block; pass it to the yielded display."""
+    console = Console(stderr=True, highlight=False)
+    if not sys.stderr.isatty() or console.is_dumb_terminal:  # such a terminal cannot move the cursor back
+        yield _Lines(scenario)
+        return
+    panel = RunPanel(scenario)
+    # Drawn by the display itself, not by a thread, because this process forks the launcher.
+    with Live(panel, console=console, auto_refresh=False, transient=True) as live:
+        yield _Terminal(scenario, panel, live)
 
 
 def describe(progress: Progress, scenario: AnyScenario) -> str:
@@ -80,45 +93,41 @@ def describe(progress: Progress, scenario: AnyScenario) -> str:
     return "; ".join(parts)
 
 
-@contextmanager
-def _terminal(scenario: AnyScenario) -> Iterator[Callable[[Progress], None]]:
-    console = Console(stderr=True, highlight=False)
-    if console.is_dumb_terminal:  # it cannot move the cursor back
-        yield _lines(scenario)
-        return
-    panel = RunPanel(scenario)
-    news = Warnings().of
-    shown = 0.0
-    # Drawn by the function itself, not by a thread, because this process forks the launcher.
-    with Live(panel, console=console, auto_refresh=False, transient=True) as live:
+class _Terminal:
+    def __init__(self, scenario: AnyScenario, panel: RunPanel, live: Live) -> None:
+        self._scenario, self._panel, self._live = scenario, panel, live
+        self._news = Warnings().of
+        self._shown = 0.0
 
-        def show(progress: Progress) -> None:
-            nonlocal shown
-            now = time.monotonic()
-            for text in news(progress):
-                console.print(Text(text))
-            if now - shown >= _TERMINAL_INTERVAL:
-                shown = now
-                panel.take(progress, describe(progress, scenario))
-                live.refresh()
-
-        yield show
-
-
-def _lines(scenario: AnyScenario) -> Callable[[Progress], None]:
-    shown, phase = time.monotonic(), ""
-    news = Warnings().of
-
-    def show(progress: Progress) -> None:
-        nonlocal shown, phase
-        for text in news(progress):
-            click.echo(text, err=True)
+    def __call__(self, progress: Progress) -> None:
+        self.warn(self._news(progress))
         now = time.monotonic()
-        if progress.phase != phase or now - shown >= _LINE_INTERVAL:
-            shown, phase = now, progress.phase
-            click.echo(describe(progress, scenario), err=True)
+        if now - self._shown >= _TERMINAL_INTERVAL:
+            self._shown = now
+            self._panel.take(progress, describe(progress, self._scenario))
+            self._live.refresh()
 
-    return show
+    def warn(self, warnings: Iterable[object]) -> None:
+        for text in warnings:  # the console redraws the panel below
+            self._live.console.print(Text(f"warning: {text}"))
+
+
+class _Lines:
+    def __init__(self, scenario: AnyScenario) -> None:
+        self._scenario = scenario
+        self._news = Warnings().of
+        self._shown, self._phase = time.monotonic(), ""
+
+    def __call__(self, progress: Progress) -> None:
+        self.warn(self._news(progress))
+        now = time.monotonic()
+        if progress.phase != self._phase or now - self._shown >= _LINE_INTERVAL:
+            self._shown, self._phase = now, progress.phase
+            click.echo(describe(progress, self._scenario), err=True)
+
+    def warn(self, warnings: Iterable[object]) -> None:
+        for text in warnings:
+            click.echo(f"warning: {text}", err=True)
 
 
 class Warnings:
@@ -131,7 +140,7 @@ class Warnings:
         """Return the warnings that are new."""
         strays = [] if progress.robots is None else [text for text in progress.robots.strays if text not in self._told]
         self._told.update(strays)
-        return [f"warning: {text}" for text in strays]
+        return strays
 
 
 class RunPanel:
