@@ -62,6 +62,16 @@ def shown(found: dict[str, Any], folder: Path) -> str:
     return told.getvalue()
 
 
+def test_no_digest_is_torn_on_a_narrow_terminal(tmp_path: Path) -> None:
+    told = io.StringIO()
+    tracking = Tracking((0,), (0.02,), "z", "m")
+    found = summary() | {"digest": "0123456789abcdef" * 4, "events": ["one", "two"]}
+    Console(width=70, file=told, soft_wrap=True).print(summary_table(found, RunFolder(tmp_path), tracking))
+    lines = told.getvalue().splitlines()
+    assert f"digest            {found['digest']}" in lines
+    assert lines[lines.index("events            one") + 1] == "                  two"
+
+
 def test_the_table_of_another_parent_has_its_tolerances_and_its_unit(tmp_path: Path) -> None:
     told = io.StringIO()
     tracking = Tracking((0, 2), (0.02, 0.05), "z", "m")

@@ -1,9 +1,8 @@
 """The colour of each quantity and status in all views of a swarm.
 
-Reports, pictures of sweeps, RViz markers and models use these values; the style sheet of the page, the Foxglove layout
-and the model in `swarmabs_bringup` repeat them. Six of the colours are those of Okabe and Ito, distinct with any colour
-vision. Only the figures that reproduce those of the paper (`swarmabs_analysis.figures`) use other colours, because they
-are compared with the printed ones.
+Reports, the figures of the paper, pictures of sweeps, RViz markers and models use these values; the style sheet of the
+page, the Foxglove layout and the model in `swarmabs_bringup` repeat them. Six of the colours are those of Okabe and
+Ito, distinct with any colour vision.
 """
 
 from __future__ import annotations

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
 from rich.text import Text
 
 from swarmabs_bag.figures import PLANE_TRACKING
@@ -62,8 +61,11 @@ def summarise(scenario: AnyScenario, outcome: Outcome, times: Times) -> dict[str
     }
 
 
-def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Tracking = PLANE_TRACKING) -> Table:
-    """Return the summary as a table for the terminal; `tracking` is what the parent tracks."""
+def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Tracking = PLANE_TRACKING) -> Text:
+    """Return the summary as lines for the terminal; `tracking` is what the parent tracks.
+
+    Print it without wrapping, which would tear the digest, so that it could not be copied.
+    """
 
     def number(key: str, unit: str) -> str:
         value = summary[key]
@@ -71,9 +73,6 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Track
 
     on_plane, unit = tracking is PLANE_TRACKING, tracking.unit
     within = f"within {', '.join(f'{each:g}' for each in dict.fromkeys(tracking.tolerances))} {unit}"
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_column(style="dim")
-    table.add_column(overflow="fold")
     settled = summary["settled_at"]
     rows = {
         "scenario": f"{summary['scenario']}, {summary['agents']} robots, {summary['steps']} steps",
@@ -104,9 +103,13 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Track
         rows["rerun of"] = _rerun(summary["rerun_of"])
     if (folder.bag / "metadata.yaml").exists():
         rows["bag"] = str(folder.bag)
-    for name, value in rows.items():
-        table.add_row(name, Text(str(value)))
-    return table
+    width = max(map(len, rows)) + 2
+    lines = [
+        Text.assemble((f"{'' if number else name:<{width}}", "dim"), line)
+        for name, value in rows.items()
+        for number, line in enumerate(str(value).split("\n"))
+    ]
+    return Text("\n").join(lines)
 
 
 def _standby(standby: Mapping[str, Any]) -> str:

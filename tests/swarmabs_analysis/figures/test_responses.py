@@ -21,16 +21,17 @@ from numpy.typing import NDArray
 from tests.swarmabs_analysis.figures.conftest import NAMES, ReadBag, record
 
 from swarmabs_analysis.figures import FIGURES, draw_files
-from swarmabs_analysis.figures.responses import STRETCHED
+from swarmabs_analysis.figures.responses import STRETCHED, kinds, robots_by_kind
 from swarmabs_analysis.figures.runs import find_made, find_runs, make_run
 from swarmabs_analysis.figures.style import COLUMN, FORMATS, PAGE, styled
+from swarmabs_bag.colours import DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.writer import BagWriter
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
-from swarmabs_core.messages import MAIN_TOPICS
+from swarmabs_core.messages import MAIN_TOPICS, Kind
 from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 
@@ -136,6 +137,20 @@ def test_nine_panels_show_the_bags_and_any_reference(name: str, controller: str,
         assert wanted == pytest.approx([0.7 * math.sin(0.015 * math.pi * t) for t in times], abs=1e-12)
     else:
         assert "reference" not in [line.get_label() for line in plane.lines]
+
+
+def test_kinds_have_the_colours_of_all_views(short_runs: Path) -> None:
+    (run,) = (found.load() for found in find_runs([short_runs], ["arise_het_4"]).values())
+    figure = Figure()
+    axes = figure.add_subplot()
+    robots_by_kind(axes, run, run.arrays.agents.position)
+    drawn = [line.get_color() for line in axes.lines]
+    assert drawn == [
+        SINGLE_INTEGRATOR if kind == Kind.SINGLE_INTEGRATOR else DOUBLE_INTEGRATOR
+        for kind in run.arrays.agents.kind[0].tolist()
+    ]
+    named = {str(line.get_label()): line.get_color() for line in kinds(run)}
+    assert named == {"SI": SINGLE_INTEGRATOR, "DI": DOUBLE_INTEGRATOR}
 
 
 def test_start_of_a_long_run_is_stretched_and_shaded(tmp_path: Path) -> None:

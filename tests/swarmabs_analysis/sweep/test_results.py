@@ -223,6 +223,14 @@ def test_a_result_is_drawn_over_one_two_or_three_parameters(
     assert [part for part in missing.split("|") if part in picture] == []
 
 
+def test_a_picture_says_how_far_it_moves_markers_apart(tmp_path: Path) -> None:
+    text = "random: {plane.angle: {uniform: [0, 1]}}\ngrid: {swarm.actuator_lag: [0.1, 0.2]}\nsamples: 30"
+    moved = "moved by up to 35% of the spacing"
+    assert moved in draw(tmp_path, text, measured)["region.svg"].decode()
+    alone = "random: {plane.angle: {uniform: [0, 1]}, swarm.actuator_lag: {uniform: [0.1, 0.2]}}\nsamples: 30"
+    assert moved not in draw(tmp_path, alone, measured)["region.svg"].decode()
+
+
 def test_a_result_has_the_colours_of_its_map_and_what_has_none_that_of_its_outcome(tmp_path: Path) -> None:
     picture = draw(tmp_path, f"grid: {{{TWO}}}", measured)["region.png"]
     lowest, highest = (to_hex(colormaps["viridis"](end)) for end in (0.0, 1.0))

@@ -10,7 +10,8 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from swarmabs_analysis.figures.style import BLACK, BLUE, DASHED, DOTTED, GREY, LIGHT, ORANGE, PAGE, ROBOTS, VERMILION
+from swarmabs_analysis.figures.style import BLACK, BLUE, DASHED, DOTTED, GREY, LIGHT, PAGE, ROBOTS, VERMILION
+from swarmabs_bag.colours import KINDS as KIND_COLOURS
 from swarmabs_config import configure
 from swarmabs_core.messages import Kind
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 STRETCHED = 5.0
 """The first seconds of a run, where most changes occur, take half of the time axis."""
-KINDS = {Kind.SINGLE_INTEGRATOR: ("SI", ORANGE), Kind.DOUBLE_INTEGRATOR: ("DI", BLUE)}
+KINDS = {Kind.SINGLE_INTEGRATOR: "SI", Kind.DOUBLE_INTEGRATOR: "DI"}
 SWARMS = ("single integrators", "double integrators", "heterogeneous")
 _POSITION = "position p, m"
 _MILLI = 1e3
@@ -111,7 +112,7 @@ def robots_by_kind(axes: Axes, run: RecordedRun, values: Floats) -> None:
     """Draw a quantity of many robots, shape (n+1, N), as thin lines coloured by kind."""
     agents = run.arrays.agents
     for column in range(len(agents.ids)):
-        _, colour = KINDS[Kind(max(agents.kind[:, column].tolist()))]
+        colour = KIND_COLOURS[Kind(max(agents.kind[:, column].tolist()))]
         axes.plot(run.arrays.time, values[:, column], color=colour, linewidth=0.4)
 
 
@@ -183,7 +184,7 @@ def _named(*panel: Axes) -> list[Line2D]:
 def kinds(run: RecordedRun) -> list[Line2D]:
     """Return legend entries for the kinds of robots in a run."""
     there = set(np.unique(run.arrays.agents.kind).tolist())
-    return [Line2D([], [], color=colour, label=name) for kind, (name, colour) in KINDS.items() if kind in there]
+    return [Line2D([], [], color=KIND_COLOURS[kind], label=name) for kind, name in KINDS.items() if kind in there]
 
 
 def _label_pair(axes: Axes, other: Axes, left: str, right: str, colours: tuple[str, str] = (BLUE, VERMILION)) -> None:

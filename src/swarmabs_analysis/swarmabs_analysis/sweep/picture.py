@@ -85,6 +85,8 @@ LABELS = {
 MARKERS = {"settled": "o", "unsettled": "s", "off_plane": "^", "failed": "X", "refused": "P"}
 _FEW = 30
 """Most values of a parameter for which markers with the same value are moved apart."""
+_APART = 0.35
+"""How far such markers are moved at most, as a part of the smallest spacing of the values."""
 _FEW_TICKS, _FEW_PANELS, _RANGES = 5, 6, 3
 """Most values with a tick or a panel each; the number of ranges for a third parameter with more values."""
 _DECADES = 30.0
@@ -215,6 +217,9 @@ def _draw(study: Study, rows: Rows, subject: _Subject) -> Figure:
             if len(ticks := np.unique(place)) <= _FEW_TICKS:
                 axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks.tolist()])
     handles = _handles(cases, looks, fields=show is _fields)
+    if show is _markers and any(_hides(place[chosen]) for _, chosen in parts for place in cases.places):
+        moved = f"markers of equal values are moved by up to {_APART:.0%} of the spacing"
+        handles.append(Line2D([], [], ls="none", label=moved))
     if metric and show is not _curve:
         median = " (median)" if cases.gridded and cases.where(parts[0][1]).repeated else ""
         figure.colorbar(ScalarMappable(scale, MAP), ax=panels, label=metric + median)
@@ -334,13 +339,19 @@ def _marker(name: str, count: int = 1) -> dict[str, Any]:
     return {"marker": MARKERS[name], "s": size, "c": LOOKS[name][0], "edgecolors": REFERENCE, "linewidths": 0.5}
 
 
+def _hides(place: Floats) -> bool:
+    """Return whether coordinates share few values, so that markers hide each other."""
+    count = len(np.unique(place))
+    return 1 < count <= min(_FEW, len(place) // 2)
+
+
 def _moved_apart(place: Floats) -> Floats:
     """Move coordinates that share few values apart in a fixed pattern, so that no marker hides another."""
-    values = np.unique(place)
-    if not 1 < len(values) <= _FEW or len(values) > len(place) // 2:
+    if not _hides(place):
         return place
+    values = np.unique(place)
     pattern = np.arange(len(place)) * 0.6180339887498949 % 1.0 - 0.5
-    return place + 0.7 * float(np.min(np.diff(values))) * pattern
+    return place + 2.0 * _APART * float(np.min(np.diff(values))) * pattern
 
 
 def _handles(cases: _Cases, labels: Mapping[str, str], *, fields: bool) -> list[Patch | Line2D]:
