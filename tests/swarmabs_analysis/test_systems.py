@@ -511,6 +511,23 @@ def test_the_pictures_show_parent_abstract_state_and_robots(sheet: Path) -> None
         np.testing.assert_array_equal(paths[agent - 1], read.column("/swarm/robot_state", "coordinates", agent))
 
 
+def test_commands_are_shown_by_kind_with_their_units(beam: Path) -> None:
+    found = {panel.key: panel for panel in panels(read_recorded(beam)) if "command" in panel.key}
+    axes = {}
+    for key, panel in found.items():
+        figure = Figure()
+        panel.draw(figure)
+        axes[key] = figure.axes[0].get_ylabel()
+    assert axes == {
+        "robots-command-position-1": "command along position, m/s",
+        "robots-command-position-2": "command along position, N",
+        "robots-command-position-3": "command along position, m",
+    }
+    (line,) = drawn(found["robots-command-position-2"])["u position ₃"]
+    np.testing.assert_array_equal(line[:, 1], Read(beam).column("/swarm/robot_state", "command", 3)[:, 0])
+    assert "commands of 1 double integrator: " in found["robots-command-position-2"].about
+
+
 def test_a_limited_robot_and_a_dead_one_are_shown(beam: Path, tmp_path: Path) -> None:
     lift = record(tmp_path / "lift", LIFT)
     assert 4 in {m.status for m in Read(lift).of("/swarm/robot_state", 3)}

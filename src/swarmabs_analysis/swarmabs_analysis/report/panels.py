@@ -41,6 +41,7 @@ from swarmabs_bag.colours import (
 from swarmabs_bag.figures import TOLERANCE
 from swarmabs_core.abstraction import least_s3
 from swarmabs_core.messages import EventKind, Kind, RobotKind, said
+from swarmabs_core.systems.components import command_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -136,12 +137,12 @@ def _of_system(recorded: Recorded, system: SystemTables) -> Iterator[Panel]:
         about = f"each of {counted(count, 'robot')} ends in a dot"
         yield Panel("robots-paths", "robots", "Paths of the robots", draw, about, height=2.9)
     for place, (name, unit, *_) in enumerate(system.robot):
-        for what, values, of in (("coordinate", recorded.coordinates, unit), ("command", arrays.agents.command, "")):
-            draw = of_all_robots(recorded, values[..., place], name, f"{name}, {of}".removesuffix(", "))
-            about = span(f"{what}s {name}", values[..., place], of, over_time=False)
-            yield Panel(
-                f"robots-{what}-{place}", "robots", f"{what.capitalize()}s of the robots: {name}", draw, about, note
-            )
+        values = recorded.coordinates[..., place]
+        draw = of_all_robots(recorded, values, name, f"{name}, {unit}".removesuffix(", "))
+        about = span(f"coordinates {name}", values, unit, over_time=False)
+        heading = f"Coordinates of the robots: {name}"
+        yield Panel(f"robots-coordinate-{place}", "robots", heading, draw, about, note)
+        yield from _commands(recorded, name, unit, arrays.agents.command[..., place], note)
     rows, actual, desired = system.abstract, arrays.abstract.value, arrays.desired.value
     for number, group in enumerate(_by_unit(rows)):
         curves = [(rows[place], actual[:, place], desired[:, place]) for place in group]
@@ -150,6 +151,19 @@ def _of_system(recorded: Recorded, system: SystemTables) -> Iterator[Panel]:
     draw = lines_over_time(recorded, "smallest eigenvalue", [Line("_", margin, BLACK)], positive=True)
     about = joined(span("smallest eigenvalue", margin, ""), _lowest(margin, arrays.time, ""))
     yield Panel("margins-gram", "margins", "Distance of the Gram matrix from singularity", draw, about, RANK)
+
+
+def _commands(recorded: Recorded, name: str, unit: str, command: Floats, note: str) -> Iterator[Panel]:
+    """Yield a panel with the commands along a coordinate for each kind of robot, whose units differ."""
+    for kind in RobotKind:
+        of_kind = (recorded.arrays.agents.kind == kind).any(axis=0)
+        if of_kind.any():
+            values, own = np.where(of_kind, command, np.nan), command_unit(kind, unit)
+            draw = of_all_robots(recorded, values, f"u {name} ", f"command along {name}, {own}".removesuffix(", "))
+            whose = counted(int(of_kind.sum()), said(kind))
+            about = span(f"commands of {whose}", values, own, over_time=False)
+            heading = f"Commands of the {said(kind)}s along {name}"
+            yield Panel(f"robots-command-{name}-{kind.value}", "robots", heading, draw, about, note)
 
 
 def _by_unit(rows: Sequence[Quantity], without: Sequence[int] = ()) -> list[list[int]]:
