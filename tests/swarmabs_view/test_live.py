@@ -16,6 +16,7 @@ from tests.processes import until
 from tests.swarmabs_bag.sample_run import make_run, make_step
 from tests.swarmabs_view.conftest import HELLO, told
 
+from swarmabs_bag.percentiles import QUANTILES
 from swarmabs_bag.swarm_state import Abstract, Instant, RobotIdentity, SwarmState
 from swarmabs_config.graph import SILENCE
 from swarmabs_core.messages import EventKind, Kind, PlaneState, SwarmEvent
@@ -273,15 +274,20 @@ def test_positions_are_lines_of_few_robots_and_bands_of_many() -> None:
     assert (found.labels, len(found.time)) == (["robot 1", "robot 2", "robot 7"], 21)
     shown = live.state.shown_robots(20)
     assert [line[-1] for line in found.lines] == [robot.position for robot in shown]
-    places = {robot: robot / 10 for robot in range(1, 102)} | {3: None}
-    bands = protocol.Positions.of(list(places), [protocol.Placed(0, 0.0, places)], replace=True)
-    assert dict(zip(bands.labels, bands.lines, strict=True)) == {
-        "lowest": [0.1],
-        "10 %": [1.2],
-        "median": [5.2],
-        "90 %": [9.1],
-        "highest": [10.1],
-    }
+
+
+def test_many_robots_have_bands_on_each_side_of_the_axis_on_which_they_start() -> None:
+    """While robots cross the axis, or leave, no line jumps from one side to the other."""
+    places = {robot: (0.1 if robot <= 100 else -0.1) + robot / 1e4 for robot in range(1, 202)}
+    crossed = {robot: -place for robot, place in places.items()} | {200: None, 201: None, 3: None}
+    points = [protocol.Placed(0, 0.0, places), protocol.Placed(1, 0.1, crossed)]
+    found = protocol.Positions.of(list(places), points, protocol.sides(points), replace=True)
+    lines = dict(zip(found.labels, found.lines, strict=True))
+    for label, part in QUANTILES.items():
+        for side, chosen in (("> 0", range(1, 101)), ("≤ 0", range(101, 202))):
+            for place, point in enumerate(points):
+                known = [x for robot in chosen if (x := point.places[robot]) is not None]
+                assert lines[f"start {side}: {label}"][place] == np.quantile(np.array(known), part)
 
 
 def test_there_are_never_more_points_than_allowed_and_they_are_evenly_spread() -> None:

@@ -137,7 +137,7 @@ def test_the_page_speaks_of_no_plane_before_it_knows_the_parent() -> None:
 def test_bands_of_many_robots_are_those_of_each_coordinate() -> None:
     (positions,) = told(first_messages(view_of(heard("sheet", 2, robots=30))), protocol.Positions)
     assert (positions.bands, positions.labels) == (True, list(protocol.BANDS))
-    ends = [positions.lines[row][-1] for row in (0, 4, 5, 9)]
+    ends = [positions.lines[row][-1] for row in (0, 6, 14, 20)]
     assert ends == pytest.approx([2.1, 5.0, 2.1 + 1 / 7, 5.0 + 1 / 7])
 
 

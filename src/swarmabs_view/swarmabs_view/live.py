@@ -23,6 +23,7 @@ from swarmabs_view.protocol import (
     Session,
     Sets,
     State,
+    sides,
 )
 
 if TYPE_CHECKING:
@@ -167,6 +168,7 @@ class LiveView:
         # Fewer steps of many robots, which bounds the messages and the computation.
         stride = 1 + len(state.robots) // ROBOTS_A_STEP
         self.positions: CurveBuffer[Placed] = CurveBuffer(MOST_PLACES, stride)
+        self.sides: dict[int, bool] = {}
         self._complete: list[AnyInstant] = []
         self.facts += 1
 
@@ -229,7 +231,9 @@ class LiveView:
     def begin(self, instants: Iterable[AnyInstant], places: Iterable[Placed]) -> None:
         """Insert the data recorded before the first received step."""
         self.curves.begin(instants)
-        self.positions.begin(places)
+        earlier = list(places)
+        self.sides |= sides(earlier)
+        self.positions.begin(earlier)
 
     def _place(self) -> None:
         """Keep the positions of the complete steps: robots' states arrive after the rest of a step."""
@@ -237,7 +241,9 @@ class LiveView:
             shown = self.state.shown_robots(instant.step)
             ids = [robot.id for robot in self.state.robots]
             places = [one.position if isinstance(one, ShownRobot) else one.coordinates for one in shown]
-            self.positions.add(Placed(instant.step, instant.time, dict(zip(ids, places, strict=True))))
+            placed = Placed(instant.step, instant.time, dict(zip(ids, places, strict=True)))
+            self.sides = sides([placed]) | self.sides
+            self.positions.add(placed)
         self._complete.clear()
 
     async def listen(self, listener: Listener, diagnostics: DiagnosticsListener, over: Callable[[], bool]) -> None:
@@ -306,7 +312,8 @@ class LiveSession(Session):
         robots = [robot.id for robot in self._live.state.robots]
         if found is None or not len(buffer):
             return []
-        return [Positions.of(robots, found[0], replace=found[1], axes=self._live.presenter.axes)]
+        points, replace = found
+        return [Positions.of(robots, points, self._live.sides, replace=replace, axes=self._live.presenter.axes)]
 
     def _new_events(self) -> list[Events]:
         state = self._live.state

@@ -33,6 +33,7 @@ from swarmabs_view.protocol import (
     Sets,
     Speed,
     State,
+    sides,
 )
 
 if TYPE_CHECKING:
@@ -120,7 +121,8 @@ class Recording:
     def positions(self) -> Positions:
         """The positions, at most at `COLUMNS` steps."""
         points = places(self.swarm, evenly(len(self), COLUMNS))
-        return Positions.of([robot.id for robot in self.robots], points, replace=True, axes=self.presenter.axes)
+        robots = [robot.id for robot in self.robots]
+        return Positions.of(robots, points, sides(points), replace=True, axes=self.presenter.axes)
 
     @cached_property
     def events(self) -> Events:

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
+from swarmabs_bag.percentiles import QUANTILES, SIDES, percentiles, starts_above
 from swarmabs_bag.swarm_state import RobotStatus, ShownRobot, finite
 from swarmabs_core.messages import EventKind
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from typing_extensions import Self
 
@@ -34,8 +35,8 @@ STATE_INTERVAL = 1.0
 """Longest time between two states of the source, s."""
 MOST_LINES = 24
 """Most robots whose positions are drawn as a line each."""
-BANDS = {"lowest": 0.0, "10 %": 0.1, "median": 0.5, "90 %": 0.9, "highest": 1.0}
-"""Percentiles by label: the fraction of robots with positions up to this line."""
+BANDS = tuple(f"start {side}: {name}" for side in SIDES.values() for name in QUANTILES)
+"""Labels of the percentiles of the robots that start on each side of the axis."""
 _KINDS = {kind.value: kind.name for kind in EventKind}
 
 
@@ -255,8 +256,8 @@ class SystemCurves(Message):
 class Positions(Message):
     """Positions over time, which are appended to the earlier ones or replace them.
 
-    A line is a robot or, for more than `MOST_LINES` robots, a percentile of all positions. Of a parent system other
-    than the plane there are so many lines for each coordinate.
+    A line is a robot or, for more than `MOST_LINES` robots, a percentile of the robots that start on one side of the
+    axis. Of a parent system other than the plane there are so many lines for each coordinate.
     """
 
     type: Literal["positions"] = "positions"
@@ -267,17 +268,39 @@ class Positions(Message):
     lines: list[list[Number]] = Field(description="m; null for a robot that is not on the plane")
 
     @classmethod
-    def of(cls, robots: Sequence[int], points: Sequence[Placed], *, replace: bool, axes: Sequence[int] = (0,)) -> Self:
-        """Return points of the lines of these robots, or of their percentiles, for each of the axes."""
+    def of(
+        cls,
+        robots: Sequence[int],
+        points: Sequence[Placed],
+        above: Mapping[int, bool],
+        *,
+        replace: bool,
+        axes: Sequence[int] = (0,),
+    ) -> Self:
+        """Return points of the lines of these robots, or of their percentiles, for each of the axes.
+
+        `above` states of each robot that has a place whether it starts above 0, see `sides`.
+        """
         bands = len(robots) > MOST_LINES
         labels = list(BANDS) if bands else [f"robot {robot}" for robot in robots]
         lines: list[list[Number]] = []
         for axis in axes:
             rows = [[_along(point.places.get(robot), axis) for robot in robots] for point in points]
             if bands:
-                rows = [_distribution(row) for row in rows]
+                rows = [_distribution(row, [above.get(robot) for robot in robots]) for row in rows]
             lines += [[row[index] for row in rows] for index in range(len(labels))]
         return cls(replace=replace, bands=bands, labels=labels, time=[point.time for point in points], lines=lines)
+
+
+def sides(points: Iterable[Placed]) -> dict[int, bool]:
+    """Return whether each robot starts above 0, by its first place in these points, which are in order of time."""
+    found: dict[int, bool] = {}
+    for point in points:
+        for robot, place in point.places.items():
+            start = None if robot in found else _along(place, 0)
+            if start is not None:
+                found[robot] = starts_above(start)
+    return found
 
 
 def _along(place: float | Sequence[Number] | None, axis: int) -> Number:
@@ -285,10 +308,14 @@ def _along(place: float | Sequence[Number] | None, axis: int) -> Number:
     return (place[axis] if place else None) if isinstance(place, Sequence) else place
 
 
-def _distribution(positions: Sequence[Number]) -> list[Number]:
-    """Return the percentiles of `BANDS`, each the position of some robot."""
-    known = sorted(position for position in positions if position is not None)
-    return [known[round(part * (len(known) - 1))] if known else None for part in BANDS.values()]
+def _distribution(positions: Sequence[Number], above: Sequence[bool | None]) -> list[Number]:
+    """Return the lines of `BANDS`."""
+    lines: list[Number] = []
+    for side in SIDES:
+        known = [place for place, of in zip(positions, above, strict=True) if of == side and place is not None]
+        found = percentiles(known)
+        lines += [None] * len(QUANTILES) if found is None else found.tolist()
+    return lines
 
 
 class Event(Part):

@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 
 from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, SOLID
 from swarmabs_bag.colours import KINDS
+from swarmabs_bag.percentiles import SIDES, percentiles, starts_above
 from swarmabs_core.messages import RobotKind
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     Integers = NDArray[np.int64]
 
 COLUMNS, LINES = 240, 80
-_QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 
 
 def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | Patch]:
@@ -38,12 +38,13 @@ def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | 
     """
     there = np.isfinite(values).any(axis=0)
     legend: list[Line2D | Patch] = []
-    for positive, colour in ((True, BLACK), (False, GREY)):
-        chosen = np.flatnonzero(there & ((_start(recorded) > 0) == positive))
+    above = np.array([starts_above(start) for start in _start(recorded).tolist()])
+    for (side, named_side), colour in zip(SIDES.items(), (BLACK, GREY), strict=True):
+        chosen = np.flatnonzero(there & (above == side))
         if len(chosen):
             _draw_band(axes, recorded, values[:, chosen], colour)
             symbol = "p" if recorded.system is None else recorded.system.robot[0].name
-            legend.append(Patch(color=colour, alpha=0.5, label=f"initially {symbol} {'>' if positive else '≤'} 0"))
+            legend.append(Patch(color=colour, alpha=0.5, label=f"initially {symbol} {named_side}"))
     named = _named(recorded, values, there).items() if there.any() else ()
     for (name, column), dashes in zip(named, (SOLID, DASHED, DOTTED), strict=False):
         colour = KINDS[RobotKind(int(recorded.arrays.agents.kind[:, column].max()))]
@@ -55,13 +56,12 @@ def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | 
 
 def _draw_band(axes: Axes, recorded: Recorded, values: Floats, colour: str) -> None:
     time: list[float] = []
-    found: list[list[float]] = []
+    found: list[Floats] = []
     for rows, _ in _columns(axes, recorded):
-        part: Floats = values[rows].ravel()
-        part = part[np.isfinite(part)]
-        if len(part):
+        lines = percentiles(values[rows])
+        if lines is not None:
             time.append(float(recorded.arrays.time[rows].mean()))
-            found.append(np.quantile(part, _QUANTILES).tolist())
+            found.append(lines)
     lowest, low, lower, middle, upper, high, highest = np.array(found).T
     axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0.0)
     axes.fill_between(time, lower, upper, color=colour, alpha=0.35, linewidth=0.0)

@@ -25,7 +25,10 @@ const PLANE_CHARTS = [
 ];
 const PLANE_CURVES = { time: [], angle: [], reference: [], torque: [], desired_torque: [], inertia: [], desired_inertia: [] };
 const POSITIONS = "chart-positions";
-const BANDS = [[5, 1, "22"], [4, 2, "33"]]; // of the positions: series above, series below, opacity
+const SIDES = ["ink", "quiet"]; // colours of the robots that start above 0, and of the others
+const BANDS = [[6, 2, "22"], [5, 3, "44"]]; // of the positions of each side: series above, series below, opacity
+const PERCENTILES = 7; // lines of each side
+const DASHES = { lowest: [2, 3], highest: [2, 3], "5 %": [6, 4], "95 %": [6, 4], "25 %": [6, 4], "75 %": [6, 4] };
 const FLAG = 16; // px above a chart, for the marks of events
 const MOST_NAMED = 12; // robots named in the legend of the positions
 
@@ -99,7 +102,7 @@ export class Charts {
             { label: "time, s", value: (_, time) => (time === null ? "--" : String(Number(time.toPrecision(9)))) },
             ...lines.map((one) => ({ label: one.label, value: (_, value) => (value === null ? "--" : short(value)), stroke: colour[one.colour], width: 1.6, pxAlign: 0, dash: one.dash, spanGaps: false, points: { show: false } })),
           ],
-          bands: bands?.map(([high, low, opacity]) => ({ series: [high, low], fill: colour.angle + opacity })),
+          bands: bands?.map(([high, low, fill, opacity]) => ({ series: [high, low], fill: colour[fill] + opacity })),
           cursor: { sync: { key: sync.key }, drag: { x: true, y: false } },
           hooks: { setScale: [(one, key) => key === "x" && this.zoomed(one)], draw: [(one) => this.place(one), (one) => this.flags(one, colour)] },
         },
@@ -121,16 +124,18 @@ export class Charts {
     this.mark(this.time ?? null);
   }
 
-  // The chart of the positions: a line per robot, or percentile bands for many robots.
+  // The chart of the positions: a line per robot, or for many robots percentile bands of each side on which they start.
   positionsChart() {
     const { labels, bands } = this.positions;
     const kinds = new Map(this.robots.map((robot) => [`robot ${robot.id}`, robot.kind]));
-    const lines = labels.map((label) => ({ label, colour: bands ? "angle" : KIND_COLOURS[kinds.get(label)], dash: { lowest: [2, 3], highest: [2, 3], "10 %": [6, 4], "90 %": [6, 4] }[label] }));
+    const side = (index) => SIDES[Math.floor(index / PERCENTILES)];
+    const lines = labels.map((label, index) => ({ label, colour: bands ? side(index) : KIND_COLOURS[kinds.get(label)], dash: DASHES[label.split(": ")[1]] }));
     const what = this.system ? titled(roles(this.system).robot[this.coordinate]) : "positions, m";
-    const title = bands ? `${what}: median, 10 and 90 %, lowest and highest` : what;
+    const title = bands ? `${what}: by side of the start, median, 50 and 90 %, extremes` : what;
+    const areas = SIDES.flatMap((fill, one) => BANDS.map(([high, low, opacity]) => [high + one * PERCENTILES, low + one * PERCENTILES, fill, opacity]));
     const first = this.coordinate * labels.length; // each coordinate has as many lines
     const data = () => [this.positions.time, ...this.positions.lines.slice(first, first + labels.length)];
-    return { place: POSITIONS, title, lines, named: labels.length <= MOST_NAMED, bands: bands ? BANDS : undefined, data };
+    return { place: POSITIONS, title, lines, named: labels.length <= MOST_NAMED, bands: bands ? areas : undefined, data };
   }
 
   hello({ robots, system }) {
