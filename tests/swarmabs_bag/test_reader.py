@@ -467,6 +467,7 @@ def test_texts_in_a_bag_cannot_steer_the_terminal(tmp_path: Path) -> None:
     names = {"\x1b[2Jx\nfile  /etc": b"", "[bold]y": b""}
     bag_writer(tmp_path / "bag", names).abort(reason="agent 17 is [red]dead[/red]")
     assert (bag_info(tmp_path).complete, bag_info(tmp_path).aborted) == (True, "agent 17 is [red]dead[/red]")
+    assert "intact, up to the early end of the run" in shown(tmp_path)
     text = shown(tmp_path)
     assert "\x1b" not in text
     for part in (

@@ -431,8 +431,14 @@ def test_in_real_time_messages_come_one_by_one() -> None:
 @pytest.mark.parametrize(
     ("kind", "value", "detail", "text"),
     [
-        (msg.EventKind.STEERING, 0.05, "reference", "step 7: steering, 0.05: reference"),
-        (msg.EventKind.STEERING, 0.0, "disturbance", "step 7: steering, 0: disturbance"),
+        (msg.EventKind.STEERING, 0.05, "reference", "step 7: reference, 0.05"),
+        (msg.EventKind.STEERING, 0.0, "disturbance", "step 7: disturbance, 0"),
+        (
+            msg.EventKind.SAFE_STOP,
+            0.0,
+            "no complete broadcasts yet",
+            "step 7: waits to start: no complete broadcasts yet",
+        ),
         (msg.EventKind.DEAD, 0.107341234, "kill", "step 7: dead, 0.10734: kill"),
         (msg.EventKind.JOINED, 0.0, "", "step 7: joined"),
         (msg.EventKind.LIMIT_HIT, float("nan"), "", "step 7: limit hit"),

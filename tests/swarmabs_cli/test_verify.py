@@ -65,6 +65,14 @@ def test_a_bag_of_another_writer_is_right_and_one_bit_in_it_is_named(run: Path, 
     assert [one["ok"] for one in verify(run, changed, code=1)] == [True, False]  # one wrong one decides
 
 
+def test_written_files_are_listed_as_json(run: Path, tmp_path: Path) -> None:
+    for words in (
+        ("export", run, "-o", tmp_path / "run.npz", "--format", "numpy"),
+        ("markers", run, "-o", tmp_path / "m"),
+    ):
+        assert document(*words)["files"] == [str(words[3])]
+
+
 def test_a_bag_with_two_scenarios_is_refused(run: Path, tmp_path: Path) -> None:
     """Of what is it a run? Whoever reads the first attachment and who reads the last would not agree."""
     text = (run / "scenario.yaml").read_bytes()

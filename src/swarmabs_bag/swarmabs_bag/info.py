@@ -233,9 +233,9 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
 
 
 def _state(info: BagInfo) -> str:
-    """Return whether the bag is complete, else the problem and, if a repair can help, its command."""
+    """Return whether the bag is complete or intact, else the problem and, if a repair can help, its command."""
     if info.complete:
-        return "complete"
+        return "intact, up to the early end of the run" if info.aborted else "complete"
     if info.problem == UNDECIDED:
         return f"contradictory: {info.problem}; no repair can decide this"
     remedy = repair_command(info.file) if info.message_count else "no message can be saved"

@@ -30,6 +30,15 @@ def print_documents(documents: Sequence[object]) -> None:
     print_json(documents[0] if len(documents) == 1 else documents)
 
 
+def print_files(files: Sequence[Path], *, as_json: bool) -> None:
+    """Print the paths of written files, a line each, or as a JSON document."""
+    if as_json:
+        print_json({"files": [str(path) for path in files]})
+        return
+    for path in files:
+        click.echo(path)
+
+
 def print_tables(*tables: RenderableType) -> None:
     """Print tables to standard output, in the width of the terminal; to a file or pipe as wide as needed."""
     console, shown = Console(highlight=False), Group(*tables)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmabs_core.abstraction import conditioned
 from swarmabs_core.declaration import setting
 from swarmabs_core.drive import SingleIntegratorDrive, ideal_drive
+from swarmabs_core.events import NO_FOLLOWER
 from swarmabs_core.messages import Kind
 from swarmabs_core.swarm_law import LAWS
 
@@ -32,7 +33,7 @@ class Limits:
     force: float = setting(inf, "largest force of a double integrator, N", above=0.0, unset=0.0)
 
 
-HELD = "no robot follows the law yet (S0 vanishes)"
+HELD = f"{NO_FOLLOWER} (S0 vanishes)"
 NOT_FINITE = "the law gives no finite command"
 STOPPED = "stop commanded"
 RESET = "reset commanded"

@@ -12,7 +12,8 @@ from swarmabs_analysis.report.formatting import counted, printable_lines, senten
 from swarmabs_analysis.report.pictures import page_picture
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.theory import check_scenario
-from swarmabs_core.messages import EventKind, RobotKind, SwarmEvent, said
+from swarmabs_core.events import said_event
+from swarmabs_core.messages import RobotKind, SwarmEvent
 from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def _environment() -> Environment:
         "counted": counted,
         "digits": format,
         "exact": repr,
-        "kind": _kind,
+        "kind": said_event,
         "lines": printable_lines,
         "lowest": lowest,
         "number": _number,
@@ -129,13 +130,6 @@ def _number(value: object) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         return None
     return float(value)
-
-
-def _kind(event: SwarmEvent) -> str:
-    try:
-        return said(EventKind(event.kind))
-    except ValueError:
-        return f"kind {event.kind}"
 
 
 def _realtime(recorded: Recorded) -> list[Row]:
@@ -166,12 +160,12 @@ def _groups(recorded: Recorded) -> tuple[list[Row], bool]:
         return [], False
     groups: dict[tuple[str, int], list[SwarmEvent]] = defaultdict(list)
     for event in events:
-        groups[_kind(event), event.agent_id].append(event)
+        groups[said_event(event), event.agent_id].append(event)
     whole = len(groups) > MOST_EVENTS
     if whole:
         groups.clear()
         for event in events:
-            groups[_kind(event), 0].append(event)
+            groups[said_event(event), 0].append(event)
     return [_group(recorded, kind, robot, group, whole=whole) for (kind, robot), group in groups.items()], whole
 
 

@@ -40,6 +40,7 @@ from swarmabs_bag.colours import (
 )
 from swarmabs_bag.figures import TOLERANCE
 from swarmabs_core.abstraction import least_s3
+from swarmabs_core.events import said_event
 from swarmabs_core.messages import EventKind, Kind, RobotKind, said
 from swarmabs_core.systems.components import command_unit
 
@@ -243,7 +244,7 @@ def _zooms(recorded: Recorded) -> Iterator[Panel]:
         if event.kind in ZOOMED and 0.0 < at < last:
             begin = at if at > begin + AFTER else begin
             who = f"robot {event.agent_id} " if event.agent_id else ""
-            moments.setdefault(begin, []).append(f"{at:g} s: {who}{said(EventKind(event.kind))}")
+            moments.setdefault(begin, []).append(f"{at:g} s: {who}{said_event(event)}")
 
     def largest(moment: float) -> float:
         found = error[(time >= moment) & (time <= moment + AFTER)]

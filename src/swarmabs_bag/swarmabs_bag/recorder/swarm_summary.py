@@ -7,7 +7,8 @@ from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_bag.swarm_state import RobotHistory, shown_robot, shown_status
-from swarmabs_core.messages import ROBOT_STATES, EventKind, Removal, SwarmEvent, said
+from swarmabs_core.events import named, said_event
+from swarmabs_core.messages import ROBOT_STATES, EventKind, Removal, SwarmEvent
 from swarmabs_core.ranges import crossing_of
 
 if TYPE_CHECKING:
@@ -148,13 +149,10 @@ def _place(position: float | None, half: float) -> int:
 
 def describe_event(event: SwarmEvent) -> str:
     """Describe an event in a line."""
-    try:
-        kind = said(EventKind(event.kind))
-    except ValueError:
-        kind = f"event {event.kind}"
     who = f"robot {event.agent_id} " if event.agent_id else ""
     told = isfinite(event.value) and (event.value != 0.0 or event.kind == EventKind.STEERING)  # which may set it to 0
     value = f", {event.value:.5g}" if told else ""
-    detail = f": {event.detail}" if event.detail else ""
-    text = "".join(c if c.isprintable() else " " for c in f"step {event.step}: {who}{kind}{value}{detail}")
+    detail = f": {event.detail}" if event.detail and not named(event) else ""
+    said = f"step {event.step}: {who}{said_event(event)}{value}{detail}"
+    text = "".join(c if c.isprintable() else " " for c in said)
     return text if len(text) <= EVENT_CHARACTERS else f"{text[: EVENT_CHARACTERS - 1]}…"

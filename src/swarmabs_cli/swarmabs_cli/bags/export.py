@@ -8,7 +8,8 @@ from typing import Literal
 import click
 
 from swarmabs_analysis.export import TableFormat, export_arrays, export_tables
-from swarmabs_cli.options import bag_argument, examples, namespace_option, output_option
+from swarmabs_cli.options import bag_argument, examples, json_option, namespace_option, output_option
+from swarmabs_cli.output import print_files
 
 FORMATS = ("csv", "parquet", "numpy")
 
@@ -22,7 +23,10 @@ FORMATS = ("csv", "parquet", "numpy")
     "--format", "file_format", type=click.Choice(FORMATS), default="csv", show_default=True, help="File format."
 )
 @namespace_option
-def export(bag: Path, output: Path, file_format: Literal["numpy"] | TableFormat, namespace: str | None) -> int:
+@json_option
+def export(
+    bag: Path, output: Path, *, file_format: Literal["numpy"] | TableFormat, namespace: str | None, as_json: bool
+) -> int:
     """Export a bag to CSV, Parquet or NumPy.
 
     csv and parquet hold one table per topic with one row per message; numpy holds the arrays of a run by step and
@@ -33,6 +37,5 @@ def export(bag: Path, output: Path, file_format: Literal["numpy"] | TableFormat,
         if file_format == "numpy"
         else export_tables(bag, output, file_format, namespace=namespace)
     )
-    for file in files:
-        click.echo(file)
+    print_files(files, as_json=as_json)
     return 0

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from swarmabs_cli.options import bag_argument, examples, namespace_option, output_option
+from swarmabs_cli.options import bag_argument, examples, json_option, namespace_option, output_option
+from swarmabs_cli.output import print_files
 from swarmabs_view.visualization.bag import write_markers
 
 
@@ -22,9 +23,10 @@ from swarmabs_view.visualization.bag import write_markers
     help="Maximum frames per second of recorded time.",
 )
 @namespace_option
-def markers(bag: Path, output: Path, rate: float, namespace: str | None) -> None:
+@json_option
+def markers(bag: Path, output: Path, *, rate: float, namespace: str | None, as_json: bool) -> None:
     """Write a copy of a bag with markers for RViz and Foxglove.
 
     The copy also holds the joint state and the URDF of the plane.
     """
-    click.echo(write_markers(bag, output, rate=rate, namespace=namespace))
+    print_files((write_markers(bag, output, rate=rate, namespace=namespace),), as_json=as_json)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarmabs_core.events import NO_BROADCASTS
 from swarmabs_core.messages import (
     BROADCASTS,
     DESIRED_ABSTRACT_STATE,
@@ -198,7 +199,7 @@ class BroadcastInbox:
         if self._doubts(self.followed, step):
             return "the broadcasts contradict each other"
         if newest is None:
-            return "no complete broadcasts yet"
+            return NO_BROADCASTS
         if step - newest.step > self._age:
             return "the broadcasts are outdated"
         if newest.desired.mode != Mode.RUN or newest.step <= self._latch.reset_step:
