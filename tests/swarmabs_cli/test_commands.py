@@ -266,3 +266,13 @@ def test_a_run_is_warned_of_in_few_lines(name: str, count: int) -> None:
     warnings = [line for line in done.err.splitlines() if line.startswith("warning: ")]
     assert len(warnings) == count
     assert any("ks = 1" in line for line in warnings) == (name == "arise_si_4")
+
+
+def test_ranges_are_told_in_words_under_one_name_of_the_program() -> None:
+    text = " ".join(ran("run", "--help").out.split())
+    assert text.startswith("Usage: ./scripts/swarm run [OPTIONS]")
+    assert "[0 to 65535]" in text and "[more than 0 and at most 1000000]" in text and "<=" not in text
+    error = refused("run", "--view-port", "70000")
+    assert "70000 is out of range: give 0 to 65535. See ./scripts/swarm run --help." in error
+    assert "'x' is not a whole number" in refused("run", "--agents-per-process", "x")
+    assert "..." not in ran("--help").out.replace("[ARGS]...", "")

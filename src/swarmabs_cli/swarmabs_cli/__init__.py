@@ -15,7 +15,7 @@ from pathlib import Path
 
 import click
 
-from swarmabs_cli.options import examples
+from swarmabs_cli.options import COMMAND, examples
 from swarmabs_core.errors import InputError, SwarmabsError
 from swarmabs_run.ending import interrupt_once, no_more_interrupts
 from swarmabs_run.tracing_files import tracing_files_removed
@@ -63,9 +63,8 @@ class LazyGroup(click.Group):
         """List the commands by section, without loading them."""
         for section, title in SECTIONS.items():
             files = _files(section)
-            width = formatter.width - 6 - max(map(len, files))
             with formatter.section(title):
-                formatter.write_dl([(name, _summary(name, path, width)) for name, path in files.items()])
+                formatter.write_dl([(name, _summary(name, path)) for name, path in files.items()])
 
 
 @cache
@@ -76,11 +75,11 @@ def _files(section: str) -> dict[str, Path]:
     return dict(sorted(found.items()))
 
 
-def _summary(name: str, path: Path, width: int) -> str:
-    """Return the short help of a command, read from its source."""
+def _summary(name: str, path: Path) -> str:
+    """Return the first sentence of the help of a command, read from its source."""
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.FunctionDef) and node.name == name:
-            return click.Command(name, help=ast.get_docstring(node)).get_short_help_str(width)
+            return " ".join((ast.get_docstring(node) or "").partition("\n\n")[0].split())
     raise ValueError(f"{path}: no function {name}")
 
 
@@ -89,7 +88,7 @@ def _summary(name: str, path: Path, width: int) -> str:
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog=examples("run", "view runs/pd_het_4-001", "run --help"),
 )
-@click.version_option(package_name=__name__, message="%(prog)s %(version)s")
+@click.version_option(package_name=__name__, message="swarm %(version)s")
 def swarm() -> None:
     """Run, record and study swarms of robots that level a tilting plane, with one ROS 2 process per robot.
 
@@ -103,7 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
     def command() -> int | None:
         if arguments is None:
             interrupt_once()
-        code: int | None = swarm.main(arguments, prog_name="swarm", standalone_mode=False)
+        code: int | None = swarm.main(arguments, prog_name=COMMAND, standalone_mode=False)
         return code
 
     code = exit_code(command)
@@ -113,7 +112,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _sentence(text: str) -> str:
     """Return an error of click as a sentence in plain words, with the remedy that click leaves out."""
-    text = text.replace("a valid float range", "a number").replace("a valid integer range", "a whole number")
+    text = text.replace("a valid number", "a number").replace("a valid whole number", "a whole number")
+    text = text.replace(" is not in the range ", " is out of range: give ")
     if text.startswith("Got unexpected extra argument"):
         text = f"{text.rstrip('.')}; remove it, or put the value that it belongs to in quotes"
     return text if text.endswith((".", "?")) else f"{text}."
@@ -128,7 +128,7 @@ def exit_code(command: Callable[[], int | None]) -> int:
         return error.exit_code
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
-        path = context.command_path if context is not None else "swarm"
+        path = context.command_path if context is not None else COMMAND
         click.echo(f"error: {_sentence(error.format_message())} See {path} --help.", err=True)
         return error.exit_code
     except (click.exceptions.Abort, KeyboardInterrupt):

@@ -16,6 +16,39 @@ COMMAND = "./scripts/swarm"
 """The program by which users start the command line."""
 _END_OF = {"[": "]", "{": "}"}
 
+
+class _InWords:
+    """A range of numbers that help and errors describe in words."""
+
+    min: Any
+    max: Any
+    min_open: bool
+    max_open: bool
+
+    def _describe_range(self) -> str:
+        low = "" if self.min is None else f"{'more than' if self.min_open else 'at least'} {self.min:.9g}"
+        high = "" if self.max is None else f"{'less than' if self.max_open else 'at most'} {self.max:.9g}"
+        if low and high and not (self.min_open or self.max_open):
+            return f"{self.min:.9g} to {self.max:.9g}"
+        return " and ".join(filter(None, (low, high)))
+
+    def get_metavar(self, *_: object, **__: object) -> str:
+        """Return what stands for the number in the help."""
+        return "NUMBER"
+
+
+class WholeNumber(_InWords, click.IntRange):
+    """A whole number in a range."""
+
+    name = "whole number"
+
+
+class Number(_InWords, click.FloatRange):
+    """A number in a range."""
+
+    name = "number"
+
+
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")

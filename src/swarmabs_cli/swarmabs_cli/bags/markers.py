@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from swarmabs_cli.options import bag_argument, examples, json_option, namespace_option, output_option
+from swarmabs_cli.options import Number, bag_argument, examples, json_option, namespace_option, output_option
 from swarmabs_cli.output import print_files
 from swarmabs_view.visualization.bag import write_markers
 
@@ -16,7 +16,7 @@ from swarmabs_view.visualization.bag import write_markers
 @output_option("New folder for the bag.", required=True)
 @click.option(
     "--rate",
-    type=click.FloatRange(0.1, 1000.0),
+    type=Number(0.1, 1000.0),
     default=30.0,
     show_default=True,
     metavar="HZ",

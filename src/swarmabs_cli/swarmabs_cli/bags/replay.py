@@ -13,7 +13,15 @@ from swarmabs_analysis.replay.playback import Pace, choose_topics, play, shown
 from swarmabs_analysis.replay.run import ReplayRun
 from swarmabs_analysis.replay.source import open_source
 from swarmabs_bag.reader import open_bag
-from swarmabs_cli.options import bag_argument, examples, json_option, namespace_option, output_option, set_option
+from swarmabs_cli.options import (
+    Number,
+    bag_argument,
+    examples,
+    json_option,
+    namespace_option,
+    output_option,
+    set_option,
+)
 from swarmabs_cli.output import print_json, print_warnings, results_folder
 from swarmabs_cli.runs import print_summary, summed_up
 from swarmabs_core.errors import InputError
@@ -21,7 +29,7 @@ from swarmabs_core.publishers import NodeName
 from swarmabs_run.ending import end_asked
 from swarmabs_run.run import Outcome
 
-_POSITIVE = click.FloatRange(0.0, min_open=True, max=1e6)
+_POSITIVE = Number(0.0, min_open=True, max=1e6)
 _WITH_NODE = ("output", "overrides", "in_process", "expect_same")
 _WITHOUT_NODE = ("rate", "start", "loop", "topics", "wait", "network")
 
@@ -41,9 +49,7 @@ _WITHOUT_NODE = ("rate", "start", "loop", "topics", "wait", "network")
 @output_option("Folder of the replay.  [default: runs/NAME-replay-NNN]")
 @click.option("--duration", type=_POSITIVE, metavar="SECONDS", help="Recorded time to replay.  [default: all]")
 @click.option("--rate", type=_POSITIVE, help="Without --node: recorded time per real time.  [default: 1]")
-@click.option(
-    "--start", type=click.FloatRange(0.0), metavar="SECONDS", help="Without --node: recorded time at which to start."
-)
+@click.option("--start", type=Number(0.0), metavar="SECONDS", help="Without --node: recorded time at which to start.")
 @click.option("--loop", is_flag=True, help="Without --node: start over at the end, until Ctrl-C.")
 @click.option("--topics", metavar="NAME,NAME", help="Without --node: topics to play.  [default: all]")
 @click.option("--wait", is_flag=True, help="Without --node: wait until every topic has a subscriber.")

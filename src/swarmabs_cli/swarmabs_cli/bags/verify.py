@@ -11,7 +11,7 @@ import click
 from swarmabs_analysis.verification.base import VerificationResult
 from swarmabs_analysis.verify import open_to_verify
 from swarmabs_bag.errors import repair_command
-from swarmabs_cli.options import bags_argument, examples, json_option, named_scenario_option, namespace_option
+from swarmabs_cli.options import Number, bags_argument, examples, json_option, named_scenario_option, namespace_option
 from swarmabs_cli.output import print_documents, printable
 
 _LINE_INTERVAL = 2.0
@@ -21,7 +21,7 @@ _LINE_INTERVAL = 2.0
 @bags_argument
 @click.option(
     "--tolerance",
-    type=click.FloatRange(min=0.0, max=1.0, max_open=True),
+    type=Number(min=0.0, max=1.0, max_open=True),
     default=0.0,
     metavar="T",
     help="Accept a number within T (1 + |b|) of the recomputed value b.  [default: 0, bit for bit]",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from swarmabs_cli.options import examples, namespace_option
+from swarmabs_cli.options import WholeNumber, examples, namespace_option
 from swarmabs_cli.output import open_page
 from swarmabs_view.playback import view_bag
 from swarmabs_view.viewers import view_live
@@ -19,7 +19,7 @@ from swarmabs_view.viewers import view_live
     metavar="RUN|NAMESPACE",
     help="Show a running swarm: the folder of a run, or a namespace in this ROS domain.",
 )
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the page.  [default: any free one]")
+@click.option("--port", type=WholeNumber(0, 65535), default=0, help="Port of the page.  [default: any free one]")
 @click.option("--open", "open_browser", is_flag=True, help="Open the browser.")
 @namespace_option
 def view(bag: Path | None, live: str | None, port: int, *, open_browser: bool, namespace: str | None) -> int:

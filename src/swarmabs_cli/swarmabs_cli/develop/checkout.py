@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import click
 
-from swarmabs_cli.options import examples, json_option, output_option
+from swarmabs_cli.options import Number, WholeNumber, examples, json_option, output_option
 from swarmabs_core.errors import InputError
 from swarmabs_run.ending import GRACE
 
@@ -57,10 +57,10 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
     metavar="N,N",
     help="Numbers of robots.",
 )
-@click.option("--repeat", type=click.IntRange(1), default=3, show_default=True, help="Number of measurements.")
+@click.option("--repeat", type=WholeNumber(1), default=3, show_default=True, help="Number of measurements.")
 @click.option(
     "--window",
-    type=click.FloatRange(0.1),
+    type=Number(0.1),
     default=6.0,
     show_default=True,
     metavar="SECONDS",
@@ -68,7 +68,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
 )
 @click.option(
     "--starts",
-    type=click.IntRange(1),
+    type=WholeNumber(1),
     metavar="N",
     help="Number of runs in the suites start and memory.  [default: as --repeat]",
 )
@@ -83,7 +83,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str) -> tu
 )
 @click.option(
     "--agents-per-process",
-    type=click.IntRange(1),
+    type=WholeNumber(1),
     default=50,
     show_default=True,
     help="Robots per process in the suite large.",

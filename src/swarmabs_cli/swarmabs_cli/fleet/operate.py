@@ -19,7 +19,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from swarmabs_cli.options import examples, json_option, together
+from swarmabs_cli.options import Number, examples, json_option, together
 from swarmabs_cli.output import print_json, print_warnings
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.errors import RunError
@@ -45,7 +45,7 @@ _robot = click.argument("robot", type=int)
 _timeout = click.option(
     "--timeout",
     "patience",
-    type=click.FloatRange(0.1, 600.0),
+    type=Number(0.1, 600.0),
     default=5.0,
     show_default=True,
     metavar="SECONDS",

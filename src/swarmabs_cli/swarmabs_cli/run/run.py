@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from swarmabs_cli.options import examples, run_options
+from swarmabs_cli.options import Number, WholeNumber, examples, run_options
 from swarmabs_core.errors import InputError
 from swarmabs_run.ending import end_grace
 from swarmabs_run.orchestration.launcher_process import LauncherProcess
@@ -21,7 +21,7 @@ FOXGLOVE_PORT = 8765
 @run_options
 @click.option(
     "--agents-per-process",
-    type=click.IntRange(1),
+    type=WholeNumber(1),
     default=1,
     show_default=True,
     help="Robots per process, for large simulations.",
@@ -39,17 +39,17 @@ FOXGLOVE_PORT = 8765
 @click.option("--steer", is_flag=True, help="Accept changes from the command `steer` during the run.")
 @click.option(
     "--rate",
-    type=click.FloatRange(0.0, min_open=True, max=1e6),
+    type=Number(0.0, min_open=True, max=1e6),
     help="With --steer: upper limit of simulated time per real time.  [default: none]",
 )
 @click.option("--view", is_flag=True, help="Show the run as a page in the browser.")
-@click.option("--view-port", type=click.IntRange(0, 65535), help="With --view: port of the page.  [default: any]")
+@click.option("--view-port", type=WholeNumber(0, 65535), help="With --view: port of the page.  [default: any]")
 @click.option("--open", "open_browser", is_flag=True, help="With --view: open the browser.")
 @click.option("--markers", is_flag=True, help="Publish markers, joint state and URDF for RViz and Foxglove.")
 @click.option("--foxglove", is_flag=True, help="Serve the run to Foxglove on this machine (WebSocket).")
 @click.option(
     "--foxglove-port",
-    type=click.IntRange(1, 65535),
+    type=WholeNumber(1, 65535),
     default=FOXGLOVE_PORT,
     show_default=True,
     help="With --foxglove: TCP port.",
@@ -57,9 +57,9 @@ FOXGLOVE_PORT = 8765
 def run(**options: Any) -> int:
     """Run a scenario with one process per robot over DDS.
 
-    SCENARIO is a built-in scenario (see `scenario list`), a YAML file, or a bag, whose scenario is run again. Runs are
-    in lockstep unless you pass --realtime. With --view on a terminal, the page stays open after the run and plays its
-    bag until you press Ctrl-C.
+    SCENARIO is a built-in scenario (see `scenario list`), by default pd_het_4, a YAML file, or a bag, whose scenario is
+    run again. Runs are in lockstep unless you pass --realtime. With --view on a terminal, the page stays open after the
+    run and plays its bag until you press Ctrl-C.
     """
     end_grace()
     given = {

@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from swarmabs_cli.options import RUNS, examples, json_option
+from swarmabs_cli.options import RUNS, Number, examples, json_option
 from swarmabs_cli.output import print_json, print_tables
 from swarmabs_run.processes import RunProcesses, Snapshot, document, newest_run
 
@@ -27,7 +27,7 @@ _SLICE = 0.1
 @click.option("--once", is_flag=True, help="Print one snapshot and exit.")
 @click.option(
     "--interval",
-    type=click.FloatRange(0.2, 3600.0),
+    type=Number(0.2, 3600.0),
     default=2.0,
     show_default=True,
     metavar="SECONDS",

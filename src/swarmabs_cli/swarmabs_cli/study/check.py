@@ -12,7 +12,7 @@ from rich.text import Text
 
 from swarmabs_analysis.losses.check import check_losses
 from swarmabs_bag.attached import scenario_of
-from swarmabs_cli.options import duration_option, examples, json_option, scenario_argument, set_option
+from swarmabs_cli.options import Number, duration_option, examples, json_option, scenario_argument, set_option
 from swarmabs_cli.output import print_json, print_warnings
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.theory.report import Condition, Coverage, Form, Loss, Report, Theorem, Verdict
@@ -33,7 +33,7 @@ _STYLES = {
 @duration_option
 @click.option(
     "--angle-max",
-    type=click.FloatRange(0.0, math.pi / 2, min_open=True, max_open=True),
+    type=Number(0.0, math.pi / 2, min_open=True, max_open=True),
     default=0.2,
     show_default=True,
     metavar="RAD",

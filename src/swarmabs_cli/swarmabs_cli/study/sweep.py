@@ -16,7 +16,7 @@ from rich.table import Column
 
 from swarmabs_analysis.sweep.folder import find_folder, make_folder
 from swarmabs_analysis.sweep.study import load_sweep
-from swarmabs_cli.options import A_PATH, RUNS, examples, json_option, output_option, set_option
+from swarmabs_cli.options import A_PATH, RUNS, WholeNumber, examples, json_option, output_option, set_option
 from swarmabs_cli.output import print_json
 from swarmabs_core.errors import InputError
 
@@ -33,7 +33,7 @@ _LINE_INTERVAL = 5.0
 @click.argument("file", metavar="SWEEP.yaml", type=A_PATH)
 @output_option("Folder of the results.  [default: runs/NAME-NNN]")
 @set_option()
-@click.option("--jobs", type=click.IntRange(1, 1024), help="Processes on this machine.  [default: one per core]")
+@click.option("--jobs", type=WholeNumber(1, 1024), help="Processes on this machine.  [default: one per core]")
 @click.option("--scheduler", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler, tcp://HOST:PORT.")
 @click.option("--resume", is_flag=True, help="Continue the sweep in the folder, if there is one.")
 @json_option
