@@ -28,7 +28,7 @@ from swarmabs_view.coordinators import (
 )
 from swarmabs_view.listener import DiagnosticsListener
 from swarmabs_view.playback import PlaybackSession, open_recording
-from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators, Events, Seek
+from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators, Seek
 
 SECOND = standby_name(RECORDER)
 FIRST = [
