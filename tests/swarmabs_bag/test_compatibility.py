@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from tests.swarmabs_bag.test_merge import piece, sent
 
 from swarmabs_analysis.comparison import compare_bags
 from swarmabs_analysis.verify import BagToVerify
@@ -102,3 +103,29 @@ def test_a_scenario_file_of_its_time_means_the_same() -> None:
         for step in Simulation(resolved, division=0).steps():
             digest.update(step)
         assert digest.hexdigest() == SCENARIO_DIGEST
+
+
+def test_a_bag_of_a_run_with_standbys_in_lockstep_is_read_without_the_faults_of_their_processes(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run, kill = tmp_path / "run", "{at: 0.1, kind: kill, agent: 2}"
+    assert main(["simulate", "pd_het_4", "--duration", "0.3", "--set", f"faults=[{kill}]", "-o", str(run)]) == 0
+    text = (run / "scenario.yaml").read_text()
+    assert text.count("\nfaults:\n") == 1
+    retired = (f"  - {{kind: {kind}, at: 0.1, node: recorder}}" for kind in ("kill_node", "freeze_node"))
+    earlier = text.replace("\nfaults:\n", "\n".join(["", "faults:", *retired, ""]))
+    assert open_bag(run).attachment("scenario.yaml") == text.encode()
+    made = attached_provenance(open_bag(run)) | {"standby": "primary"}
+    changed = {"scenario.yaml": earlier.encode(), "provenance.json": json.dumps(made).encode()}
+    bag = piece(run, tmp_path / "earlier", sent(run / "bag"), **changed)
+    assert attached_scenario(open_bag(bag)) == attached_scenario(open_bag(run))
+    assert attached_provenance(open_bag(bag))["standby"] == "primary"
+    assert attached_scenario(open_bag(bag), ["faults.0.at=0.2"]).faults[0].at == 0.2
+    capfd.readouterr()
+    assert main(["verify", str(bag), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["ok"]
+    assert main(["simulate", str(bag), "-o", str(tmp_path / "again"), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["rerun_of"]["same"]
+    (tmp_path / "earlier.yaml").write_text(earlier)
+    assert main(["simulate", str(tmp_path / "earlier.yaml"), "--no-bag"]) == 2
+    assert "unknown kind 'kill_node'; remove it: only fleets have standby coordinators" in capfd.readouterr().err

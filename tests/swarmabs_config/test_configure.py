@@ -247,7 +247,6 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
         {f"standby/{DESIRED}", "swarm/events", "standby/recording/basis"},
         {"plane/state", *both(ABSTRACT, STANDS), DESIRED, "recording/basis"},
     ),
-    (CONTROLLER, LOCKSTEP, {PAIRED, STANDBY}, {DESIRED, "swarm/events"}, {"plane/state", DESIRED}),
     (ROBOT, REALTIME, {OWN_TOPICS}, OWN_STATES | OWN_EVENTS, {ABSTRACT, AUXILIARY, DESIRED}),
     (ROBOT, REALTIME, {OWN_TOPICS, PAIRED}, OWN_STATES | OWN_EVENTS, both(ABSTRACT, AUXILIARY, DESIRED)),
     (ROBOT, LOCKSTEP, {OWN_TOPICS}, {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED}),

@@ -1,4 +1,4 @@
-"""What a node in lockstep makes of messages that come twice, too early, or are not of this swarm."""
+"""What a node in lockstep makes of messages that come twice, or are not of this swarm."""
 
 import pytest
 
@@ -7,7 +7,6 @@ from swarmabs_core.cdr import encode, step_of
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
     AGENT_STATE,
-    AUXILIARY_STATE,
     EVENTS,
     NEVER,
     PLANE_STATE,
@@ -22,7 +21,6 @@ from swarmabs_core.messages import (
     Topic,
 )
 from swarmabs_ros.inputs import Inputs
-from swarmabs_ros.pairs import MOST_EARLY, BehindError, EarlyMessages, LockstepLeadership
 
 
 def plane(step: int, angle: float = 0.1) -> bytes:
@@ -71,22 +69,8 @@ def test_a_step_has_one_order_whichever_robot_it_names() -> None:
 def test_the_step_of_a_message_of_another_frame_is_not_read() -> None:
     with pytest.raises(MalformedMessageError, match="malformed PlaneState: frame_id is not 'plane'"):
         Inputs(3).compare(PLANE_STATE, misframed(plane(4)))
-    with pytest.raises(MalformedMessageError, match="malformed PlaneState: frame_id is not 'plane'"):
-        EarlyMessages().keep(PLANE_STATE, misframed(plane(4)), 4)
     with pytest.raises(MalformedMessageError, match="not little-endian"):
         step_of(b"\x00\x00" + plane(4)[2:])
-
-
-def test_one_stray_message_of_the_future_does_not_tell_where_the_swarm_is_and_two_do() -> None:
-    early = EarlyMessages()
-    assert not early.keep(PLANE_STATE, plane(4), 4)
-    assert early.keep(PLANE_STATE, plane(5), 4)
-    far = 5 + MOST_EARLY
-    for step in (10**6, 10**6, far):
-        assert early.keep(PLANE_STATE, plane(step), 4)
-    with pytest.raises(BehindError, match=f"the swarm is at step {far + 1}, and this node still at step 4"):
-        early.keep(PLANE_STATE, plane(far + 1), 4)
-    assert early.take(5) == (PLANE_STATE, plane(5))
 
 
 def test_topics_of_a_users_own_nodes_are_compared_too() -> None:
@@ -96,18 +80,3 @@ def test_topics_of_a_users_own_nodes_are_compared_too() -> None:
         inputs.compare(link, robot(number, 0.1))
     with pytest.raises(ConflictError, match="/upper/swarm/agent_state of agent 2"):
         inputs.compare(link, robot(2, 0.2))
-
-
-def test_one_stray_message_of_the_future_does_not_tell_how_far_a_peer_is_and_two_do() -> None:
-    """Otherwise a standby would never take over again, and the run would not wait for a peer any more."""
-    standby = LockstepLeadership(AUXILIARY_STATE, lambda: 1, standby=True, window=100, patience=1.0)
-    standby.publishes(AUXILIARY_STATE, 0)
-    for _ in range(2):
-        standby.hear(10**6)
-    assert standby.take_over()
-    standby.hear(0)
-    assert not standby.leading
-    for step in (10**6, 10**6 + 1):
-        standby.hear(step)
-    standby.publishes(AUXILIARY_STATE, 1)
-    assert not standby.take_over()

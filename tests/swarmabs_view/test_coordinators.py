@@ -1,5 +1,6 @@
-"""Who leads and who stands by, as pages get it: from a run in lockstep, and from diagnostics in real time."""
+"""Who leads and who stands by, as pages get it: from diagnostics in real time, and of earlier runs in lockstep."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -8,40 +9,41 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from playwright.sync_api import Page, expect
 from tests.processes import until
-from tests.swarmabs_view.conftest import HELLO, PageServer, told
+from tests.swarmabs_view.conftest import PageServer, told
 
-from swarmabs_bag.swarm_state import SwarmState
 from swarmabs_config.graph import CONTROLLER, DIAGNOSTICS, OBSERVER, RECORDER, SILENCE, standby_name
 from swarmabs_core.messages import EventKind
 from swarmabs_core.pair_role import role_values
 from swarmabs_core.realtime.base import Health, Level
 from swarmabs_ros.managed import diagnostic_array
 from swarmabs_ros.start import SwarmNode, initialise
-from swarmabs_run.roles import SILENT, STANDS_BY, Roles, write_roles
-from swarmabs_view.coordinators import DiagnosedRoles, coordinators_at, takeovers
+from swarmabs_view.coordinators import (
+    ROLES_FILE,
+    DiagnosedRoles,
+    Role,
+    coordinators_at,
+    read_roles,
+    takeovers,
+)
 from swarmabs_view.listener import DiagnosticsListener
-from swarmabs_view.live import LiveSession, LiveView
 from swarmabs_view.playback import PlaybackSession, open_recording
-from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators, Events, Seek
+from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators, Seek
 
-NODES = (OBSERVER, CONTROLLER, RECORDER)
-PAIRS = {name: standby_name(name) for name in NODES} | {standby_name(name): name for name in NODES}
-
-
-@pytest.fixture
-def roles() -> Roles:
-    """Return those of a run whose controller is replaced for a while, and which then loses its recorder."""
-    made = Roles(PAIRS)
-    changes = (
-        *made.lead(standby_name(CONTROLLER), 10, f"{CONTROLLER} was stopped", peer=SILENT),
-        *made.lead(CONTROLLER, 14, "publishes again", peer=STANDS_BY),
-        *made.lose(RECORDER, 20, "was killed by SIGKILL"),
-        *made.lose(RECORDER, 21, "was killed by SIGKILL"),
-    )
-    assert [(one.step, one.role) for one in changes] == [
-        *((10, "leads"), (10, "is silent"), (14, "leads"), (14, "stands by"), (20, "is lost"))
-    ]
-    return made
+SECOND = standby_name(RECORDER)
+FIRST = [
+    *(Role(0, node, "leads") for node in (OBSERVER, CONTROLLER)),
+    *(Role(0, standby_name(node), "stands by") for node in (OBSERVER, CONTROLLER)),
+    *(Role(0, node, "records") for node in (RECORDER, SECOND)),
+]
+ROLES = [
+    *FIRST,
+    Role(10, standby_name(CONTROLLER), "leads", f"{CONTROLLER} was stopped"),
+    Role(10, CONTROLLER, "is silent"),
+    Role(14, CONTROLLER, "leads", "publishes again"),
+    Role(14, standby_name(CONTROLLER), "stands by"),
+    Role(20, RECORDER, "is lost", "was killed by SIGKILL"),
+]
+"""A run in lockstep whose controller is replaced for a while, and which then loses its recorder."""
 
 
 def shown(message: Coordinators | None) -> list[tuple[str, int | None, str, int | None]]:
@@ -49,40 +51,28 @@ def shown(message: Coordinators | None) -> list[tuple[str, int | None, str, int 
     return [(p.primary.role, p.primary.seconds, p.standby.role, p.standby.seconds) for p in message.pairs]
 
 
-def test_the_roles_of_a_run_are_those_of_the_step_shown(roles: Roles) -> None:
+def test_the_roles_of_a_run_are_those_of_the_step_shown() -> None:
     plain = ("leads", 5, "stands by", 5)
-    assert shown(coordinators_at(roles.all, 5, 1.0)) == [plain, plain, ("records", 5, "records", 5)]
-    assert shown(coordinators_at(roles.all, 12, 1.0))[1] == ("is silent", 2, "leads", 2)
-    (_, controller, recorder) = shown(coordinators_at(roles.all, 30, 0.5))
+    assert shown(coordinators_at(ROLES, 5, 1.0)) == [plain, plain, ("records", 5, "records", 5)]
+    assert shown(coordinators_at(ROLES, 12, 1.0))[1] == ("is silent", 2, "leads", 2)
+    (_, controller, recorder) = shown(coordinators_at(ROLES, 30, 0.5))
     assert (controller, recorder) == (("leads", 8, "stands by", 8), ("is lost", 5, "records", 15))
     assert coordinators_at((), 5, 1.0) is None
 
 
-def test_a_page_shows_them_live_and_of_the_bag_with_takeovers_as_events(
-    roles: Roles, run: Path, tmp_path: Path
-) -> None:
-    live = LiveView(HELLO, SwarmState())
-    session = LiveSession(live)
-    session.hello()
-    assert not told(session.poll(0.0), Coordinators)
-    live.play(roles.all)
-    live.play(list(roles.all))
-    said = session.poll(1.0)
-    assert len(told(said, Coordinators)) == 1
-    (events,) = told(said, Events)
-    leading = f"{standby_name(CONTROLLER)}: {CONTROLLER} was stopped"
-    assert [(e.kind, e.step, e.detail) for e in events.events] == [
-        (EventKind.LEADING.name, 10, leading),
-        (EventKind.LEADING.name, 14, f"{CONTROLLER}: publishes again"),
-        (EventKind.LEADING.name, 20, f"{standby_name(RECORDER)}: {RECORDER} was killed by SIGKILL"),
-    ]
-
+def test_a_page_shows_those_in_the_logs_of_an_earlier_run_with_takeovers_as_events(run: Path, tmp_path: Path) -> None:
     without = PlaybackSession(open_recording(run))
     assert not told(without.poll(0.0), Coordinators)
     folder = shutil.copytree(run, tmp_path / "run")
     (folder / "logs").mkdir(exist_ok=True)
-    write_roles(folder / "logs", roles.all)
+    (folder / "logs" / ROLES_FILE).write_text(json.dumps([role._asdict() for role in ROLES]))
     recording = open_recording(folder)
+    leading = [e for e in recording.events.events if e.kind == EventKind.LEADING.name]
+    assert [(e.step, e.detail) for e in leading] == [
+        (10, f"{standby_name(CONTROLLER)}: {CONTROLLER} was stopped"),
+        (14, f"{CONTROLLER}: publishes again"),
+        (20, f"{SECOND}: {RECORDER} was killed by SIGKILL"),
+    ]
     steps = [event.step for event in recording.events.events]
     assert steps == sorted(steps)
     assert len(steps) == len(without.recording.events.events) + 3
@@ -90,13 +80,12 @@ def test_a_page_shows_them_live_and_of_the_bag_with_takeovers_as_events(
     playback.control(Seek(v=1, type="seek", step=12))
     (coordinators,) = told(playback.poll(0.0), Coordinators)
     assert shown(coordinators)[1][::2] == ("is silent", "leads")
+    (folder / "logs" / ROLES_FILE).write_text('[{"when": 5}]')
+    assert read_roles(folder / "logs") == []
 
 
 def test_no_recorder_takes_over_that_is_lost_itself() -> None:
-    roles = Roles(PAIRS)
-    for step, node in enumerate((standby_name(RECORDER), RECORDER), start=5):
-        assert [role.node for role in roles.lose(node, step, "was stopped")] == [node]
-    assert not takeovers(roles.all)
+    assert not takeovers([*FIRST, *(Role(step, node, "is lost") for step, node in ((5, SECOND), (6, RECORDER)))])
 
 
 def test_in_real_time_one_whose_diagnostics_end_is_silent() -> None:

@@ -17,7 +17,7 @@ from swarmabs_run.orchestration.run_files import environment_of_run
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 
 
-def test_ports_of_a_stranger_do_not_block_runs_with_standbys_that_are_steered(folder: Path) -> None:
+def test_ports_of_a_stranger_do_not_block_runs_that_are_steered(folder: Path) -> None:
     """He holds the first ports that tools would take, in every domain that a run might claim next."""
     with ExitStack() as stack:
         for domain in range(5, 60, 5):
@@ -26,7 +26,7 @@ def test_ports_of_a_stranger_do_not_block_runs_with_standbys_that_are_steered(fo
                     stranger = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
                     with suppress(OSError):  # another run has it
                         stranger.bind(("127.0.0.1", port))
-        outcome = runs.lockstep(folder, "pd_het_4", runs.seconds(0.5), standby=True, steered=True)
+        outcome = runs.lockstep(folder, "pd_het_4", runs.seconds(0.5), steered=True)
     assert outcome.status == "ok", outcome.reason
 
 

@@ -17,14 +17,13 @@ from swarmabs_bag.recorder.node import Recorder
 from swarmabs_bag.recording import RecordedStep
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config import configure
-from swarmabs_config.graph import LOCKSTEP, OFFERED, RECORDER, ROBOT, STANDBY_SUFFIX, Endpoints, standby_name
+from swarmabs_config.graph import LOCKSTEP, OFFERED, RECORDER, ROBOT, Endpoints
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.behaviours import SteeringController
-from swarmabs_core.messages import RECORDING_PROGRESS, Topic
+from swarmabs_core.messages import Topic
 from swarmabs_core.steering import STEERER
 from swarmabs_ros.announcements import send_events
 from swarmabs_ros.lockstep import Lockstep, NodeSpec, Wait
-from swarmabs_ros.pairs import BehindError
 from swarmabs_ros.runner import Settings
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 from swarmabs_run.run import DEFAULTS, RunOptions
@@ -72,7 +71,7 @@ class Cast:
         module = importlib.import_module(process.module)
         given = {name: value for name, value in (process.parameters | dict(changed)).items() if value != []}
         settings = settings_from(module.PARAMETERS, **cast("Any", given))
-        name = ROBOT if process.agents else process.name.removesuffix(STANDBY_SUFFIX)
+        name = ROBOT if process.agents else process.name
         also = configure.options_for(self.scenario)
         ends = settings.endpoints(name, LOCKSTEP, *also, robots=len(self.scenario.agents))
         return Role(process.name, partial(module.make, settings), ends, settings)
@@ -90,7 +89,6 @@ class Node:
     begun: bool = False
     alive: bool = True
     ended: bool = False
-    behind: bool = False
     buffered: int = 0
     waits: Wait | None = None
     deadline: float = 0.0
@@ -121,7 +119,7 @@ class Swarm:
         self.turn = 0
         self.published: Counter[tuple[str, Topic, bytes]] = Counter()
         self.problems: dict[str, Exception] = {}
-        self.recorded_by: dict[str, list[RecordedStep]] = {}
+        self.recorded: list[RecordedStep] = []
         self.steerer = SteeringController(steering_config(cast_.scenario))
         self._under_way: list[Parcel] = []
         self._script = turns(script)
@@ -132,17 +130,14 @@ class Swarm:
 
     def _node(self, role: Role, cast_: Cast) -> Node:
         reports = Reports()
-        if role.name in {RECORDER, standby_name(RECORDER)}:
-            steps = self.recorded_by[role.name] = list[RecordedStep]()
-            recording = cast("Any", SimpleNamespace(add=partial(self._record, steps), offset=lambda *_: None))
-            paired, settings = role.settings.paired(), role.settings
+        if role.name == RECORDER:
+            recording = cast("Any", SimpleNamespace(add=self._record, offset=lambda *_: None))
             behaviour = Recorder(
                 cast_.scenario,
                 recording,
                 lambda _: None,
                 packed=cast_.packed,
                 steered=cast_.steered,
-                patience=settings.patience() if paired else None,
                 on_events=partial(send_events, cast("Any", reports), "recorded"),
             )
             spec = NodeSpec(
@@ -151,9 +146,6 @@ class Swarm:
                 gather=behaviour.gathering,
                 hear_all=behaviour.hear_all,
                 compares=True,
-                echoed=RECORDING_PROGRESS if paired else None,
-                on_silence=behaviour.wait if paired else None,
-                on_peer_end=behaviour.peer_ended if paired else None,
             )
         elif role.name == STEERER:
             spec = NodeSpec(self.steerer)
@@ -180,19 +172,12 @@ class Swarm:
             self._readers.setdefault(topic, []).append((node, qos.reliability == "reliable"))
         return node
 
-    @staticmethod
-    def _record(steps: list[RecordedStep], step: RecordedStep | Block) -> None:
-        steps.extend(step.recorded() if isinstance(step, Block) else (step,))
-
-    @property
-    def recorded(self) -> list[RecordedStep]:
-        """What a recorder has recorded that has ended, or else the primary one."""
-        ended = (steps for name, steps in self.recorded_by.items() if self.nodes[name].ended)
-        return next(ended, self.recorded_by[RECORDER])
+    def _record(self, step: RecordedStep | Block) -> None:
+        self.recorded.extend(step.recorded() if isinstance(step, Block) else (step,))
 
     @property
     def finished(self) -> bool:
-        return any(self.nodes[name].ended for name in self.recorded_by)
+        return self.nodes[RECORDER].ended
 
     def run(self, until: float = LONGEST_RUN) -> bool:
         """Go on until the run is recorded, a node fails, or this time, s; tell whether it is recorded."""
@@ -287,8 +272,6 @@ class Swarm:
             node.deadline = self.now + max(SHORTEST, node.waits[1])
         except StopIteration:
             node.alive, node.ended = False, True
-        except BehindError:
-            node.alive, node.behind = False, True
         except Exception as error:  # noqa: BLE001 - whoever looks for what is wrong is told of bugs, too
             node.alive = False
             self.problems[node.name] = error

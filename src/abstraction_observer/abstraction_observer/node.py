@@ -14,7 +14,7 @@ from swarmabs_core.membership import SILENT
 from swarmabs_core.messages import Messages
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem, choose
-from swarmabs_ros.runner import PACKED, PAIR, STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 (ON_STALL,) = choose(parameters_of(Lockstep), "on_stall")
 CONFIG = BySystem(ObserverConfig, SystemObserverConfig)
-PARAMETERS = (CONFIG, ON_STALL, PACKED, STEERED, *PAIR)
+PARAMETERS = (CONFIG, ON_STALL, PACKED, STEERED)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
@@ -40,8 +40,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
         return observer.drop(silent, SILENT) if silent else ()
 
     on_stall = drop if settings.text(ON_STALL.name) == "drop" else None
-    pair = settings.pair(config.family.auxiliary, lambda: observer.step)
-    return NodeSpec(gate or observer, on_stall=on_stall, hear_all=None if gate else hear_all, pair=pair)
+    return NodeSpec(gate or observer, on_stall=on_stall, hear_all=None if gate else hear_all)
 
 
 def _observer(settings: Settings, config: Any) -> tuple[Observer, Callable[[Topic, list[bytes]], Messages] | None]:

@@ -9,19 +9,18 @@ from swarmabs_core.behaviours import Controller, ControllerConfig, Steered
 from swarmabs_core.behaviours.systems import SystemControllerConfig
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
-from swarmabs_ros.runner import PACKED, PAIR, STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 CONFIG = BySystem(ControllerConfig, SystemControllerConfig)
-PARAMETERS = (CONFIG, PACKED, STEERED, *PAIR)
+PARAMETERS = (CONFIG, PACKED, STEERED)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour; reject offsets of the reference if the law does not support them."""
     config = settings.chosen(CONFIG)
     controller = Controller(config, packed=settings.flag(PACKED.name))
-    pair = settings.pair(config.family.desired, lambda: controller.missing()[0])
-    return NodeSpec(Steered(controller) if settings.flag(STEERED.name) else controller, pair=pair)
+    return NodeSpec(Steered(controller) if settings.flag(STEERED.name) else controller)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -71,7 +71,6 @@ def provenance(
     realtime: Mapping[str, object] | None = None,
     packed: bool = False,
     steered: bool = False,
-    standby: str | None = None,
 ) -> dict[str, object]:
     """Return the provenance of a run.
 
@@ -87,8 +86,6 @@ def provenance(
         Whether the nodes sent packed messages.
     steered : bool
         Whether the run was steerable: then requests are in its events, and not in its scenario.
-    standby : str, optional
-        In a run with standby coordinators, whether the ``primary`` or the ``standby`` recorder wrote the bag.
     """
     own: dict[str, object] = {
         "schema": SCHEMA_VERSION,
@@ -102,7 +99,6 @@ def provenance(
     }
     if realtime is not None:
         own["realtime"] = dict(realtime)
-    own |= {} if standby is None else {"standby": standby}
     own |= {name: True for name, holds in (("packed", packed), ("steered", steered)) if holds}
     return own if replay is None else own | {"replay": dict(replay)}
 
@@ -166,7 +162,7 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered:
     source = f"{bag.path}:{SCENARIO_FILE}"
     acted = steered and was_steered(bag) and len(bag.swarms) <= 1
     try:
-        scenario = parse_scenario(text.decode(), source=source, overrides=() if acted else overrides)
+        scenario = parse_scenario(text.decode(), source=source, overrides=() if acted else overrides, recorded=True)
     except UnicodeDecodeError as error:
         raise InputError(f"{source} is not UTF-8 text, so its scenario is unknown") from error
     return as_planned(scenario, events_in(bag), source=source, overrides=overrides) if acted else scenario

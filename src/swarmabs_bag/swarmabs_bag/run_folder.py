@@ -54,22 +54,10 @@ class RunFolder:
         self.scenario = path / "scenario.yaml"
         self.summary = path / "summary.json"
 
-    @property
-    def standby(self) -> RunFolder:
-        """The folder in which the standby recorder of a run leaves its bag."""
-        return RunFolder(self.path / "standby")
-
     def fill(self, scenario: AnyScenario) -> None:
         """Write the resolved scenario and create the folder for the logs."""
         self.logs.mkdir()
         self.scenario.write_text(dump_scenario(scenario), encoding="utf-8")
-
-    def take_standby_bag(self) -> None:
-        """Make the bag of the standby recorder that of the run; the incomplete one is kept as ``bag_incomplete/``."""
-        if self.bag.exists():
-            self.bag.rename(self.path / "bag_incomplete")
-        self.standby.bag.rename(self.bag)
-        self.standby.path.rmdir()
 
     def write_summary(self, summary: Mapping[str, object]) -> None:
         """Write ``summary.json`` completely or not at all."""

@@ -14,7 +14,7 @@ from swarmabs_cli.runs import carry_out
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.errors import InputError
 from swarmabs_run.ending import interrupt_once
-from swarmabs_run.orchestration.lockstep_run import LockstepRun, check_standby
+from swarmabs_run.orchestration.lockstep_run import LockstepRun
 from swarmabs_run.orchestration.realtime_run import RealtimeRun
 from swarmabs_run.run import SLOWEST_STEP, Outcome, RunOptions
 from swarmabs_view.ports import check_foxglove
@@ -37,7 +37,6 @@ def run_scenario(
     packed: bool | None,
     realtime: bool,
     steer: bool,
-    standby: bool,
     rate: float | None,
     view: bool,
     view_port: int | None,
@@ -63,7 +62,6 @@ def run_scenario(
                     agents_per_process=agents_per_process,
                     packed=packed,
                     steered=steer,
-                    standby=standby,
                     step_seconds=_step_seconds(scenario, rate),
                 )
                 return LockstepRun(scenario, folder, asked).run(launcher)
@@ -74,8 +72,6 @@ def run_scenario(
             if drawn is not None:
                 on_plane(scenario, drawn)
             _step_seconds(scenario, rate)
-            if not realtime:
-                check_standby(scenario, standby=standby)
 
         shown = _marker_viewers(options, clock=not realtime)
         code = carry_out(execute, realtime=realtime, check=check, steered=steer, meanwhile=True, **options)

@@ -137,9 +137,9 @@ class Option(Enum):
     SYSTEM = "system"
     """The parent system is not the plane."""
     PAIRED = "paired"
-    """Some coordinator has a standby: in real time, what standbys publish is read too; in lockstep, this one has."""
+    """In real time some coordinator has a standby: what standbys publish is read too."""
     STANDBY = "standby"
-    """This coordinator is a standby: in real time it publishes on topics of its own."""
+    """In real time this coordinator is a standby: it publishes on topics of its own."""
     OWN_TOPICS = "own topics"
     """In real time each robot publishes on topics below its own name, so that permissions can tell robots apart."""
 
@@ -265,11 +265,6 @@ def _peer(node: str) -> End:
     return End(node, driver=REALTIME, only=Option.PAIRED, peer=True)
 
 
-def _pair(node: str) -> End:
-    """Return the end at which each coordinator of a pair reads what both publish."""
-    return End(node, driver=LOCKSTEP, only=Option.PAIRED)
-
-
 def _both(lockstep: Qos, realtime: Qos) -> dict[Driver, Qos]:
     return {LOCKSTEP: lockstep, REALTIME: realtime}
 
@@ -321,7 +316,6 @@ GRAPH = (
         (End(OBSERVER),),
         (
             End(CONTROLLER, only=Option.PACKED),
-            _pair(OBSERVER),
             *_recorder(),
             End(ROBOT, unless=Option.PACKED),
         ),
@@ -331,7 +325,7 @@ GRAPH = (
         DESIRED_ABSTRACT_STATE,
         _STATE,
         (End(CONTROLLER),),
-        (_peer(CONTROLLER), _pair(CONTROLLER), *_recorder(), End(ROBOT, unless=Option.PACKED)),
+        (_peer(CONTROLLER), *_recorder(), End(ROBOT, unless=Option.PACKED)),
         system=SWARM_DESIRED,
     ),
     Link(
@@ -351,7 +345,7 @@ GRAPH = (
         RECORDING_PROGRESS,
         {LOCKSTEP: Qos("best_effort", 10)},
         (End(RECORDER),),
-        (End(CONTROLLER, 1, only=Option.CREDITED), _pair(RECORDER)),
+        (End(CONTROLLER, 1, only=Option.CREDITED),),
         system=RECORDING_PROGRESS,
     ),
     Link(
@@ -493,7 +487,6 @@ def endpoints(
     """
     if driver is not REALTIME:
         options -= _REALTIME_ONLY
-    reading = options if driver is REALTIME else options - {Option.PAIRED}  # one of a pair reads the usual topics, too
     found = ((link.topic_with(options), link) for link in GRAPH if driver in link.offered)
     links = [(topic, link) for topic, link in found if topic is not None]
     return Endpoints(
@@ -505,27 +498,20 @@ def endpoints(
             for written in _written(topic, end, options, members)
         ),
         {
-            read: requested(
-                read,
-                driver,
-                depth=_depth(end, options, 1 if read.agent_id else robots, driver),
-                reliable=end.reliable,
-            )
+            read: requested(read, driver, depth=_depth(end, 1 if read.agent_id else robots), reliable=end.reliable)
             for topic, link in links
             for end in link.readers
             if _is(end, node, driver, options)
-            for read in _read(topic, link, end, reading, members)
+            for read in _read(topic, link, end, options, members)
         },
     )
 
 
-_REALTIME_ONLY = frozenset({Option.STANDBY, Option.OWN_TOPICS})
+_REALTIME_ONLY = frozenset({Option.PAIRED, Option.STANDBY, Option.OWN_TOPICS})
 
 
-def _depth(end: End, options: frozenset[Option], robots: int, driver: Driver) -> int:
-    """Return the depth of a reader; one of a pair in lockstep may be behind by the window of the recorder."""
-    depth = end.depth if isinstance(end.depth, int) else end.depth(robots)
-    return max(depth, _recorded(robots)) if driver is LOCKSTEP and Option.PAIRED in options else depth
+def _depth(end: End, robots: int) -> int:
+    return end.depth if isinstance(end.depth, int) else end.depth(robots)
 
 
 def _written(topic: Topic, end: End, options: frozenset[Option], members: Collection[int]) -> tuple[Topic, ...]:

@@ -15,7 +15,6 @@ from swarmabs_core.declaration import LONGEST_TIME, setting, setting_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import RobotState
-from swarmabs_core.pair_role import STANDBY_SUFFIX
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.plant import STEEPEST
 from swarmabs_core.steering import DISTURBANCE, REFERENCE
@@ -127,35 +126,6 @@ class FreezeFault(
     MembershipFault, kind=ChangeKind.FREEZE.value, description="the process is stopped, the robot stands still"
 ):
     """The robot's process is stopped (SIGSTOP); the robot stands still where it is."""
-
-
-COORDINATORS = ("abstraction_observer", "parent_controller", "recorder")
-"""Nodes that may have a standby."""
-
-
-@dataclass(frozen=True)
-class NodeFault(Fault):
-    """Hits the process of a coordinator, in runs with standbys. Nothing recorded changes: a standby replaces it."""
-
-    at: float = _time(0.0, "time in s; the process is hit once the nearest step is recorded", required=True)
-    node: str = setting(
-        COORDINATORS[0],
-        "node whose process is hit",
-        choices=(*COORDINATORS, *(name + STANDBY_SUFFIX for name in COORDINATORS)),
-        required=True,
-    )
-
-
-@dataclass(frozen=True)
-class NodeKillFault(NodeFault, kind="kill_node", description="the process of a coordinator dies"):
-    """The process of a coordinator dies."""
-
-
-@dataclass(frozen=True)
-class NodeFreezeFault(NodeFault, kind="freeze_node", description="the process of a coordinator is stopped"):
-    """The process of a coordinator is stopped (SIGSTOP), and may continue later."""
-
-    until: float | None = _time(None, "time in s at which the process continues", unset=-1.0, null="never")
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,10 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_config.graph import KEPT_STEPS
-from swarmabs_core.cdr import decode, encode, step_of
+from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import TOPIC_OF, SwarmEvent
 from swarmabs_ros.announcements import send_events
 from swarmabs_ros.inputs import Inputs
-from swarmabs_ros.pairs import EarlyMessages, OwnMessages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Iterator, Mapping
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Messages, Topic
     from swarmabs_ros.endpoints import Receiver
-    from swarmabs_ros.pairs import LockstepLeadership
     from swarmabs_ros.status import StatusChannel
 
 SLICE = 0.1
@@ -73,16 +71,8 @@ class NodeSpec:
         Takes topic and bytes of a message, for a node that needs the bytes; by default the behaviour takes the message.
     hear_all : callable, optional
         Takes topic and bytes of all messages that have arrived on it, for a node that handles them in batches.
-    pair : LockstepLeadership, optional
-        What one of a pair of observers or controllers knows of the other one.
-    echoed : Topic, optional
-        A topic that the node reads and publishes, and on which it handles only the messages of others.
-    on_silence : callable, optional
-        Takes the time, s, since the last answer; called like `on_idle`, and what it returns is an answer.
     compares : bool
         Whether the behaviour itself compares the messages that it has used with those that arrive later.
-    on_peer_end : callable, optional
-        Called when the process of another node has ended that does the same (SIGUSR1); a `pair` has its own reaction.
     """
 
     behaviour: Behaviour
@@ -94,11 +84,7 @@ class NodeSpec:
     on_idle: Callable[[], None] | None = None
     hear: Callable[[Topic, bytes], Messages] | None = None
     hear_all: Callable[[Topic, list[bytes]], Messages] | None = None
-    pair: LockstepLeadership | None = None
-    echoed: Topic | None = None
-    on_silence: Callable[[float], Messages] | None = None
     compares: bool = False
-    on_peer_end: Callable[[], None] | None = None
 
 
 class RunningClock:
@@ -201,11 +187,8 @@ class Lockstep:
         self._repeat_after, self._repeat_steps = repeat_after, repeat_steps
         self._repeater: Repeater
         self._hear = spec.hear or self._decoded
-        self._pair, self._early = spec.pair, EarlyMessages()
         self._inputs = None if spec.compares else Inputs(2 * KEPT_STEPS)
         self._topics = topics
-        self._echoed = spec.echoed if spec.pair is None else spec.pair.topic
-        self._own = OwnMessages()
         self._sent: deque[tuple[int, Topic, bytes]] = deque()
         self._stalled = False
         self._waited: tuple[int, tuple[str, ...]] = (-1, ())
@@ -246,14 +229,10 @@ class Lockstep:
                 self._compare_late()
                 if not spec.lingers:
                     return
-            if self._pair is not None and self._waits_for_peer(self._pair):
-                topics = (self._pair.topic,)
-            elif self._drain(topics):
+            if self._drain(topics):
                 continue
             if spec.on_idle is not None:
                 spec.on_idle()
-            if spec.on_silence is not None and (answer := spec.on_silence(repeater.silence(clock()))):
-                self._progress(answer, clock())
             heard = yield topics, min(SLICE, repeater.wait(clock()))
             if heard:
                 if spec.gather is not None:
@@ -265,29 +244,16 @@ class Lockstep:
             self._repeat(repeater.due(now))
         self._compare_late()
 
-    def _waits_for_peer(self, pair: LockstepLeadership) -> bool:
-        """Take what the peer has published; return whether the run must not be further ahead of it."""
-        led = pair.leading
-        while (data := self._taken(pair.topic)) is not None:
-            pair.hear(step_of(data))
-        if led and not pair.leading:
-            self._status.send("yields", step=pair.step)
-        return pair.waits(self._clock())
-
     def _taken(self, topic: Topic) -> bytes | None:
-        """Return the next message of a topic, without own ones; raises `ConflictError` if it differs from another."""
-        while (data := self._receiver.take(topic)) is not None:
-            if topic is not self._echoed or not self._own.returned(data):
-                if self._inputs is not None:
-                    self._inputs.compare(topic, data)
-                return data
-        return None
+        """Return the next message of a topic; raises `ConflictError` if it differs from another."""
+        data = self._receiver.take(topic)
+        if data is not None and self._inputs is not None:
+            self._inputs.compare(topic, data)
+        return data
 
     def _compare_late(self) -> None:
         """Compare what has arrived after the node has finished with what it has used."""
         for topic in self._topics:
-            if self._pair is not None and topic is self._pair.topic:  # read to follow the peer
-                continue
             late = iter(partial(self._taken, topic), None) if self._inputs is not None else self._answers(topic)
             deque(late, maxlen=0)
 
@@ -310,9 +276,6 @@ class Lockstep:
     def _answers(self, topic: Topic) -> Iterator[Messages]:
         """Take the messages of a topic, one after the other or all at once, and yield the answers."""
         take, hear, hear_all = self._taken, self._hear, self._spec.hear_all
-        if self._pair is not None:
-            yield from self._answers_in_order(topic, self._pair.current)
-            return
         if hear_all is not None:
             payloads = list(iter(partial(take, topic), None))
             if payloads:
@@ -320,20 +283,6 @@ class Lockstep:
             return
         while (data := take(topic)) is not None:
             yield hear(topic, data)
-
-    def _answers_in_order(self, topic: Topic, step: Callable[[], int]) -> Iterator[Messages]:
-        """Yield the answers as above, but keep messages of later steps until the behaviour is there."""
-        hear, hear_all, early = self._hear, self._spec.hear_all, self._early
-        while True:
-            found = early.take(step())
-            if found is None:
-                data = self._taken(topic)
-                if data is None:
-                    return
-                if early.keep(topic, data, step()):
-                    continue
-                found = topic, data
-            yield hear(*found) if hear_all is None else hear_all(found[0], [found[1]])
 
     def _decoded(self, topic: Topic, data: bytes) -> Messages:
         return self._behaviour.handle(decode(topic.message, data))
@@ -343,28 +292,20 @@ class Lockstep:
         for message in messages:
             topic = TOPIC_OF[type(message)]
             data = encode(message)
-            if self._pair is None or self._pair.publishes(topic, message.step):
-                self._send(topic, data)
+            self._publishers[topic].publish(data)
             self._sent.append((message.step, topic, data))
         if self._sent:
             oldest = self._sent[-1][0] - KEPT_STEPS
             while self._sent[0][0] < oldest:
                 self._sent.popleft()
 
-    def _send(self, topic: Topic, data: bytes) -> None:
-        if topic is self._echoed:
-            self._own.published(data)
-        self._publishers[topic].publish(data)
-
     def _repeat(self, steps: int) -> None:
         if not steps or not self._sent:
             return
-        if self._pair is not None and self._pair.take_over():
-            self._status.send("leads", step=self._pair.step)
         newest = self._sent[-1][0]
         for step, topic, data in self._sent:
             if step > newest - steps:
-                self._send(topic, data)
+                self._publishers[topic].publish(data)
 
     def _check_stall(self, now: float) -> None:
         if not self._stall_timeout:

@@ -10,12 +10,10 @@ from swarmabs_config.graph import KEPT_STEPS, LOCKSTEP, Endpoints, endpoints, op
 from swarmabs_core.behaviours.base import Run
 from swarmabs_core.declaration import DeclarationT, made_of, parameters_of
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.messages import TOPICS, Topic
+from swarmabs_core.messages import TOPICS
 from swarmabs_core.parameters import Parameter, SettingError
-from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY
 from swarmabs_ros.endpoints import advertise, receiver
 from swarmabs_ros.lockstep import FIRST, INTERRUPTED, SLICE, Lockstep
-from swarmabs_ros.pairs import BehindError, LockstepLeadership
 from swarmabs_ros.parameters import BySystem, declare, given_values, refuse_sim_time, table_of
 from swarmabs_ros.start import SwarmNode, run_program
 
@@ -26,13 +24,12 @@ if TYPE_CHECKING:
     from rclpy.publisher import Publisher
 
     from swarmabs_config.graph import Driver, Option
+    from swarmabs_core.messages import Topic
     from swarmabs_core.parameters import Value
     from swarmabs_ros.endpoints import Receiver, Waiting
     from swarmabs_ros.lockstep import NodeSpec
     from swarmabs_ros.status import StatusChannel
 
-LONGEST_PATIENCE = 10.0
-"""Twice the time, s, for which one of a pair waits for the other if no silence counts as a stall."""
 COMMON = (
     *(parameter for parameter in parameters_of(Run) if parameter.name in {"period_ns", "last_step"}),
     Parameter("receive", "wait_set", "how the node waits for messages", choices=("wait_set", "executor")),
@@ -59,16 +56,6 @@ PACKED = Parameter(
 STEERED = Parameter(
     "steered", default=False, description="whether the run is steered: each step starts with the order for it"
 )
-PAIR = (
-    Parameter(
-        "pair",
-        SINGLE,
-        "single: the only node of its kind; primary, standby: one of a pair that computes the same",
-        choices=(SINGLE, PRIMARY, STANDBY),
-    ),
-    Parameter("pair_window", 100, "number of steps that the run may be ahead of one of a pair", minimum=1),
-)
-"""Parameters of the coordinators that may have a standby."""
 
 
 class Settings:
@@ -121,21 +108,6 @@ class Settings:
             return made_of(declaration, self._values)
         except SettingError as error:
             raise InputError(f"parameter {error}") from error
-
-    def paired(self) -> bool:
-        """Return whether the node is one of a pair."""
-        return self.text("pair") != SINGLE
-
-    def patience(self) -> float:
-        """Return the time, s, for which one of a pair waits for the other: less than a stall."""
-        return 0.5 * (self.number("stall_timeout") or LONGEST_PATIENCE)
-
-    def pair(self, topic: Topic, current: Callable[[], int]) -> LockstepLeadership | None:
-        """Return whether one of a pair leads, None if the node is single; parameters as for `LockstepLeadership`."""
-        if not self.paired():
-            return None
-        standby, window = self.text("pair") == STANDBY, self.integer("pair_window")
-        return LockstepLeadership(topic, current, standby=standby, window=window, patience=self.patience())
 
     def endpoints(
         self,
@@ -206,9 +178,6 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
-    on_peer_end = spec.on_peer_end if spec.pair is None else spec.pair.peer_ended
-    if on_peer_end is not None:
-        signal.signal(signal.SIGUSR1, lambda *_: on_peer_end())
     problem: str | None = "the node failed"
     try:
         expected = _expected(settings)
@@ -221,9 +190,6 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
             pass
         loop.run()
         problem = INTERRUPTED if interrupted else None
-    except BehindError as error:  # the run continues with the peer
-        problem = str(error)
-        status.send("behind", reason=problem)
     except RunError as error:
         problem = str(error)
         raise

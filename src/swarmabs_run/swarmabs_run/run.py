@@ -69,8 +69,6 @@ class RunOptions:
         if there are at least `PACKED_FROM` robots.
     steered : bool
         Whether the run can be steered through a socket in its folder.
-    standby : bool
-        Whether observer, parent controller and recorder each have a standby process.
     step_seconds : float
         Shortest wall time, s, of a step of a steered run; 0: as fast as possible.
     """
@@ -82,7 +80,6 @@ class RunOptions:
     agents_per_process: int = 1
     packed: bool | None = None
     steered: bool = False
-    standby: bool = False
     step_seconds: float = 0.0
 
     def packs(self, robots: int) -> bool:
@@ -113,9 +110,6 @@ class Outcome:
         Warnings about a run that did not fail.
     packed : bool
         Whether messages were packed.
-    standby : dict, optional
-        Of a run with standby coordinators: those that were ``lost`` and how, what changed in their ``roles`` (as
-        `swarmabs_run.roles.Role`), and the ``recorder`` of the bag.
     """
 
     status: Literal["ok", "failed", "interrupted"]
@@ -125,7 +119,6 @@ class Outcome:
     stepping_seconds: float | None = None
     warnings: tuple[str, ...] = ()
     packed: bool = False
-    standby: dict[str, Any] | None = None
 
     def judged(self, *, repeats: bool) -> Outcome:
         """Return the outcome by the robots that left their ranges: a complete run has failed if any flew off.

@@ -9,7 +9,6 @@ from rich.text import Text
 
 from swarmabs_bag.figures import PLANE_TRACKING
 from swarmabs_core.ranges import texts_of
-from swarmabs_run.roles import LOST, Role
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_run.run import Outcome
 
-ROLES_SHOWN = 10
-"""Number of changes of roles that the table lists."""
 AGES_SHOWN = 3
 """Number of broadcast ages that the table lists individually."""
 FIGURES = ("settled_at", "final_error", "rms_error", "max_abs_position", "messages", "digest")
@@ -57,7 +54,6 @@ def summarise(scenario: AnyScenario, outcome: Outcome, times: Times) -> dict[str
         "rerun_of": None,
         **({"realtime": figures["realtime"]} if "realtime" in figures else {}),
         **({"packed": True} if outcome.packed else {}),
-        **({} if outcome.standby is None else {"standby": outcome.standby}),
     }
 
 
@@ -93,8 +89,6 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Track
         rows |= _realtime_rows(summary["realtime"])
     if summary.get("packed"):
         rows["packed"] = "broadcasts, and states for plane and recorder (--no-packed: one message each)"
-    if "standby" in summary:
-        rows["standby"] = _standby(summary["standby"])
     if "out_of_range" in summary:
         rows["out of range"] = "\n".join(texts_of(summary["out_of_range"]))
     if summary["events"]:
@@ -110,14 +104,6 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Track
         for number, line in enumerate(str(value).split("\n"))
     ]
     return Text("\n").join(lines)
-
-
-def _standby(standby: Mapping[str, Any]) -> str:
-    """Return the latest takeovers and losses among coordinators and their standbys, and what was lost without one."""
-    news = [role for role in (Role(**each) for each in standby["roles"]) if role.is_news]
-    told = {role.node for role in news if role.role == LOST}
-    lost = [f"{name} {how}" for name, how in standby["lost"].items() if name not in told]
-    return "\n".join((*(role.text for role in news[-ROLES_SHOWN:]), *lost)) or "nothing was lost, and no standby led"
 
 
 def _wall_time(summary: Mapping[str, Any]) -> str:

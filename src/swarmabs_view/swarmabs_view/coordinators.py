@@ -1,22 +1,35 @@
-"""Who leads and who stands by where coordinators have standbys: in real time by diagnostics, in lockstep by the run."""
+"""Who leads and who stands by where coordinators have standbys: in real time by diagnostics.
+
+Earlier runs in lockstep had standbys, too; a file in their logs tells the roles.
+"""
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, SILENCE, standby_name
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_core.pair_role import RECORDS, ROLE, ROLE_FOR
-from swarmabs_run.roles import LEADS, LOST, SILENT, roles_at
+from swarmabs_core.pair_role import RECORDS, ROLE, ROLE_FOR, PairRole
 from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
 
-    from swarmabs_run.roles import Role
-
+ROLES_FILE = "roles.json"
+LEADS, SILENT, LOST = PairRole.LEADING.value, "is silent", "is lost"
 _STANDBY_RECORDER = standby_name(RECORDER)
 _UNHEARD = Coordinator(role=SILENT, seconds=None, ok=False)
+
+
+class Role(NamedTuple):
+    """What a node of a run in lockstep does from a step on, and why."""
+
+    step: int
+    node: str
+    role: str
+    why: str = ""
 
 
 def _paired(found: Mapping[str, Coordinator]) -> Coordinators | None:
@@ -58,6 +71,19 @@ def _shown(heard: _Heard, age: float) -> Coordinator:
     return Coordinator(role=heard.role, seconds=int(heard.seconds + age), ok=True)
 
 
+def read_roles(logs: Path) -> list[Role]:
+    """Return the roles of a run in lockstep; none if it had no standbys, or the file is not one."""
+    try:
+        return [Role(**each) for each in json.loads((logs / ROLES_FILE).read_text(encoding="utf-8"))]
+    except (OSError, ValueError, TypeError):
+        return []
+
+
+def _roles_at(roles: Iterable[Role], step: int) -> tuple[Role, ...]:
+    """Return the role of every node at a step."""
+    return tuple({role.node: role for role in roles if role.step <= step}.values())
+
+
 def coordinators_at(roles: Sequence[Role], step: int, period: float) -> Coordinators | None:
     """Return the roles of a run in lockstep at a step, given its period (s); None if it has no standbys."""
     return _paired(
@@ -67,7 +93,7 @@ def coordinators_at(roles: Sequence[Role], step: int, period: float) -> Coordina
                 seconds=int((step - role.step) * period),
                 ok=role.role not in {LOST, SILENT},
             )
-            for role in roles_at(roles, step)
+            for role in _roles_at(roles, step)
         }
     )
 
@@ -81,7 +107,7 @@ def takeovers(roles: Sequence[Role]) -> list[SwarmEvent]:
     found = []
     for role in roles:
         now[role.node] = role.role
-        if not role.is_news:
+        if not role.step:  # the roles at the start
             continue
         if role.role == LEADS:
             found.append((role.step, f"{role.node}: {role.why}"))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 from swarmabs_bag.swarm_state import ShownRobot, SystemSwarmState
 from swarmabs_config.graph import SILENCE
 from swarmabs_core.messages import SystemDescription
-from swarmabs_view.coordinators import DiagnosedRoles, coordinators_at, takeovers
+from swarmabs_view.coordinators import DiagnosedRoles
 from swarmabs_view.facts import Shading
 from swarmabs_view.presenter import Presenter
 from swarmabs_view.protocol import (
@@ -27,11 +27,10 @@ from swarmabs_view.protocol import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable
 
     from swarmabs_bag.swarm_state import AnyInstant, SwarmState
     from swarmabs_core.messages import Message
-    from swarmabs_run.roles import Role
     from swarmabs_view import protocol
     from swarmabs_view.listener import DiagnosticsListener, Listener
     from swarmabs_view.protocol import Control, Coordinators, Health, Phase
@@ -153,7 +152,6 @@ class LiveView:
         self.text = "waiting for the first step"
         self.facts = -1
         self.rate = StepRate()
-        self.roles: Sequence[Role] = ()
         self.diagnosed = DiagnosedRoles()
         self._drawn = (-1, -1)
         self._frame: protocol.Message | None = None
@@ -205,16 +203,7 @@ class LiveView:
 
     def coordinators(self, now: float) -> Coordinators | None:
         """Return the roles of coordinators with standbys at a time (s), None if there are none."""
-        if self.roles:
-            return coordinators_at(self.roles, self.state.step or 0, self._hello.period or 0.0)
         return self.diagnosed.message(now)
-
-    def play(self, roles: Sequence[Role]) -> None:
-        """Take the roles of a run in lockstep, with the takeovers as events."""
-        if roles != self.roles:
-            self.roles = roles
-            for event in takeovers(roles):
-                self.state.add(event)
 
     def refresh(self, now: float) -> None:
         """Update positions, step rate and phase."""

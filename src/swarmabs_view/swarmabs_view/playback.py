@@ -11,8 +11,7 @@ import numpy as np
 from swarmabs_bag.recorded_swarm import RecordedSwarm, RecordedSystem, column_points, read_swarm
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.swarm_state import MOST_EVENTS, TimedEvent, state_of
-from swarmabs_run.roles import read_roles
-from swarmabs_view.coordinators import coordinators_at, takeovers
+from swarmabs_view.coordinators import coordinators_at, read_roles, takeovers
 from swarmabs_view.facts import Shading, scenario_facts
 from swarmabs_view.ports import bound, need_web_server
 from swarmabs_view.presenter import Presenter
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_bag.swarm_state import RobotIdentity, SystemIdentity
-    from swarmabs_run.roles import Role
+    from swarmabs_view.coordinators import Role
 
 COLUMNS = 1000
 """Columns of a chart; of each column the first, lowest, highest and last point of every curve are sent."""
@@ -66,7 +65,7 @@ def places(swarm: RecordedSwarm | RecordedSystem, rows: Iterable[int]) -> list[P
 
 
 class Recording:
-    """A bag, read once, as messages of the page; `roles` are those of the coordinators of a run with standbys."""
+    """A bag, read once, as messages of the page; `roles` are those of an earlier run in lockstep with standbys."""
 
     def __init__(self, swarm: RecordedSwarm | RecordedSystem, roles: Sequence[Role] = ()) -> None:
         self.swarm = swarm

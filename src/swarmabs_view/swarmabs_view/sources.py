@@ -24,7 +24,6 @@ from swarmabs_bag.swarm_state import SwarmState, state_of
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_run.orchestration.run_files import RunOverError, environment_of_run, is_running, read_processes
-from swarmabs_run.roles import read_roles
 from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
 from swarmabs_view.live import MOST_PLACES, MOST_POINTS, LiveSession, LiveView
@@ -49,8 +48,6 @@ if TYPE_CHECKING:
 NAMESPACE = re.compile(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+")
 HEALTH_INTERVAL = 2.0
 """Time between two queries of the processes, s."""
-ROLES_INTERVAL = 0.5
-"""Time between two looks at the roles of coordinators with standbys, s."""
 FETCH_INTERVAL = 1.0
 """Time between two attempts to read the beginning of a run from its bag, s; steps are written within a second."""
 LARGEST_FETCH = 2**28
@@ -123,9 +120,7 @@ class RunView:
         if processes is not None and environment is not None:
             os.environ.update(environment)
             os.nice(NICENESS)
-            tasks = [
-                asyncio.ensure_future(one) for one in (self._watch(processes), self._follow_roles(), self._fetch())
-            ]
+            tasks = [asyncio.ensure_future(one) for one in (self._watch(processes), self._fetch())]
             try:
                 await listen(self._live, "/", self._over)
             finally:
@@ -193,12 +188,6 @@ class RunView:
         while True:
             self._live.health = await asyncio.to_thread(watch.health)
             await asyncio.sleep(HEALTH_INTERVAL)
-
-    async def _follow_roles(self) -> None:
-        """Read which coordinators lead, of a run with standbys."""
-        while True:
-            self._live.play(read_roles(self._folder.logs))
-            await asyncio.sleep(ROLES_INTERVAL)
 
     def _environment(self) -> dict[str, str] | None:
         """Return the environment of the run's network, None if the run has ended."""

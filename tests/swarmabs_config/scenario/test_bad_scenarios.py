@@ -135,6 +135,8 @@ ADDED = [
 ]
 FAULTS = [
     ("{kind: kil, at: 1, agent: 1}", "5: faults.0.kind: unknown kind 'kil'; did you mean 'kill'?"),
+    ("{kind: kill_node, at: 1}", "5: faults.0.kind: unknown kind 'kill_node'; remove it: only fleets have standby coo"),
+    ("{kind: freeze_node, at: 1}", "5: faults.0.kind: unknown kind 'freeze_node'; remove it: only fleets have standby"),
     ("{at: 1, agent: 1}", "5: faults.0: 'kind' is missing; add 'kind: ...', one of kill, leave,"),
     ("{kind: kill, agent: 1}", "5: faults.0.at: 'at' is missing; add 'at: ...' (time in s; the"),
     ("{kind: kill, at: 30.006, agent: 1}", "5: faults.0.at: 30.006 s is step 3001, after the last"),

@@ -218,16 +218,15 @@ def test_participants_are_numbered_and_those_below_eight_kept_for_coordinators(d
 
 
 def test_no_node_has_an_id_that_tools_take() -> None:
-    """Standbys and the steering bridge come behind the robots."""
-    options = RunOptions(standby=True, steered=True)
+    """The steering bridge comes behind the robots."""
+    options = RunOptions(steered=True)
     processes = plan(scenario_of("arise_het_20"), RunFolder(Path("/nowhere")), options)
     ids = [process.participant for process in processes]
     assert len({*ids}) == len(ids)
     assert not {*ids} & {*range(FIRST_TOOL, COORDINATORS)}
     robots = [process.participant for process in processes if process.agents]
     others = [process.participant for process in processes if not process.agents and process.participant > 3]
-    assert len(others) == 4
-    assert min(others) == max(robots) + 1
+    assert others == [max(robots) + 1]
 
 
 def test_who_is_waited_for_and_who_hears_the_plane() -> None:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
-from signal import SIGCONT, SIGINT, SIGKILL, SIGSEGV, SIGSTOP, SIGTERM, SIGUSR1
+from signal import SIGINT, SIGKILL, SIGSEGV, SIGSTOP, SIGTERM
 from typing import Any, NamedTuple
 
 import pytest
@@ -87,7 +87,6 @@ class FakeMachine:
     first_step: float = BEGUN
     dead: bool = False
     asked: bool = False
-    stopped: tuple[str, ...] = ()
     taken: tuple[int, ...] = ()
     recorded: bool = False
     spawned: list[str] = field(default_factory=list)
@@ -118,7 +117,7 @@ class FakeMachine:
         return self.asked
 
     def state_of(self, pid: int) -> str:
-        return "stopped" if pid in {self.pids[name] for name in self.stopped} else f"{pid} stopped"
+        return f"{pid} stopped"
 
     def held_port(self, udp: Collection[int], own: Collection[int]) -> str:
         assert set(own) == set(self.pids.values())
@@ -159,7 +158,7 @@ class FakeMachine:
         self.signals.append((name, number))
         if number == SIGKILL:
             self.expect(exited(0.05, name, -number))
-        elif number not in {SIGSTOP, SIGCONT, SIGUSR1} and name not in self.deaf:
+        elif number != SIGSTOP and name not in self.deaf:
             self.expect(report(0.1, name, "timing", pid=self.pids[name], **TIMING), exited(0.2, name, 0))
             if name == RECORDER and not self.recorded:
                 self.expect(done(0.1, complete=False))

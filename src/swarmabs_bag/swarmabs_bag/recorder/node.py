@@ -18,12 +18,10 @@ from swarmabs_config.scenario import SystemScenario, load_scenario
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import InputError
-from swarmabs_core.faults import NodeFault
 from swarmabs_core.membership import Change, with_ends
 from swarmabs_core.messages import (
     EVENTS,
     NEVER,
-    RECORDING_PROGRESS,
     STANDING,
     STEERING,
     SWARM_STATES,
@@ -39,8 +37,7 @@ from swarmabs_core.messages import (
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.announcements import send_events
 from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
-from swarmabs_ros.pairs import MOST_EARLY, BehindError
-from swarmabs_ros.runner import PACKED, PAIR, STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -79,7 +76,6 @@ PARAMETERS = (
     ),
     PACKED,
     STEERED,
-    *PAIR,
 )
 
 CREDITS = 10
@@ -144,9 +140,6 @@ class Reporter:
 class Recorder:
     """Records complete steps, and reports its progress to the parent controller.
 
-    One of a pair of recorders reports the steps that both have written as written, and its own as its step. If the run
-    waits in vain for the other one, it reports its own as written.
-
     Parameters
     ----------
     on_step : callable
@@ -157,8 +150,6 @@ class Recorder:
         Whether it receives the robots' states as one message per step.
     steered : bool
         Whether the run is steerable.
-    patience : float, optional
-        For one of a pair: how long the run waits for the other one, s.
     on_events : callable, optional
         Receives the events that were recorded.
     division : int, optional
@@ -174,13 +165,9 @@ class Recorder:
         *,
         packed: bool = False,
         steered: bool = False,
-        patience: float | None = None,
         on_events: Callable[[Sequence[SwarmEvent]], None] = lambda _: None,
         division: int | None = None,
     ) -> None:
-        self._patience = patience
-        self._peer = -1
-        self._alone, self._peer_ended = patience is None, False
         self._period_ns = scenario.step_ns
         self._recording = recording
         self._on_step, self._on_events = on_step, on_events
@@ -197,13 +184,12 @@ class Recorder:
             system=scenario.named.hash if isinstance(scenario, SystemScenario) else None,
         )
         states = SWARM_STATES if packed else family.robot
-        peer = () if patience is None else (RECORDING_PROGRESS,)
         # What robots act on is compared with what is recorded.
         self._packed = family.packed if packed else None
         broadcast = (family.packed,) if packed else ()
         self._topics = (
             *((STEERING,) if steered else ()),
-            *(*peer, EVENTS, *broadcast, states, *family.main[1:], *family.once),
+            *(EVENTS, *broadcast, states, *family.main[1:], *family.once),
             *((STANDING,) if configure.may_change(scenario, steered=steered) else ()),
         )
         window = configure.recording_window(scenario)
@@ -212,7 +198,6 @@ class Recorder:
         self._gathering = GATHER_SECONDS[0]
         self._credited = -1
         self._newest = -1
-        self._beyond: int | None = None
 
     def start(self) -> Messages:
         """Report that nothing is written yet."""
@@ -230,14 +215,7 @@ class Recorder:
 
         A recorder that lacks a message while the run continues repeats its progress, because it has not stalled. The
         missing message is repeated at the latest when the run stops because the recorder's credit is used up.
-
-        Raises
-        ------
-        BehindError
-            If the run continues with the other one of a pair, and messages that this one lacks will not be repeated.
         """
-        if topic is RECORDING_PROGRESS:
-            return self._hear_peer(payloads)
         collector, recorded = self._collector, False
         first = collector.step
         for step in self._taken(topic, payloads):
@@ -245,8 +223,6 @@ class Recorder:
             self._on_events(step.events)
             recorded = True
         if not recorded:
-            if self._patience is not None:
-                self._refuse_lag(collector.newest)
             return self._still_here()
         self._on_step(range(first, collector.step))
         self._adapt(collector.step - first)
@@ -290,48 +266,16 @@ class Recorder:
             yield from steps
             yield from self._collector.ready()
 
-    def _refuse_lag(self, newest: int) -> None:
-        """Raise `BehindError` if the run continues far ahead; one message does not show it, since it may be a stray."""
-        if newest - self._collector.step > 2 * MOST_EARLY and newest != self._beyond:
-            known, self._beyond = self._beyond, newest
-            if known is not None and newest - known <= MOST_EARLY:
-                raise BehindError(self._collector.step, newest)
-
     def _still_here(self) -> Messages:
         newest = self._collector.newest
         newer, self._newest = newest > self._newest, newest
         return (self._credit(),) if newer and newest - self._collector.step >= self._credit_every else ()
 
-    def _hear_peer(self, payloads: Sequence[bytes]) -> Messages:
-        granted = self._granted()
-        self._alone = self._peer_ended
-        for payload in payloads:
-            progress = decode(RecordingProgress, payload)
-            assert isinstance(progress, RecordingProgress)  # noqa: S101 - `decode` returns this type
-            if progress.written_step != NEVER or progress.step:
-                self._peer = max(self._peer, progress.step)
-        return (self._credit(),) if self._granted() > granted else ()
-
-    def peer_ended(self) -> None:
-        """Let the run wait for the other one of the pair no more."""
-        self._peer_ended = True
-
-    def wait(self, silence: float) -> Messages:
-        """Return the progress, after a silence (s), if the run may be waiting in vain for the other one of a pair."""
-        if self._patience is None or self._alone or self._granted() == self._credited:
-            return ()
-        self._alone = self._peer_ended or silence >= self._patience
-        return (self._credit(),) if self._alone else ()
-
-    def _granted(self) -> int:
-        """Return the last step that is written as far as the run is concerned, -1 for none."""
-        return self._credited if self._alone else min(self._credited, self._peer)
-
     def _credit(self) -> RecordingProgress:
-        written, granted = self._credited, self._granted()
+        written = self._credited
         if written < 0:
             return RecordingProgress(0, 0, NEVER)
-        return RecordingProgress(written * self._period_ns, written, granted if granted >= 0 else NEVER)
+        return RecordingProgress(written * self._period_ns, written, written)
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for all topics until the run is complete."""
@@ -363,18 +307,15 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         replay=json.loads(replay) if replay else None,
         packed=packed,
         steered=steered,
-        standby=settings.text("pair") if settings.paired() else None,
         division=division,
     )
     reporter = Reporter(recording, status, settings.text("logs"))
     planned = {change.step for change in configure.schedule(scenario)}
-    planned |= {step for fault in scenario.faults_of(NodeFault) for step in scenario.fault_steps(fault) if step}
 
     def report(steps: range) -> None:
         reporter.progress(at_once=not planned.isdisjoint(steps) or steps.stop > scenario.steps)
 
     ends = [Change.parse(text) for text in settings.texts("ends")]
-    patience = settings.patience() if settings.paired() else None
     recorder = Recorder(
         scenario,
         recording,
@@ -382,7 +323,6 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         ends,
         packed=packed,
         steered=steered,
-        patience=patience,
         on_events=partial(send_events, status, "recorded"),
         division=division,
     )
@@ -395,13 +335,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         hear_all=recorder.hear_all,
         compares=True,
         on_idle=recording.poll,  # otherwise the last messages of a stalled run would not reach the disk
-        **_with_peer(recorder) if settings.paired() else {},
     )
-
-
-def _with_peer(recorder: Recorder) -> dict[str, Any]:
-    """Return what the specification of one of a pair of recorders has in addition."""
-    return {"echoed": RECORDING_PROGRESS, "on_silence": recorder.wait, "on_peer_end": recorder.peer_ended}
 
 
 def main(args: list[str] | None = None) -> int:

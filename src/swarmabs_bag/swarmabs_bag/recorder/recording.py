@@ -75,7 +75,7 @@ class Recording(_Recording[RunFigures]):
     ----------
     folder : Path, optional
         Folder of the bag; None if only figures are needed.
-    driver, replay, packed, steered, standby
+    driver, replay, packed, steered
         As for `swarmabs_bag.attached.provenance`.
     namespace, split
         As for `BagWriter`.
@@ -99,11 +99,10 @@ class Recording(_Recording[RunFigures]):
         replay: Mapping[str, object] | None = None,
         packed: bool = False,
         steered: bool = False,
-        standby: str | None = None,
         division: int | None = None,
     ) -> None:
         self._reference = configure.reference(scenario)
-        made = provenance(scenario, driver=driver, replay=replay, packed=packed, steered=steered, standby=standby)
+        made = provenance(scenario, driver=driver, replay=replay, packed=packed, steered=steered)
         figures, family = RunFigures(self._reference, tracking_of(scenario)), scenario.family
         divides = division != 0 and configure.may_change(scenario, steered=steered)
         topics = (*family.once, *family.main, *((STANDING,) if divides else ()), EVENTS)

@@ -33,9 +33,6 @@ FOXGLOVE_PORT = 8765
     "[default: by the number of robots, as is faster]",
 )
 @click.option("--realtime", is_flag=True, help="Run in real time, as on robots, with simulated bodies.")
-@click.option(
-    "--standby", is_flag=True, help="Start a second process of observer, controller and recorder that can replace it."
-)
 @click.option("--steer", is_flag=True, help="Accept changes from the command `steer` during the run.")
 @click.option(
     "--rate",
@@ -66,7 +63,6 @@ def run(**options: Any) -> int:
         "--packed": options["packed"],
         "--agents-per-process": options["agents_per_process"] > 1,
         "--steer": options["steer"],
-        "--standby": options["standby"],
     }
     if options["realtime"] and any(given.values()):
         option = next(name for name, there in given.items() if there)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, field, is_dataclass
 from difflib import get_close_matches
 from fractions import Fraction
 from typing import Annotated, Any, TypeAlias
@@ -282,11 +282,14 @@ class Tagged:
         declaration gives an instance of the declaration.
     default : str, optional
         Value of the tag when the key is left out; without it the key is required.
+    retired : mapping of str to str
+        The remedy for each value of the tag that no longer exists.
     """
 
     tag: str
     registry: Mapping[str, type[Model]]
     default: str | None = None
+    retired: Mapping[str, str] = field(default_factory=dict)
 
     def validate(self, value: object) -> object:
         """Return the object that `value` describes, according to its registered model."""
@@ -310,7 +313,8 @@ class Tagged:
             raise problem(f"'{self.tag}' is missing", f"add '{self.tag}: ...', one of {', '.join(known) or 'none'}")
         text = show(name) if isinstance(name, str) else f"({describe(name)})"
         install = "install the package that provides it"
-        remedy = nearest(name if isinstance(name, str) else "", known) if known else install
+        given = name if isinstance(name, str) else ""
+        remedy = self.retired.get(given) or (nearest(given, known) if known else install)
         error = Finding.of((self.tag,), f"unknown {self.tag} {text}", remedy)
         raise as_error(error)
 

@@ -60,7 +60,13 @@ OBSERVERS = {each.type: model_of(each, tag="type") for each in (SumObserver, Par
 """The model of each ``observer.type``."""
 FAULT_KINDS = {kind: model_of(each, tag="kind") for kind, each in FAULTS.items()}  # type: ignore[arg-type]  # classes are hashable
 """The model of each ``kind`` of fault."""
+RETIRED_FAULTS = dict.fromkeys(
+    ("kill_node", "freeze_node"),
+    "remove it: only fleets have standby coordinators, in real time (docs/explanation/standby.md)",
+)
+"""The remedy for each ``kind`` of fault that no longer exists."""
 _SYSTEM_FAULT_KINDS = {**FAULT_KINDS, REFERENCE: model_of(SystemReferenceFault, tag="kind")}
+_FAULT, _SYSTEM_FAULT = (Tagged("kind", each, retired=RETIRED_FAULTS) for each in (FAULT_KINDS, _SYSTEM_FAULT_KINDS))
 
 
 def is_name(text: str) -> bool:
@@ -243,7 +249,7 @@ class UncheckedScenario(AnyScenario):
     limits: Annotated[Limits, Declared()] = declared_field(Limits, "limits of the robots' drives")
     lockstep: Annotated[Lockstep, Declared()] = declared_field(Lockstep, "what happens when a robot does not answer")
     realtime: Annotated[Realtime, Declared()] = declared_field(Realtime, "settings of runs in real time")
-    faults: Annotated[tuple[Annotated[Fault, Tagged("kind", FAULT_KINDS)], ...], AsTuple] = Field(
+    faults: Annotated[tuple[Annotated[Fault, _FAULT], ...], AsTuple] = Field(
         default=(), description="faults and membership changes"
     )
 
@@ -268,7 +274,7 @@ class UncheckedSystemScenario(AnyScenario):
     sensor: Annotated[ParentSensor, Declared()] = declared_field(ParentSensor, "how the parent's state is measured")
     requests: Annotated[Requests, Declared()] = declared_field(Requests, "limits and filter of the controller's needs")
     lockstep: Annotated[Lockstep, Declared()] = declared_field(Lockstep, "what happens when a robot does not answer")
-    faults: Annotated[tuple[Annotated[Fault, Tagged("kind", _SYSTEM_FAULT_KINDS)], ...], AsTuple] = Field(
+    faults: Annotated[tuple[Annotated[Fault, _SYSTEM_FAULT], ...], AsTuple] = Field(
         default=(), description="faults and membership changes"
     )
 

@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 
 from swarmabs_config.model.errors import ScenarioError, describe, show
 from swarmabs_config.model.fields import Location, Model, nearest
-from swarmabs_config.model.scenario import LONGEST_NAME
+from swarmabs_config.model.scenario import LONGEST_NAME, RETIRED_FAULTS
 
 from .checked import Scenario, SystemScenario
 from .overrides import apply_overrides
@@ -58,6 +58,7 @@ def parse_scenario(
     default_name: str = "scenario",
     overrides: Sequence[str] = (),
     folder: Path | None = None,
+    recorded: bool = False,
 ) -> Any:
     """Read a scenario from a text in YAML: a `Scenario` or a `SystemScenario`.
 
@@ -73,18 +74,32 @@ def parse_scenario(
         Overrides ``a.b=v``, applied in order, see `apply_overrides`.
     folder : Path, optional
         Folder to which the file of a trajectory is relative; without it, the text cannot name a file.
+    recorded : bool
+        Whether it is the scenario of a bag. Its faults of retired kinds are left out: they changed nothing recorded.
 
     Raises
     ------
     ScenarioError
         If the scenario is invalid.
     """
-    root = with_rows(apply_overrides(read_mapping(text, source), overrides), folder)
+    tree = read_mapping(text, source)
+    if recorded:
+        tree = tree.changed(("faults",), _without_retired)
+    root = with_rows(apply_overrides(tree, overrides), folder)
     data = root.plain()
     if isinstance(data, dict):
         data = upgraded(data)
         data.setdefault("name", default_name)
     return validated(_model_of(data), data, root)
+
+
+def _without_retired(faults: Node) -> Node:
+    """Return a list of faults without those of retired kinds."""
+    if not isinstance(faults.value, tuple):
+        return faults
+    kinds = (fault.entries.get("kind") for fault in faults.value)
+    kept = zip(faults.value, kinds, strict=True)
+    return Node(tuple(one for one, kind in kept if kind is None or kind.node.value not in RETIRED_FAULTS), faults.mark)
 
 
 def _model_of(data: Plain) -> type[Scenario | SystemScenario]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count
 from typing import TYPE_CHECKING
 
@@ -27,13 +27,11 @@ from swarmabs_config.graph import (
     agent_name,
     endpoints,
     options_of,
-    standby_name,
 )
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import values_of
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import FAMILIES, Topic
-from swarmabs_core.realtime.leadership import PRIMARY, STANDBY
 from swarmabs_core.steering import STEERER
 from swarmabs_ros.lockstep import FIRST
 from swarmabs_run.run import DEFAULTS
@@ -44,9 +42,6 @@ if TYPE_CHECKING:
     from swarmabs_run.run import RunOptions
 
 Parameters = dict[str, object]
-
-PAIRED = (OBSERVER, CONTROLLER, RECORDER)
-"""The nodes that have a standby in a run with standbys."""
 
 PATIENCE = 1e-4
 """Shortest time, s, per robot that a node waits for an answer before it sends its message again."""
@@ -165,27 +160,11 @@ def _lockstep_plan(
     if options.steered:
         place = {"scenario_file": str(folder.scenario), "folder": str(folder.path)}
         coordinators[STEERER] = common | place | {"step_seconds": options.step_seconds}
-    for node in PAIRED if options.standby else ():
-        coordinators[node] |= {"pair": PRIMARY, "pair_window": window}
     robots = tuple(_agent_processes(scenario, common | packed, folder, options))
     spare = count(COORDINATORS + len(robots))
-    single = [
-        _coordinator(node, LOCKSTEP, parameters, scenario, also, spare) for node, parameters in coordinators.items()
-    ]
-    paired = [process for process in single if options.standby and process.name in PAIRED]
-    return (*single, *(_standby(process, folder, options, next(spare)) for process in paired), *robots)
-
-
-def _standby(primary: ProcessPlan, folder: RunFolder, options: RunOptions, participant: int) -> ProcessPlan:
-    """Return the process of a coordinator's standby."""
-    parameters = primary.parameters | {"pair": STANDBY}
-    if primary.name == RECORDER and options.record:
-        parameters["bag"] = str(folder.standby.bag)
-    return replace(
-        primary,
-        name=standby_name(primary.name),
-        participant=participant,
-        parameters=parameters,
+    return (
+        *(_coordinator(node, LOCKSTEP, parameters, scenario, also, spare) for node, parameters in coordinators.items()),
+        *robots,
     )
 
 

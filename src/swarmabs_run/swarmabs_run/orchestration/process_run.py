@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_config.configure import plugins
-from swarmabs_config.graph import COORDINATORS, LOCKSTEP, REALTIME, RECORDER, Driver, standby_name
+from swarmabs_config.graph import COORDINATORS, LOCKSTEP, REALTIME, RECORDER, Driver
 from swarmabs_run.ending import end_asked, end_grace
 from swarmabs_run.orchestration.launcher_client import LauncherClient
 from swarmabs_run.orchestration.machine import ThisMachine, woken_by_signals
@@ -39,14 +39,10 @@ if TYPE_CHECKING:
 
 START_SILENCE = 30.0
 """Time, s, within which at least one more process must be forked or become ready."""
-SECOND_BAG_SECONDS = 5.0
-"""Longest time, s, for the second of two recorders to complete its bag after the first one."""
 CLOSING_SECONDS = 20.0
 """Longest time, s, for the recorder to complete the bag."""
 _NOT_DONE: Mapping[str, Any] = {"complete": False, "figures": {}}
 """The result of a recorder that has reported none."""
-STOPPED = "stopped"
-"""State of a process that a signal has stopped."""
 STARTED_AGAIN = "did not come up: again"
 """Entry in the orchestrator's log for a process that it starts again."""
 
@@ -74,7 +70,6 @@ class ProcessRun:
             tuple(process.name for process in self._plan),
             dispensable=frozenset(hosts.values()) if survives else frozenset(),
             hosts=hosts,
-            pairs=_pairs(process.name for process in self._plan),
         )
         self._machine: Machine
         self._begun: float
@@ -223,23 +218,16 @@ class ProcessRun:
             reason = "interrupted"
         if reason is not None:
             self._note(reason)
-        recorders = [name for name in state.recorders if name in state.pids]
-        if reason is None and len(recorders) > 1:
-            self._listen_until(lambda: self._all_recorded(recorders), SECOND_BAG_SECONDS)
-        recorders = [name for name in recorders if failure is None or name not in failure.culprits]
-        if recorders:
+        if RECORDER in state.pids and (failure is None or RECORDER not in failure.culprits):
             # The signal tells the recorder which reason to write into the bag.
-            for name in recorders:
-                state.expect_end(name)
-                self._machine.signal(name, signal.SIGINT if interrupted else signal.SIGTERM)
-            self._listen_until(lambda: self._all_recorded(recorders), CLOSING_SECONDS)
+            state.expect_end(RECORDER)
+            self._machine.signal(RECORDER, signal.SIGINT if interrupted else signal.SIGTERM)
+            self._listen_until(lambda: state.done is not None or RECORDER in state.exited, CLOSING_SECONDS)
         ended_badly = self._end()
         if failure is None and ended_badly is not None:
             failure, reason = ended_badly, self._describe(ended_badly)
             self._note(ended_badly.reason)
-        if self._options.record and [*state.whole] == [standby_name(RECORDER)]:
-            self._folder.take_standby_bag()
-        done = state.done or next(iter(state.reported.values()), _NOT_DONE)
+        done = state.done or _NOT_DONE
         complete = done["complete"] and failure is None
         if not complete and reason is None:
             reason = "the recorder could not complete the recording"
@@ -252,16 +240,6 @@ class ProcessRun:
             None if self._started is None else (self._finished or self._machine.now()) - self._started,
             self._warnings(),
         )
-
-    def _all_recorded(self, recorders: Iterable[str]) -> bool:
-        """Return whether nothing more is expected of recorders: they have reported, ended, or are stopped."""
-        state = self._supervision
-        return all(name in state.reported or name in state.exited or self._is_stopped(name) for name in recorders)
-
-    def _is_stopped(self, name: str) -> bool:
-        """Return whether a process of a pair is stopped."""
-        pid = self._supervision.pids.get(name)
-        return name in self._supervision.pairs and pid is not None and self._machine.state_of(pid) == STOPPED
 
     def _figures(self, recorded: Mapping[str, Any]) -> dict[str, Any]:
         """Return the digest and the figures."""
@@ -307,10 +285,3 @@ class ProcessRun:
                 None if seen is None else SwarmSummary(**seen),
             )
         )
-
-
-def _pairs(names: Iterable[str]) -> dict[str, str]:
-    """Return the other one of each process of a pair."""
-    known = dict.fromkeys(names)
-    primaries = {name: standby_name(name) for name in known if standby_name(name) in known}
-    return primaries | {standby: primary for primary, standby in primaries.items()}

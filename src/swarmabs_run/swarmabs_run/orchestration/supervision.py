@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_config.graph import RECORDER, agent_name, standby_name, writers
+from swarmabs_config.graph import RECORDER, agent_name, writers
 from swarmabs_core.messages import EVENTS, FAMILIES, EventKind, word_of
 
 if TYPE_CHECKING:
@@ -48,14 +48,11 @@ class Supervision:
         Names of the processes whose end the run survives: the robots, if the scenario drops silent ones.
     hosts : mapping
         Process by robot: these may be restarted until the run has started.
-    pairs : mapping
-        Name of the other one by name of each process of a pair: the run survives the end of one of them.
     """
 
     names: tuple[str, ...]
     dispensable: frozenset[str] = frozenset()
     hosts: Mapping[int, str] = field(default_factory=dict)
-    pairs: Mapping[str, str] = field(default_factory=dict)
     pids: dict[str, int] = field(default_factory=dict)
     ready: set[str] = field(default_factory=set)
     exited: dict[str, int] = field(default_factory=dict)
@@ -66,11 +63,6 @@ class Supervision:
     restarts: Counter[str] = field(default_factory=Counter)
     progress: Mapping[str, Any] | None = None
     done: Mapping[str, Any] | None = None
-    reported: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    gone: dict[str, str] = field(default_factory=dict)  # how one of a pair was lost
-    leading: dict[str, int] = field(default_factory=dict)  # the standbys that lead, and since which step
-    yielded: dict[str, int] = field(default_factory=dict)
-    alone: list[str] = field(default_factory=list)
     failure: Failure | None = None
     timing: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     steered: list[Mapping[str, Any]] = field(default_factory=list)
@@ -89,18 +81,10 @@ class Supervision:
             self.stalls[node] = Stall(report["step"], tuple(report["missing"]), report["silence"])
         elif event == "recovered":
             self.stalls.pop(node, None)
-        elif event == "failed" and node not in self.dispensable and node not in self.gone:
+        elif event == "failed" and node not in self.dispensable:
             self._fail(Failure(f"{node}: {report['reason']}"))
-        elif event == "leads":
-            self.leading[node] = report["step"]
-        elif event == "yields":
-            self.leading.pop(node, None)
-            self.yielded[node] = report["step"]
-        elif event == "behind":
-            self.gone[node] = report["reason"]
         elif event == "progress":
-            if self.progress is None or report["step"] >= self.progress["step"]:  # of the faster one of two recorders
-                self.progress = report
+            self.progress = report
         elif event == "timing":
             self.timing[node] = {name: value for name, value in report.items() if name not in {"node", "pid", "event"}}
         elif event == "steered":
@@ -110,7 +94,9 @@ class Supervision:
         elif event == "recorded":
             self._refuse_foreign(node, report["events"])
         elif event == "done":
-            self._recorded(node, report)
+            self.done = report
+            if report["problem"]:
+                self._fail(Failure(f"{node}: {report['problem']}"))
 
     def all_ready(self) -> bool:
         """Return whether every process has discovered its counterparts."""
@@ -127,21 +113,13 @@ class Supervision:
     def _exited(self, name: str, code: int) -> None:
         self.exited[name] = code
         self.stalls.pop(name, None)
-        finished = name in self.reported
         if self._may_restart(name):
             self.lost.append(name)
             return
+        finished = name == RECORDER and self.done is not None
         if name in self.expected_ends or name in self.dispensable or finished:
             return
-        how = how_it_ended(code)
-        peer = self.pairs.get(name)
-        if peer is not None and self.started:
-            self.gone.setdefault(name, how)
-            if peer not in self.exited:
-                self.alone.append(peer)
-                return
-            how = f"{how}; {peer} (process {self.pids.get(peer)}) {self.gone.get(peer, 'ended')} before"
-        self._fail(Failure(f"{name} (process {self.pids.get(name)}) {how}", (name,)))
+        self._fail(Failure(f"{name} (process {self.pids.get(name)}) {how_it_ended(code)}", (name,)))
 
     def _refuse_foreign(self, recorder: str, events: Iterable[tuple[str, int, int, int]]) -> None:
         """Fail if a recorder has recorded an event that no node of the run has reported before publishing it."""
@@ -155,37 +133,6 @@ class Supervision:
                         "in this namespace?"
                     )
                 )
-
-    def _recorded(self, recorder: str, report: Mapping[str, Any]) -> None:
-        """Take the result of a recorder: the first complete one counts, or that of the last one."""
-        self.reported[recorder] = report
-        peer = self.pairs.get(recorder)
-        problem = report["problem"]
-        if not report["complete"] and peer is not None and peer not in self.exited and peer not in self.reported:
-            self.alone.append(peer)
-            if problem:
-                self.gone.setdefault(recorder, problem)
-            return
-        if self.done is None or not self.done["complete"]:
-            self.done = report
-            if problem:
-                self._fail(Failure(f"{recorder}: {problem}"))
-
-    @property
-    def recorders(self) -> tuple[str, ...]:
-        """The recorders of the run."""
-        return tuple(name for name in (RECORDER, standby_name(RECORDER)) if name in self.names)
-
-    @property
-    def whole(self) -> dict[str, Mapping[str, Any]]:
-        """The figures by recorder that has recorded the whole run."""
-        return {name: report["figures"] for name, report in self.reported.items() if report["complete"]}
-
-    def left_alone(self) -> tuple[str, ...]:
-        """Return the processes whose other one of the pair has ended; each is returned once."""
-        names = tuple(self.alone)
-        self.alone.clear()
-        return names
 
     def _may_restart(self, name: str) -> bool:
         return not self.started and name in self.hosts.values() and self.restarts[name] < RESTARTS
