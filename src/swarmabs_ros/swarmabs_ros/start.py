@@ -72,9 +72,10 @@ def run_program(
     finally:
         # Ctrl-C in a terminal reaches a node a second time by way of ros2 launch, and Python takes its handlers away
         # before the process has ended.
-        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         node.destroy_node()  # type: ignore[no-untyped-call]
         rclpy.try_shutdown()
     return 0
