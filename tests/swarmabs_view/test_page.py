@@ -2,6 +2,7 @@
 
 import re
 import signal
+from math import nan
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,8 @@ from tests.swarmabs_analysis.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bag.sample_run import PERIOD
 from tests.swarmabs_view.conftest import PageServer, Served, curves, load, number, seek, serving
 
+from swarmabs_bag.swarm_state import TimedEvent
+from swarmabs_core.events import NO_BROADCASTS
 from swarmabs_core.messages import EventKind, SwarmEvent
 from swarmabs_view.protocol import Answer, Event, Events, Steering
 
@@ -240,21 +243,25 @@ def test_values_of_events_have_their_units(page: Page, page_server: PageServer) 
     long = "a" * 199 + "b" * 500
     right_to_left = "\u05d0 text (1) that is written from right to left"
     cases: tuple[tuple[int, str, float | None, str, str], ...] = (
-        (0, "STEERING", 0.1, "reference", "steering, 0.10000 rad – reference"),
-        (0, "STEERING", 0.0, "reference", "steering, 0 rad – reference"),
-        (0, "STEERING", 0.0, "disturbance", "steering, 0 N m – disturbance"),
+        (0, "STEERING", 0.1, "reference", "reference, 0.10000 rad"),
+        (0, "STEERING", 0.0, "reference", "reference, 0 rad"),
+        (0, "STEERING", 0.0, "disturbance", "disturbance, 0 N m"),
         (1, "DEAD", -0.25, "kill", "robot 1, dead, -0.25000 m – kill"),
         (1, "LIMIT_HIT", 0.5, "command limited", "robot 1, limit hit, 0.50000 m/s – command limited"),
         (1, "LIMIT_HIT", 0.5, "back in range: position", "robot 1, limit hit, 0.50000 m – back in range: position"),
         (0, "LIMIT_HIT", 2.5, "torque limited", "limit hit, 2.5000 N m – torque limited"),
         (2, "SAFE_STOP", 0.0, "", "robot 2, safe stop"),
+        (2, "SAFE_STOP", 0.0, NO_BROADCASTS, f"robot 2, waits to start – {NO_BROADCASTS}"),
         (0, "LIMIT_HIT", None, "torque limited", "limit hit – torque limited"),
         (2, "REFUSED", 3.0, long, f"robot 2, refused, 3.0000 – {long[:200]}…"),
         (2, "REFUSED", 1.0, right_to_left, f"robot 2, refused, 1.0000 – {right_to_left}"),
     )
     events = [
-        Event(step=step, time=0.01 * step, agent=agent, kind=kind, value=value, detail=detail)
-        for step, (agent, kind, value, detail, _) in enumerate(cases)
+        Event.of(TimedEvent(event, 0.01 * event.step))
+        for event in (
+            SwarmEvent(0, step, agent, EventKind[kind], nan if value is None else value, detail)
+            for step, (agent, kind, value, detail, _) in enumerate(cases)
+        )
     ]
     page_server.open(Events(replace=True, events=events))
     shown = page.locator("#events li")
@@ -369,7 +376,10 @@ def test_parts_have_their_order_and_size_and_tables_tell_what_is_out_of_sight(
     page: Page, page_server: PageServer, width: int
 ) -> None:
     page.set_viewport_size({"width": width, "height": 800})
-    events = [Event(step=s, time=0.01 * s, agent=1, kind="REFUSED", value=None, detail="x" * 60) for s in range(40)]
+    events = [
+        Event(step=s, time=0.01 * s, agent=1, kind="REFUSED", words="refused", value=None, detail="x" * 60)
+        for s in range(40)
+    ]
     page_server.open(STEERED, Events(replace=True, events=events, left_out=7), hash_=f"#steer={TOKEN}")
     more = page.locator("#events + .more")
     expect(more).to_have_text("more rows below; 7 earlier events not listed")

@@ -80,7 +80,10 @@ def drawn(page: Page, canvas: str) -> dict[str, Any]:
 
 def test_labels_are_apart_and_the_scale_follows_the_angle(page: Page, page_server: PageServer) -> None:
     page.add_init_script(RECORDED)
-    events = [Event(step=0, time=t, agent=7, kind="DEAD", value=None, detail="") for t in (1.0, 1.1, 1.2, 3.0, 4.9)]
+    events = [
+        Event(step=0, time=t, agent=7, kind="DEAD", words="dead", value=None, detail="")
+        for t in (1.0, 1.1, 1.2, 3.0, 4.9)
+    ]
     still = {"inertia": [0.02555] * 50, "torque": [0.012] * 50}
     page_server.open(curves(0, 50).model_copy(update=still), Events(replace=True, events=events))
     shown = [ShownRobot(position, 0.0, 0.0, "active") for position in (0.1, -0.1)]

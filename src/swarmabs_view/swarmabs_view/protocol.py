@@ -14,6 +14,7 @@ from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
 from swarmabs_bag.percentiles import QUANTILES, SIDES, percentiles, starts_above
 from swarmabs_bag.swarm_state import RobotStatus, ShownRobot, finite
+from swarmabs_core.events import said_event
 from swarmabs_core.messages import EventKind
 
 if TYPE_CHECKING:
@@ -325,6 +326,7 @@ class Event(Part):
     time: float = Field(description="s")
     agent: int = Field(description="id of a robot, or 0")
     kind: str
+    words: str = Field(description="what happened, as in the logs")
     value: Number
     detail: str
 
@@ -334,7 +336,15 @@ class Event(Part):
         event, time = timed
         kind = _KINDS.get(event.kind, str(event.kind))
         value = finite(event.value)
-        return cls(step=event.step, time=time, agent=event.agent_id, kind=kind, value=value, detail=event.detail)
+        return cls(
+            step=event.step,
+            time=time,
+            agent=event.agent_id,
+            kind=kind,
+            words=said_event(event),
+            value=value,
+            detail=event.detail,
+        )
 
 
 class Events(Message):

@@ -191,7 +191,7 @@ export class Charts {
     ctx.font = `${11 * ratio}px system-ui, sans-serif`;
     ctx.textAlign = "left";
     ctx.setLineDash([]);
-    apart.forEach(({ x, kind, agent }, index) => {
+    apart.forEach(({ x, kind, words, agent }, index) => {
       const [y, size] = [bbox.top, 5 * ratio];
       ctx.beginPath();
       ctx.moveTo(x, y);
@@ -210,7 +210,7 @@ export class Charts {
       ctx.lineTo(x, y + bbox.height);
       ctx.stroke();
       ctx.globalAlpha = 1;
-      const text = `${agent ? `${agent} ` : ""}${kind.replaceAll("_", " ").toLowerCase()}`;
+      const text = `${agent ? `${agent} ` : ""}${words}`;
       const end = x + 2 * size + ctx.measureText(text).width;
       if (named && end < Math.min(bbox.left + bbox.width, (apart[index + 1]?.x ?? Infinity) - size)) {
         ctx.fillStyle = colour.quiet;

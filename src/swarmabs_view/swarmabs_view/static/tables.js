@@ -224,10 +224,10 @@ export class Events {
       const item = document.createElement("li");
       item.dataset.step = String(event.step);
       const what = document.createElement("b");
-      what.textContent = event.kind.replaceAll("_", " ").toLowerCase();
+      what.textContent = event.words;
       const whom = event.agent ? `robot ${event.agent}, ` : "";
       item.append(`${event.time.toFixed(2)} s, step ${event.step}: ${whom}`, what, worth(event, this.kinds));
-      if (event.detail) {
+      if (event.detail && event.detail !== event.words) {
         const detail = document.createElement("bdi"); // isolates the writing direction of the text
         detail.textContent = cut(event.detail);
         if (detail.textContent !== event.detail) {
