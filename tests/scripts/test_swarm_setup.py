@@ -614,6 +614,7 @@ class TestScript:
             ("deploy --check out --host robot-1", "", []),
             ("deploy --schema", "", []),
             ("run --view", "view", []),
+            ("demo 200", "view", []),
             ("run x.yaml --view --open", "view", []),
             ("view BAG", "view", []),
             ("run x.yaml --markers", "run", []),

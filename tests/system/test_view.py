@@ -1,8 +1,11 @@
 """A view beside a run: what it shows is what is recorded, and whatever becomes of it, the run is the same."""
 
 import asyncio
+import html
 import json
+import os
 import signal
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,12 +15,13 @@ import psutil
 import pytest
 from aiohttp import ClientConnectionError, ClientSession, WSMsgType
 from playwright.sync_api import Browser, expect, sync_playwright
-from tests.processes import marked_processes
+from tests.processes import marked_processes, until
 from tests.swarmabs_view.conftest import browser_arguments, chromium
 from tests.system import helpers as runs
 
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_core.messages import EventKind
+from swarmabs_run.steering.client import SteeringClient
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 
@@ -202,3 +206,27 @@ def test_a_run_is_steered_from_the_page(folder: Path) -> None:
     assert not any(agent in {1, 2} and kind == EventKind.DEAD for kind, agent in ended)
     verdict = runs.swarm("verify", folder)
     assert verdict.code == 0, verdict.out + verdict.err
+
+
+def test_a_demo_opens_a_page_that_can_steer_and_leaves_nothing_behind(folder: Path, tmp_path: Path) -> None:
+    """The browser is a script that keeps what it is told to open: a file with the secret, which is then removed."""
+    browser, opened, told = (tmp_path / name for name in ("browser", "opened", "told"))
+    browser.write_text(f'#!/bin/sh\necho "$1" > "{told}"\ncp "${{1#file://}}" "{opened}"\n')
+    browser.chmod(0o755)
+    environment = {**os.environ, "BROWSER": f"{browser} %s"}
+    with runs.started_swarm("demo", "20", "-o", folder, env=environment) as command:
+        runs.until_stepping(folder)
+        until(opened.exists, "the browser has been started")
+        page = Path(told.read_text().strip().removeprefix("file://"))
+        assert page.stat().st_mode & 0o077 == 0
+        address = html.unescape(opened.read_text()).partition("url=")[2].partition('"')[0]
+        url, hash_, token = address.partition("#steer=")
+        assert hash_ and token and token not in told.read_text()
+        assert b"<html" in urllib.request.urlopen(url).read()
+        with SteeringClient(folder) as client:
+            assert client.ask({"action": "status"})["members"] == [*range(1, 21)]
+        os.kill(command.process.pid, signal.SIGINT)
+        done = command.wait()
+    assert (done.code, page.exists(), page.parent.exists()) == (1, False, False)
+    assert runs.summary_of(folder)["status"] == "interrupted"
+    assert load_arrays(folder).agents.ids.tolist() == [*range(1, 21)]

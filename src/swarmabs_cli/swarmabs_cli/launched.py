@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from swarmabs_cli.output import open_page
+from swarmabs_cli.output import open_page, private_page
 from swarmabs_cli.runs import carry_out
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.errors import InputError
@@ -44,7 +44,8 @@ def run_scenario(
     **options: Any,
 ) -> int:
     """Run a scenario with the processes that a launcher forks; the options are those of the command."""
-    with PageViewer(view_port or 0, steered=steer) if view else nullcontext() as viewer:
+    with ExitStack() as stack:
+        viewer = stack.enter_context(PageViewer(view_port or 0, steered=steer)) if view else None
 
         def execute(scenario: AnyScenario, folder: RunFolder, recording: RunOptions) -> Outcome:
             if viewer is not None:
@@ -52,7 +53,9 @@ def run_scenario(
                 click.echo(f"view: {viewer.url}", err=True)
                 if viewer.steering_url is not None:
                     click.echo(f"view, to steer: {viewer.steering_url}", err=True)
-                if open_browser:
+                if open_browser and viewer.steering_url is not None:
+                    open_page(stack.enter_context(private_page(viewer.steering_url)))
+                elif open_browser:
                     open_page(viewer.url)
             with shown(folder.path):
                 if realtime:

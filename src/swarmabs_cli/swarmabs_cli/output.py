@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import html
 import json
 import webbrowser
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import click
@@ -14,6 +17,7 @@ from rich.console import Console, Group, RenderableType
 
 from swarmabs_bag.run_folder import RunFolder, new_run_folder, next_run_folder
 from swarmabs_cli.options import RUNS
+from swarmabs_config.files import write_whole
 
 _WIDEST = 1000
 """Largest width of what is printed to a file or pipe, characters."""
@@ -71,6 +75,18 @@ def printable(line: str) -> str:
 def results_folder(output: Path | None, name: str) -> RunFolder:
     """Make the folder of results: the one that the user has named, or the next free one for a name."""
     return new_run_folder(output) if output is not None else next_run_folder(RUNS, name)
+
+
+@contextmanager
+def private_page(url: str) -> Iterator[str]:
+    """Yield the address of a page that leads to another one, whose address thus is in no argument of a process.
+
+    The page is a file that only this user can read, and is removed at the end.
+    """
+    with TemporaryDirectory(prefix="swarmabs-") as folder:
+        page = Path(folder, "open.html")
+        write_whole(page, f'<meta http-equiv="refresh" content="0; url={html.escape(url)}">\n'.encode(), mode=0o600)
+        yield page.as_uri()
 
 
 def open_page(url: str) -> None:
