@@ -630,6 +630,13 @@ class TestScript:
     def test_packages_only_where_needed(self, swarm: ModuleType, words: str, command: str, options: list[str]) -> None:
         assert (swarm.packages_for(words.split()), swarm.options_for(words.split())) == (command, options)
 
+    def test_a_wrong_command_line_ends_before_packages_are_installed_for_it(self, prepared: Path) -> None:
+        script = 'if [ "$SWARMABS_PARSE_ONLY" ]; then echo "error: no such option" >&2; exit 2; fi; echo "$*"'
+        write_command(prepared / ".venv" / "bin" / "python", script)
+        ended = self.start(prepared, "view", "--nope")
+        assert (ended.returncode, ended.stdout, ended.stderr) == (2, "", "error: no such option\n")
+        assert self.start(prepared, "run").stdout == "-m swarmabs_cli run\n", "it needs no further packages"
+
     def test_help_installs_nothing(self, prepared: Path) -> None:
         shutil.rmtree(prepared / ".venv")
         for words in ("-h", "view --help", "--version"):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from swarmabs_cli import PARSE_ONLY, main
 from swarmabs_ros.status import REPORT_FD
 
 NUMERICAL = {"numpy", "scipy"}
@@ -117,3 +118,12 @@ def test_an_interruption_before_the_command_line_is_loaded_ends_it_in_one_line(t
     ended = subprocess.run(command, preexec_fn=interrupted, text=True, capture_output=True, check=False)
     assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "interrupted\n")
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("words", "code"), [("view --nope", 2), ("sweep", 2), ("view", 0), ("view --help", 0)])
+def test_a_command_line_is_parsed_without_being_carried_out(
+    words: str, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(PARSE_ONLY, "1")
+    assert main(words.split()) == code
+    assert capsys.readouterr().err.startswith("error: ") == bool(code)

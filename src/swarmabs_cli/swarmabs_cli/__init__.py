@@ -6,8 +6,11 @@ Each command is a function of the same name, in a file in the folder of its sect
 from __future__ import annotations
 
 import ast
+import os
 import re
+import sys
 from collections.abc import Callable
+from contextlib import suppress
 from difflib import get_close_matches
 from functools import cache
 from importlib import import_module
@@ -28,6 +31,8 @@ SECTIONS = {
     "develop": "Set up and develop",
 }
 """Folders of commands, in the order in which they are listed, and their titles."""
+PARSE_ONLY = "SWARMABS_PARSE_ONLY"
+"""Environment variable with which ``scripts/swarm`` asks whether a command line is right, before it installs for it."""
 _COMMAND = re.compile(r"^@click\.(?:command|group)\b.*?^def (\w+)\(", re.MULTILINE | re.DOTALL)
 
 
@@ -102,12 +107,23 @@ def main(arguments: list[str] | None = None) -> int:
     def command() -> int | None:
         if arguments is None:
             interrupt_once()
+        if os.environ.get(PARSE_ONLY):
+            return parsed(sys.argv[1:] if arguments is None else arguments)
         code: int | None = swarm.main(arguments, prog_name=COMMAND, standalone_mode=False)
         return code
 
     code = exit_code(command)
     no_more_interrupts()
     return code
+
+
+def parsed(arguments: list[str]) -> int:
+    """Parse a command line without carrying it out; raises what carrying it out would raise because of its words."""
+    with click.Context(swarm, info_name=COMMAND) as context, suppress(click.exceptions.Exit):  # help is right
+        name, command, rest = swarm.resolve_command(context, [*arguments])
+        if command is not None:
+            command.make_context(name, rest, parent=context).close()
+    return 0
 
 
 def _sentence(text: str) -> str:

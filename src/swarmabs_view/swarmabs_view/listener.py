@@ -31,9 +31,9 @@ from swarmabs_core.pair_role import ROLE
 from swarmabs_ros.endpoints import receiver
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Collection, Iterator, Mapping
 
-    from swarmabs_core.messages import Message
+    from swarmabs_core.messages import Family, Message
     from swarmabs_ros.endpoints import Receiver
     from swarmabs_ros.start import SwarmNode
 
@@ -79,18 +79,20 @@ class DiagnosticsListener:
 
 
 class Listener:
-    """Listens to a swarm on any parent system, with the number of robots known so far; counts malformed payloads.
+    """Listens to a swarm, with the number of robots known so far; counts malformed payloads.
+
+    Its parent system is of one of the families.
 
     The topics of robots that publish on topics of their own are found in the graph; their messages are reported on the
     usual ones.
     """
 
-    def __init__(self, node: SwarmNode, robots: int) -> None:
+    def __init__(self, node: SwarmNode, robots: int, families: Collection[Family] = FAMILIES) -> None:
         # The robots come last: when the broadcasts of a step are read, its states have arrived.
-        once = [topic for family in FAMILIES for topic in family.once]
-        topics = [topic for family in FAMILIES for topic in (family.parent, family.abstract, family.desired)]
+        once = [topic for family in families for topic in family.once]
+        topics = [topic for family in families for topic in (family.parent, family.abstract, family.desired)]
         self._most = dict.fromkeys((*once, BASIS, *topics), DEPTH)
-        self._most |= {family.robot: max(DEPTH, ROBOT_STEPS * robots) for family in FAMILIES} | {EVENTS: 1000}
+        self._most |= {family.robot: max(DEPTH, ROBOT_STEPS * robots) for family in families} | {EVENTS: 1000}
         self._reliable = {EVENTS, *once}
         self._node = node
         self._receivers: dict[Topic, Receiver] = {}

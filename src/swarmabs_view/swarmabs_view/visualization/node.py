@@ -15,7 +15,7 @@ from swarmabs_bag.swarm_state import SwarmState
 from swarmabs_config.scenario import load_scenario, on_plane
 from swarmabs_core.cdr import agent_id_of
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.messages import EVENTS
+from swarmabs_core.messages import EVENTS, PLANE_FAMILY
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.endpoints import profile
 from swarmabs_ros.parameters import declare
@@ -70,7 +70,7 @@ def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = N
     def body(node: SwarmNode, _: StatusChannel) -> None:
         settings = Settings(declare(node, PARAMETERS), node.get_namespace())
         scenario = _scenario(settings)
-        listener = Listener(node, len(scenario.agents))
+        listener = Listener(node, len(scenario.agents), (PLANE_FAMILY,))
         publish: list[Publish] = [ros_publisher(node)] if settings.flag("ros") else []
         port = settings.integer("foxglove_port")
         if port < 0:
