@@ -296,9 +296,9 @@ def test_page_is_renewed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
         (["--robots", "4,x"], "'4,x' is not a list such as 4,20"),
         (["--robots", "1"], "a swarm has at least 2 robots"),
         (["--suite", "all the rest"], "is not one of"),
-        (["--starts", "0"], "0 is not in the range"),
+        (["--starts", "0"], "0 is out of range: give at least 1"),
         (["--large", "1"], "a swarm has at least 2 robots"),
-        (["--window", "0"], "0.0 is not in the range"),
+        (["--window", "0"], "0.0 is out of range: give at least 0.1"),
     ],
 )
 def test_bad_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], reason: str) -> None:

@@ -93,9 +93,9 @@ def test_a_message_after_blocks_of_its_step_is_refused(late: int) -> None:
         {topic: b"".join(r.payload for s in steps for r in s if r.topic is topic) for topic in msg.MAIN_TOPICS}
     )
     assert block is not None
-    repeated = steps[11 - late][3]
+    another = Record.of(steps[11 - late][3].message._replace(stamp=7))
     errors = []
-    for run in ([block, repeated], [*(record for step in steps for record in step), repeated]):
+    for run in ([block, another], [*(record for step in steps for record in step), another]):
         with pytest.raises(DamagedBagError) as error:
             list(recorded_steps(run, "bag"))
         errors.append(str(error.value))

@@ -26,7 +26,7 @@ from tests.swarmabs_bag.mcap_files import (
     split,
     text,
 )
-from tests.swarmabs_bag.sample_run import write_bag as write
+from tests.swarmabs_bag.sample_run import make_run, write_bag as write
 
 from swarmabs_analysis.figures.runs import find_runs
 from swarmabs_bag import index
@@ -38,6 +38,7 @@ from swarmabs_bag.index import FileIndex
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
+from swarmabs_bag.writer import BAG_FILE
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import MAIN_TOPICS, Message
 
@@ -177,6 +178,20 @@ def test_info_and_repair_agree_on_what_is_wrong_with_a_summary(
     assert report.files[0].problems[0].startswith(problem)
     assert (report.messages, report.lost_bytes) == (len(run), 0)
     assert bag_info(str(report.output)).complete
+
+
+def test_a_start_that_the_go_library_takes_for_unknown_is_no_damage(tmp_path: Path) -> None:
+    """Its writer states the start of the first chunk that does not begin at time 0."""
+    file = write(tmp_path / "bag", make_run(steps=100), chunk_bytes=4000) / BAG_FILE
+    starts = [chunk.message_start_time for chunk in open_bag(file).index.chunks]
+    assert starts[0] == 0
+    later = next(start for start in starts if start)
+    (file.parent / "metadata.yaml").unlink()
+    file.write_bytes(sealed(file.read_bytes()[: open_bag(file).index.data_end], number("message_start_time", later)))
+    bag = open_bag(file)
+    bag.check()
+    assert bag.start == 0
+    assert repair_bag(file).output is None  # there is nothing to repair
 
 
 def test_of_several_scenarios_info_and_repair_say_the_same(tmp_path: Path, whole: bytes) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import IndexType, Writer
+from mcap.writer import IndexType
 from tests.frozen.command import swarm
 from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_bag.mcap_files import rewritten as copied
@@ -141,23 +141,6 @@ def test_a_bag_that_was_converted_from_sqlite_has_no_publish_times(run: Path, tm
     assert verify(lost, code=1)["first_difference"]["field"] == "publish_time", "the recorder writes them"
     nothing = {"provenance.json": None}
     assert verify(rewritten(run, tmp_path / "bare.mcap", attachments=nothing, publish_times=False), code=0)["complete"]
-
-
-def test_a_start_that_the_library_for_go_states_of_a_bag_that_begins_at_0_is_no_damage(
-    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The library takes a start of 0 for one that it does not know yet. A start before the first message is wrong."""
-    plain: Any = Writer.finish
-    stated: dict[str, int] = {}
-
-    def finish(writer: Writer) -> None:
-        vars(getattr(writer, "_Writer__statistics")).update(stated)  # noqa: B009 - a private name
-        plain(writer)
-
-    monkeypatch.setattr(Writer, "finish", finish)
-    for start, problem in ((10_000_000, ""), (300_000_001, "message_start_time")):
-        stated["message_start_time"] = start
-        assert problem in (verify(rewritten(run, tmp_path / "go.mcap"), code=bool(problem))["problem"] or "")
 
 
 def test_another_library_explains_a_difference(run: Path, tmp_path: Path) -> None:

@@ -197,9 +197,6 @@ class FileIndex:
     def contradicted_by(self, found: FileIndex) -> str | None:
         """Return a contradiction between this summary and a scan of the same file, or None."""
         stated, counted = self.numbers(), found.numbers()
-        if not counted["message_start_time"] and stated["message_start_time"] <= counted["message_end_time"]:
-            # The MCAP library for Go takes a start of 0 for one that is not known yet, and states a later one.
-            stated["message_start_time"] = 0
         for name in {**counted, **stated}:
             if stated.get(name, 0) != counted.get(name, 0):
                 return f"the summary states {name} = {stated.get(name, 0)}, but it is {counted.get(name, 0)}"
@@ -346,6 +343,7 @@ def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> 
             index.take_inner(record.opcode, record.content, (0, len(record.content)), record.offset)
         index.check_number(record.offset)
     if stated is not None:
+        _correct_start(stated, index.chunks)
         index.statistics = stated
         if not any(getattr(stated, count) and not getattr(index, kind) for kind, count in _COUNTED.items()):
             return index
@@ -359,6 +357,16 @@ def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> 
         setattr(index, kind, getattr(index, kind) or getattr(found, kind))
     index.statistics = stated or found.statistics
     return index
+
+
+def _correct_start(stated: Statistics, chunks: Sequence[ChunkIndex]) -> None:
+    """Correct the time of the first message as Go's mcap library states it for a file that begins at time 0.
+
+    The library takes 0 for "not known yet" and states the start of a later chunk.
+    """
+    starts = {chunk.message_start_time for chunk in chunks if chunk.message_end_time or chunk.message_index_offsets}
+    if 0 in starts and stated.message_start_time in starts:
+        stated.message_start_time = 0
 
 
 def _scanned(stream: BinaryIO, size: int, end: int) -> FileIndex:
