@@ -316,7 +316,7 @@ def test_an_operator_starts_stops_and_thins_out_a_fleet(
                 assert unit.said(b"READY=1"), unit.complaint()
             # A fleet begins stopped.
             until_all_say(file, "stop commanded", *robots)
-            assert operate("status", file).returncode == 1
+            assert operate("status", file).returncode == 0, "an operator wants it so"
             assert operate("reset", file).returncode == 0
             until_all_say(file, "follows", *robots)
             until_all_say(file, "3 of 3 robots follow", "abstraction_observer")
