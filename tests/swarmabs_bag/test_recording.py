@@ -451,6 +451,11 @@ def test_an_event_waits_until_more_is_heard_of_its_process_and_strangers_events_
     assert kept.refused == 3
 
 
+def test_an_operator_removes_a_robot_and_sends_nothing_else() -> None:
+    kept, removal = Kept(), msg.Removal(*EVENT)
+    assert kept.take(removal, CLOCK.begin(5), of(SECOND, 7)) == (removal,)
+
+
 def test_a_flood_of_events_is_dropped_without_being_kept() -> None:
     kept = Kept()
     for number in range(3000):

@@ -192,7 +192,8 @@ class RealtimeCollector:
         problem = self._problem(record, step, writer)
         if problem:
             return (*ended, *self._refuse(problem, step))
-        if writer and isinstance(record.message, SwarmEvent) and not self.writers.speaks(writer):
+        # Operators publish removals, and nothing else.
+        if writer and usual_topic(record.topic) is EVENTS and not self.writers.speaks(writer):
             if len(self._waiting) == _MOST_WAITING:
                 return (*ended, *self._refuse(_STRANGER, step))
             self._waiting.append(_Waiting(record, writer, step))
