@@ -31,7 +31,7 @@ from swarmabs_run.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("systems")
 
-NAMES = ("pd_di_4", "pd_het_4", "sheet", "beam", "lift")
+NAMES = ("pd_di_4", "pd_het_4", "dropping", "sheet", "beam", "lift")
 
 
 @cache
@@ -40,7 +40,9 @@ def run(name: str) -> tuple[Any, list[RecordedStep]]:
     if name in systems:
         scenario = parse_scenario(systems[name]).resolved()
     else:
-        scenario = builtin(name, "duration=0.2", *((FAULTS,) if name == "pd_di_4" else ())).resolved()
+        changes = {"pd_di_4": (FAULTS,), "dropping": ("lockstep={on_stall: drop}",)}
+        known = "pd_het_4" if name == "dropping" else name
+        scenario = builtin(known, "duration=0.2", *changes.get(name, ())).resolved()
     return scenario, list(Simulation(scenario).steps())
 
 

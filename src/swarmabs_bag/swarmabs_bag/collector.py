@@ -218,9 +218,9 @@ class RunCollector:
         """Return the complete steps held as arrays, as far as the robots and what was ordered stay the same."""
         step, membership = self._step, self._membership
         count = self._arrivals.complete(step)
-        if not count or (not step and self._family.once) or membership.divides(step, self._division):
+        if not count or (not step and self._family.once):
             return None
-        until = membership.constant_until(step)
+        until = membership.undivided_until(step, self._division)
         if self._orders is not None:
             until = min(until, self._orders.known + 1, *(at for at in self._settings if at >= step))
         count = min(count, until - step)

@@ -186,6 +186,15 @@ class Membership:
         first = self._around(step).first
         return step > 0 and step - first < window and (first > 0 or window >= ALWAYS)
 
+    def undivided_until(self, step: int, window: int) -> int:
+        """Return the first step from a step on in which other robots publish, or which `divides`.
+
+        Without a change of the robots, the observer begins to tell only after step 0.
+        """
+        if self.divides(step, window):
+            return step
+        return step + 1 if self.divides(step + 1, window) else self.constant_until(step)
+
     def end(self, agent_id: int, last: int, *, stays: bool, reason: str) -> None:
         """Set the step `last` in which a robot publishes its last state; a known earlier end takes precedence."""
         span = self._spans[agent_id]
