@@ -27,7 +27,7 @@ from swarmabs_core.messages import (
     Topic,
 )
 from swarmabs_core.realtime.base import Realtime, Schedule
-from swarmabs_core.realtime.validation import Bounds, Origin, Problem, Refusals, Writers
+from swarmabs_core.realtime.validation import Bounds, Origin, Problem, Refusals, Writers, participant_of
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ class RealtimeCollector:
         plane = schedule.steps(limits.plane_age_limit)
         self.writers = Writers(schedule.steps(limits.state_age_limit), {**broadcasts, PLANE_STATE.name: plane})
         self._disputes: dict[tuple[str, Topic, int], _Disputed] = {}
-        self._waiting: list[_Waiting] = []
+        self._waiting: dict[bytes, list[_Waiting]] = {}
         self._now = 0
         self.repeated = self.different = 0
 
@@ -189,39 +189,37 @@ class RealtimeCollector:
         self._forget(step - MEMORY)
         self.writers.advance(step)
         ended = self._end_disputes(step) if self._disputes else ()
+        if self._waiting:
+            ended += self._drop_strangers(step)
         problem = self._problem(record, step, writer)
         if problem:
             return (*ended, *self._refuse(problem, step))
         # Operators publish removals, and nothing else.
         if writer and usual_topic(record.topic) is EVENTS and not self.writers.speaks(writer):
-            if len(self._waiting) == _MOST_WAITING:
+            if sum(map(len, self._waiting.values())) == _MOST_WAITING:
                 return (*ended, *self._refuse(_STRANGER, step))
-            self._waiting.append(_Waiting(record, writer, step))
+            self._waiting.setdefault(participant_of(writer), []).append(_Waiting(record, writer, step))
             return ended
         kept = self._keep(record, step, writer)
-        return (*ended, *kept, *(self._settle(step) if self._waiting else ()))
+        if participant_of(writer) in self._waiting and self.writers.speaks(writer):
+            waited = self._waiting.pop(participant_of(writer))
+            kept += tuple(known for one in waited for known in self._keep(one.record, one.step, one.writer))
+        return (*ended, *kept)
 
     def finish(self) -> tuple[Record, ...]:
         """Return the events to write at the end of the recording."""
-        return (*self._settle(None), *self._end_disputes(None))
+        return (*self._drop_strangers(None), *self._end_disputes(None))
 
     def _refuse(self, problem: Problem, step: int) -> tuple[Record, ...]:
         """Count a dropped message; return the event that reports it, if it is due."""
         return tuple(map(Record.of, self._refusals.add(problem, step, self._now)))
 
-    def _settle(self, step: int | None) -> tuple[Record, ...]:
-        """Return waiting events whose senders are known by now; drop old ones, without a step all others."""
-        found: list[Record] = []
-        still: list[_Waiting] = []
-        for one in self._waiting:
-            if self.writers.speaks(one.writer):
-                found += self._keep(one.record, one.step, one.writer)
-            elif step is None or step - one.step > QUIET_STEPS + self.writers.longest_age:
-                found += self._refuse(_STRANGER, one.step)
-            else:
-                still.append(one)
-        self._waiting = still
-        return tuple(found)
+    def _drop_strangers(self, step: int | None) -> tuple[Record, ...]:
+        """Drop the events of processes of which nothing else has been heard for long; without a step, of all."""
+        longest = QUIET_STEPS + self.writers.longest_age
+        strange = [who for who, events in self._waiting.items() if step is None or step - events[0].step > longest]
+        dropped = [event for who in strange for event in self._waiting.pop(who)]
+        return tuple(told for event in dropped for told in self._refuse(_STRANGER, event.step))
 
     def _keep(self, record: Record, step: int, writer: bytes) -> tuple[Record, ...]:
         """Return the records to write of a message that is not refused."""

@@ -39,8 +39,7 @@ QUIET_NS = 10_000_000_000
 """Time between two reports of the same reason, ns, so that an intruder cannot flood the events."""
 SLACK = 1.05
 """Factor by which a bound may be exceeded, because measured positions are not exact."""
-PARTICIPANT = 12
-"""Number of first bytes of a writer's GID that its participant, a process, has in common with its other writers."""
+_PARTICIPANT = 12
 _MOST_SHOWN = 20
 SHOWN_AGES = 100
 """For how many age limits a health status shows that there was a second sender."""
@@ -305,6 +304,11 @@ class Heard(Generic[Place]):
         self._contradicted.clear()
 
 
+def participant_of(writer: bytes) -> bytes:
+    """Return the part of a writer's GID that all writers of its process have in common."""
+    return writer[:_PARTICIPANT]
+
+
 class Writers:
     """Binds each origin to a writer: the first one, until it has been silent for the age limit, in steps.
 
@@ -366,8 +370,8 @@ class Writers:
 
     def speaks(self, writer: bytes) -> bool:
         """Return whether the participant of a writer is that of the first writer of any origin."""
-        participant = writer[:PARTICIPANT]
-        return any(bound[:PARTICIPANT] == participant for bound, _ in self._bound.values())
+        participant = participant_of(writer)
+        return any(participant_of(bound) == participant for bound, _ in self._bound.values())
 
     @property
     def longest_age(self) -> int:
