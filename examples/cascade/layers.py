@@ -129,7 +129,8 @@ def carried_robot(upper: Scenario, robot: int, plane: Scenario, coupling: Coupli
     (config,) = (config for config in configure.agent_configs(upper) if config.agent_id == robot)
     angle, rate = plane.plane.angle, plane.plane.angular_velocity
     drive = TiltDrive(coupling.ratio, upper.period, angle, rate)
-    agent = Agent(replace(config, velocity=coupling.ratio * angle), drive)
+    moving = replace(config, velocity=coupling.ratio * angle)
+    agent = Agent(moving, moving.body(drive))
     return carried(agent, drive, absolute(PLANE_STATE, lower(robot)), upper.steps)
 
 
@@ -144,7 +145,8 @@ def led_controller(scenario: Scenario, robot: int, coupling: Coupling, *, record
         plane.angle,
         plane.angular_velocity,
     )
-    controller = Controller(configure.controller_config(scenario, recording_window=recording_window), law)
+    config = configure.controller_config(scenario, recording_window=recording_window)
+    controller = Controller(config, config.desired_states(law))
     return led(controller, law, absolute(AGENT_STATE, UPPER), robot, scenario.steps)
 
 
@@ -167,9 +169,7 @@ class CascadeSimulation:
         upper = cascade.upper
         coupling = cascade.coupling
         robots = {robot: carried_robot(upper, robot, plane, coupling) for robot, plane in cascade.lower.items()}
-        controller = Controller(
-            configure.controller_config(upper, recording_window=0), configure.parent_controller(upper)
-        )
+        controller = Controller(configure.controller_config(upper, recording_window=0))
         self._add(UPPER, upper, controller, list(robots.values()))
         for robot, scenario in cascade.lower.items():
             follower = led_controller(scenario, robot, coupling, recording_window=0)
@@ -180,7 +180,7 @@ class CascadeSimulation:
     def _add(self, namespace: str, scenario: Scenario, controller: Behaviour, agents: Sequence[Behaviour]) -> None:
         """Add the behaviours of a layer and their subscriptions within it."""
         observer = Observer(configure.observer_config(scenario))
-        plane = Parent(configure.plane_config(scenario))
+        plane = Parent(configure.parent_config(scenario))
         hearers: dict[Topic, Sequence[Behaviour]] = {
             AGENT_STATE: (observer, plane),
             PLANE_STATE: (controller,),

@@ -25,10 +25,11 @@ from tests.errata.paper import (
 
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_config.theory_setting import setting
-from swarmabs_core.behaviours import Controller, ControllerConfig
+from swarmabs_core.behaviours import Controller
 from swarmabs_core.controllers import StateFeedback
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import DesiredAbstractState, PlaneState
+from swarmabs_core.models import ControllerConfig
 from swarmabs_core.plant import Friction, Plane, PlaneDynamics, SwarmLoad
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_core.theory.state_feedback import (
@@ -169,7 +170,8 @@ def test_initial_abstract_error() -> None:
     printed = (0.0273, 0.0288)
     assert pytest.approx(printed, abs=5e-5) == (MASS @ POSITION, MASS @ POSITION**2)
 
-    parent = Controller(ControllerConfig(10_000_000, CURVE), StateFeedback(K1, K2))
+    config = ControllerConfig(10_000_000, CURVE)
+    parent = Controller(config, config.desired_states(StateFeedback(K1, K2)))
     (desired,) = parent.handle(PlaneState(0, 0, 0.1, 0.0))
     assert isinstance(desired, DesiredAbstractState)
     assert (desired.torque, desired.inertia) == pytest.approx((K1 * 0.1, manifold(K1 * 0.1)))

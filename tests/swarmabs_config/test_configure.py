@@ -27,7 +27,6 @@ from swarmabs_config.graph import (
     standby_name,
     writers,
 )
-from swarmabs_core.behaviours import LifeSpan, Limits
 from swarmabs_core.controllers import Arise, StateFeedback, lqr_gains
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import DelayFault, FalsifiedStateFault, InjectedFault, LossFault
@@ -45,6 +44,8 @@ from swarmabs_core.messages import (
     Mode,
 )
 from swarmabs_core.realtime.validation import Bounds
+from swarmabs_core.robot_controller import Limits
+from swarmabs_core.settings import LifeSpan
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, STEERER, StepChange
 from swarmabs_core.swarm_law import SwarmGains
 
@@ -71,7 +72,7 @@ def test_schedules_hold_the_changes_of_membership_and_settings_by_step() -> None
 
 def test_observer_plane_and_controller() -> None:
     scenario = builtin("arise_het_4", "step=0.005", "duration=1", "plane.gravity=9.8", "swarm.gains.ksd=1.5", FAULTS)
-    observer, plane = configure.observer_config(scenario), configure.plane_config(scenario)
+    observer, plane = configure.observer_config(scenario), configure.parent_config(scenario)
     controller = configure.controller_config(scenario, recording_window=100)
     assert observer.members == plane.members == (1, 2, 3, 4)
     assert observer.schedule == plane.schedule == configure.schedule(scenario)

@@ -13,19 +13,19 @@ from jsonschema import Draft202012Validator
 
 from swarmabs_config.model.fields import LARGEST, SMALLEST
 from swarmabs_config.scenario import ScenarioError, json_schema, parse_scenario
-from swarmabs_core.behaviours.base import Lockstep, Run
-from swarmabs_core.behaviours.robot import RobotConfig
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.declaration import LONGEST_TIME, Part, Setting, entries_of, setting_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import FAULTS
 from swarmabs_core.manifold import Manifold
+from swarmabs_core.models.plane_robot import RobotConfig
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.parent_response import ParentResponse
 from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import Realtime
 from swarmabs_core.robot_controller import Limits
 from swarmabs_core.sensing import RobotSensor
+from swarmabs_core.settings import Lockstep, Run
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_core.trajectory import Constant, QuinticStep, Sine
 

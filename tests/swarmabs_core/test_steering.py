@@ -267,7 +267,7 @@ def test_too_many_requests_and_offsets_of_a_law_without_any_are_refused() -> Non
 
 
 def test_a_node_waits_for_the_order_and_refuses_what_cannot_be_one() -> None:
-    node = Steered(Parent(configure.plane_config(builtin("pd_het_4", "duration=0.3"))))
+    node = Steered(Parent(configure.parent_config(builtin("pd_het_4", "duration=0.3"))))
     assert (node.awaits(), node.missing(), node.open) == ((msg.STEERING,), (0, ("steering",)), False)
     node.handle(msg.Steering(0, 0, 0, msg.Action.NONE, 0, 0.0))
     assert (node.awaits(), node.open) == ((msg.AGENT_STATE, msg.EVENTS), True)

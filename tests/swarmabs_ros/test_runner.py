@@ -14,9 +14,9 @@ from tests.swarmabs_ros.nodes import COMMAND_LINE, given, settings_from
 
 from parent_controller import node as controller
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, NODES, OBSERVER, PLANE, RECORDER, ROBOT
-from swarmabs_core.behaviours import ControllerConfig
 from swarmabs_core.errors import InputError
 from swarmabs_core.manifold import Manifold
+from swarmabs_core.models import ControllerConfig
 from swarmabs_ros.start import PROFILES, check_profiles, main
 
 PROGRAMS = [program for path in sorted((ROOT / "src").glob("*/setup.cfg")) for program in programs(path.parent.name)]

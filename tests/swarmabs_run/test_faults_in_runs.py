@@ -220,7 +220,7 @@ def test_a_liar_deceives_the_observer_and_not_the_plane() -> None:
     run = run_with(f"kind: lie, agent: 3, {lie}, from: 0.5, to: 1", duration="1.5")
     said, drive = run.agent(3), DoubleIntegratorDrive.of(0.01, 0.6762, 0.6524)
     position, velocity = 0.125, 0.0
-    plane = Parent(configure.plane_config(builtin("pd_het_4", "duration=1.5")))
+    plane = Parent(configure.parent_config(builtin("pd_het_4", "duration=1.5")))
     gap = 0.0
     for k in range(151):
         lying = 50 <= k < 100
@@ -241,7 +241,7 @@ def test_a_liar_deceives_the_observer_and_not_the_plane() -> None:
 def test_a_robot_whose_drive_has_failed_coasts_and_reports_its_last_state() -> None:
     run = run_with("kind: drive_failure, agent: 3, from: 0.1", duration="1.5")
     said, drive = run.agent(3), DoubleIntegratorDrive.of(0.01, 0.6762, 0.6524)
-    plane = Parent(configure.plane_config(builtin("pd_het_4", "duration=1.5")))
+    plane = Parent(configure.parent_config(builtin("pd_het_4", "duration=1.5")))
     position, velocity = said[10].position, said[10].velocity
     assert abs(velocity) > 0.01
     for k in range(151):

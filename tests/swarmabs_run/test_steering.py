@@ -15,6 +15,7 @@ from tests.processes import until
 from tests.swarmabs_ros.nodes import settings_from
 from tests.transport.network import Reports
 
+from swarmabs_config import configure
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.cdr import encode
@@ -116,7 +117,7 @@ def test_the_status_says_how_it_is(run: SteeredRun) -> None:
     status = run.ask({"action": "status"})
     assert asked[1]["step"] <= status["step"] <= run.step
     assert status.pop("time") == pytest.approx(status.pop("step") / 100)
-    bounds = {"largest_reference": node.LARGEST_OFFSET, "largest_disturbance": 5.0}
+    bounds = {"largest_reference": configure.LARGEST_OFFSET, "largest_disturbance": 5.0}
     now = {"ok": True, "reference": 0.2, "disturbance": 0.3, "members": [1, 2, 3], "absent": [4]}
     assert status == {**now, "steps": LAST, "step_time": 0.01, **bounds}
 

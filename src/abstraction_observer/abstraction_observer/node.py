@@ -6,12 +6,12 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_config.graph import OBSERVER
-from swarmabs_core.behaviours import Observer, ObserverConfig, Steered
-from swarmabs_core.behaviours.base import Lockstep
-from swarmabs_core.behaviours.systems import SystemObserverConfig
+from swarmabs_core.behaviours import Observer, Steered
 from swarmabs_core.declaration import parameters_of
 from swarmabs_core.membership import SILENT
 from swarmabs_core.messages import Messages
+from swarmabs_core.models import ObserverConfig, SystemObserverConfig
+from swarmabs_core.settings import Lockstep
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem, choose
 from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 
 from swarmabs_config.graph import ROBOT
-from swarmabs_core.behaviours import Agent, AgentConfig
-from swarmabs_core.behaviours.systems import SystemAgentConfig
+from swarmabs_core.behaviours import Agent
+from swarmabs_core.models import AgentConfig, SystemAgentConfig
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node

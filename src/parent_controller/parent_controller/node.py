@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 
 from swarmabs_config.graph import CONTROLLER
-from swarmabs_core.behaviours import Controller, ControllerConfig, Steered
-from swarmabs_core.behaviours.systems import SystemControllerConfig
+from swarmabs_core.behaviours import Controller, Steered
+from swarmabs_core.models import ControllerConfig, SystemControllerConfig
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node

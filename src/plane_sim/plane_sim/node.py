@@ -8,8 +8,8 @@ from __future__ import annotations
 import sys
 
 from swarmabs_config.graph import PLANE
-from swarmabs_core.behaviours import Parent, PlaneConfig, Steered
-from swarmabs_core.behaviours.systems import SystemParentConfig
+from swarmabs_core.behaviours import Parent, Steered
+from swarmabs_core.models import PlaneConfig, SystemParentConfig
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node

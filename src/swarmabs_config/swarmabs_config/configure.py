@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from swarmabs_config import graph
 from swarmabs_config.graph import Option
 from swarmabs_config.model.controllers import settings_of
+from swarmabs_config.model.fields import LARGEST
 from swarmabs_config.model.scenario import UncheckedScenario, UncheckedSystemScenario
-from swarmabs_core.behaviours import AgentConfig, ControllerConfig, LifeSpan, ObserverConfig, PlaneConfig
-from swarmabs_core.behaviours.base import Run
-from swarmabs_core.behaviours.systems import (
-    SystemAgentConfig,
-    SystemControllerConfig,
-    SystemObserverConfig,
-    SystemParentConfig,
-)
-from swarmabs_core.controllers import CONTROLLERS, ParentLaw
+from swarmabs_core.controllers import CONTROLLERS, OffsetController, ParentLaw
 from swarmabs_core.declaration import gathered
 from swarmabs_core.faults import (
     PARENT_FAULTS,
@@ -29,34 +22,50 @@ from swarmabs_core.faults import (
     SettingFault,
 )
 from swarmabs_core.membership import ALWAYS, SETTLING_NS, Change, ChangeKind
-from swarmabs_core.messages import Kind, RobotKind, word
+from swarmabs_core.messages import SYSTEM_FAMILY, Kind, RobotKind, word
+from swarmabs_core.models import (
+    AgentConfig,
+    ControllerConfig,
+    ObserverConfig,
+    PlaneConfig,
+    SystemAgentConfig,
+    SystemControllerConfig,
+    SystemObserverConfig,
+    SystemParentConfig,
+)
+from swarmabs_core.settings import LifeSpan, Run
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepChange, StepSchedule
 from swarmabs_core.swarm_law import LAWS
 from swarmabs_core.systems.check import constants_of
 from swarmabs_core.systems.interface import SYSTEMS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+    from typing import TypeAlias
 
-    from swarmabs_config.model.agents import Agent, SystemAgent
+    from swarmabs_config.model.agents import Agent
     from swarmabs_config.model.scenario import AnyScenario
     from swarmabs_core.controllers import ParentController
+    from swarmabs_core.messages import Vector
     from swarmabs_core.parameters import Settings
     from swarmabs_core.registry import Registry
 
+    Plugins: TypeAlias = tuple[tuple[Registry[Any, Any], str], ...]
 
-def plugins(scenario: AnyScenario) -> tuple[tuple[Registry[Any, Any], str], ...]:
+
+LARGEST_OFFSET = 1.0
+"""Largest offset of the plane's reference that can be requested, rad; a run ends at `plant.STEEPEST`."""
+
+
+def plugins(scenario: AnyScenario) -> Plugins:
     """Return the parts of a scenario that packages may provide, each with its registry and its name."""
-    if isinstance(scenario, UncheckedSystemScenario):
-        return ((SYSTEMS, scenario.system.type),)
-    assert isinstance(scenario, UncheckedScenario)  # noqa: S101 - there are two kinds
-    return (CONTROLLERS, scenario.controller.type), (LAWS, scenario.swarm.law.type)
+    return _nodes(scenario).plugins
 
 
 def options_for(scenario: AnyScenario) -> frozenset[Option]:
     """Return the options that a scenario gives every node."""
     asked = {
-        Option.SYSTEM: isinstance(scenario, UncheckedSystemScenario),
+        Option.SYSTEM: scenario.family is SYSTEM_FAMILY,
         Option.CHANGING: bool(schedule(scenario)) or division(scenario) == ALWAYS,
     }
     return frozenset(option for option, given in asked.items() if given)
@@ -133,6 +142,110 @@ def _run(scenario: AnyScenario) -> Run:
     )
 
 
+class _PlaneNodes:
+    """Configurations of the nodes on the plane, from the declarations of a scenario."""
+
+    def __init__(self, scenario: UncheckedScenario) -> None:
+        self._scenario = scenario
+
+    @property
+    def plugins(self) -> Plugins:
+        scenario = self._scenario
+        return (CONTROLLERS, scenario.controller.type), (LAWS, scenario.swarm.law.type)
+
+    @property
+    def reference(self) -> Callable[[float], float]:
+        return parent_controller(self._scenario).reference
+
+    @property
+    def largest_requests(self) -> dict[str, float]:
+        offset = isinstance(parent_controller(self._scenario), OffsetController)
+        return {REFERENCE: LARGEST_OFFSET * offset, DISTURBANCE: self._scenario.manifold.torque_max}
+
+    def observer(self) -> ObserverConfig:
+        return gathered(ObserverConfig, *declared(self._scenario), type=self._scenario.observer.type)
+
+    def parent(self, **own: Any) -> PlaneConfig:
+        return gathered(PlaneConfig, *declared(self._scenario), **own)
+
+    def controller(self, **own: Any) -> ControllerConfig:
+        return gathered(ControllerConfig, *declared(self._scenario), **own)
+
+    def agents(self) -> Iterator[AgentConfig]:
+        common = gathered(AgentConfig, *declared(self._scenario), **swarm_law(self._scenario))
+        return (replace(common, **robot(agent)) for agent in self._scenario.agents)
+
+
+class _SystemNodes:
+    """Configurations of the nodes on another parent system, from the declarations of a scenario."""
+
+    def __init__(self, scenario: UncheckedSystemScenario) -> None:
+        self._scenario = scenario
+        self._named = scenario.named
+        self._selected: dict[str, Any] = {"system": self._named.type, "system_settings": self._named.settings}
+
+    @property
+    def plugins(self) -> Plugins:
+        return ((SYSTEMS, self._scenario.system.type),)
+
+    @property
+    def reference(self) -> Callable[[float], Vector]:
+        return self._named.made.reference
+
+    @property
+    def largest_requests(self) -> dict[str, float]:
+        made = self._named.made
+        controller = made.controller(self._scenario.period)
+        able = {REFERENCE: hasattr(controller, "offset_ask"), DISTURBANCE: hasattr(made, "disturbed")}
+        return {kind: LARGEST * given for kind, given in able.items()}
+
+    def observer(self) -> SystemObserverConfig:
+        scenario = self._scenario
+        forces = any(agent.kind == word(RobotKind.DOUBLE_INTEGRATOR) for agent in scenario.agents)
+        curvature = forces and scenario.swarm.force_law == "second_order"
+        return gathered(SystemObserverConfig, _run(scenario), **self._selected, curvature=curvature)
+
+    def parent(self, **own: Any) -> SystemParentConfig:
+        scenario = self._scenario
+        return gathered(SystemParentConfig, _run(scenario), scenario.sensor, **self._selected, **own)
+
+    def controller(self, **own: Any) -> SystemControllerConfig:
+        scenario = self._scenario
+        swarm = scenario.swarm.gains, scenario.requests
+        return gathered(SystemControllerConfig, _run(scenario), *swarm, **self._selected, **own)
+
+    def agents(self) -> Iterator[SystemAgentConfig]:
+        scenario = self._scenario
+        swarm, named = scenario.swarm, self._named
+        common = gathered(
+            SystemAgentConfig,
+            _run(scenario),
+            swarm.gains,
+            **self._selected,
+            force_law=swarm.force_law,
+            effort=inf if swarm.effort is None else swarm.effort,
+        )
+        return (
+            replace(
+                common,
+                agent_id=agent.id,
+                kind=RobotKind[agent.kind.upper()],
+                coordinates=agent.coordinates,
+                velocities=agent.velocities,
+                constants=constants_of(named, agent.constants),
+            )
+            for agent in scenario.agents
+        )
+
+
+def _nodes(scenario: AnyScenario) -> _PlaneNodes | _SystemNodes:
+    """Return what configures the nodes of a scenario: the only place that asks for its parent system."""
+    if isinstance(scenario, UncheckedScenario):
+        return _PlaneNodes(scenario)
+    assert isinstance(scenario, UncheckedSystemScenario)  # noqa: S101 - there are two kinds
+    return _SystemNodes(scenario)
+
+
 def declared(scenario: UncheckedScenario) -> tuple[object, ...]:
     """Return the declarations of a scenario from which the configurations of the nodes are gathered."""
     run = replace(_run(scenario), actuator_lag=scenario.swarm.actuator_lag)
@@ -141,37 +254,14 @@ def declared(scenario: UncheckedScenario) -> tuple[object, ...]:
     return run, *of_plane, swarm.gains, swarm.sensor, scenario.limits, scenario.realtime
 
 
-def _system(scenario: UncheckedSystemScenario) -> dict[str, Any]:
-    """Return the fields of a node's configuration that select the parent system."""
-    return {"system": scenario.named.type, "system_settings": scenario.named.settings}
-
-
 def observer_config(scenario: AnyScenario) -> ObserverConfig | SystemObserverConfig:
     """Return the observer's configuration."""
-    if isinstance(scenario, UncheckedSystemScenario):
-        forces = any(agent.kind == word(RobotKind.DOUBLE_INTEGRATOR) for agent in scenario.agents)
-        curvature = forces and scenario.swarm.force_law == "second_order"
-        return gathered(SystemObserverConfig, _run(scenario), **_system(scenario), curvature=curvature)
-    assert isinstance(scenario, UncheckedScenario)  # noqa: S101 - there are two kinds
-    return gathered(ObserverConfig, *declared(scenario), type=scenario.observer.type)
+    return _nodes(scenario).observer()
 
 
 def parent_config(scenario: AnyScenario) -> PlaneConfig | SystemParentConfig:
     """Return the configuration of the simulated parent."""
-    if isinstance(scenario, UncheckedScenario):
-        return plane_config(scenario)
-    assert isinstance(scenario, UncheckedSystemScenario)  # noqa: S101 - there are two kinds
-    return gathered(SystemParentConfig, _run(scenario), scenario.sensor, **_system(scenario), **_changes(scenario))
-
-
-def plane_config(scenario: UncheckedScenario) -> PlaneConfig:
-    """Return the simulated plane's configuration."""
-    return gathered(PlaneConfig, *declared(scenario), **_changes(scenario))
-
-
-def _changes(scenario: AnyScenario) -> dict[str, Any]:
-    """Return the fields of the parent's configuration that change its motion at planned steps."""
-    return {"falsifications": falsifications(scenario), "torques": step_changes(scenario, DISTURBANCE)}
+    return _nodes(scenario).parent(falsifications=falsifications(scenario), torques=step_changes(scenario, DISTURBANCE))
 
 
 def parent_law(scenario: UncheckedScenario) -> ParentLaw:
@@ -180,14 +270,14 @@ def parent_law(scenario: UncheckedScenario) -> ParentLaw:
     return ParentLaw(scenario.controller.type, controller_settings(scenario), plane.inertia, plane.friction)
 
 
+@overload
+def controller_config(scenario: UncheckedScenario, *, recording_window: int) -> ControllerConfig: ...
+@overload
+def controller_config(scenario: AnyScenario, *, recording_window: int) -> ControllerConfig | SystemControllerConfig: ...
 def controller_config(scenario: AnyScenario, *, recording_window: int) -> ControllerConfig | SystemControllerConfig:
     """Return the configuration of the parent controller's node."""
-    own: dict[str, Any] = {"recording_window": recording_window, "offsets": step_changes(scenario, REFERENCE)}
-    if isinstance(scenario, UncheckedSystemScenario):
-        swarm = scenario.swarm.gains, scenario.requests
-        return gathered(SystemControllerConfig, _run(scenario), *swarm, **_system(scenario), **own)
-    assert isinstance(scenario, UncheckedScenario)  # noqa: S101 - there are two kinds
-    return gathered(ControllerConfig, *declared(scenario), **own)
+    offsets = step_changes(scenario, REFERENCE)
+    return _nodes(scenario).controller(recording_window=recording_window, offsets=offsets)
 
 
 def controller_settings(scenario: UncheckedScenario) -> Settings:
@@ -206,21 +296,22 @@ def reference(scenario: AnyScenario) -> OffsetReference:
     It is a function of time (s): the reference of law or system plus the scenario's offsets.
     """
     offsets = StepSchedule(step_changes(scenario, REFERENCE))
-    if isinstance(scenario, UncheckedSystemScenario):
-        return OffsetReference(scenario.named.made.reference, offsets, scenario.step_ns)
-    assert isinstance(scenario, UncheckedScenario)  # noqa: S101 - there are two kinds
-    return OffsetReference(parent_controller(scenario).reference, offsets, scenario.step_ns)
+    return OffsetReference(_nodes(scenario).reference, offsets, scenario.step_ns)
 
 
-def system_abilities(scenario: UncheckedSystemScenario) -> dict[str, bool]:
-    """Return whether the reference of a parent system can be offset, and whether it can be disturbed."""
-    made = scenario.named.made
-    controller = made.controller(scenario.period)
-    return {REFERENCE: hasattr(controller, "offset_ask"), DISTURBANCE: hasattr(made, "disturbed")}
+def largest_requests(scenario: AnyScenario) -> dict[str, float]:
+    """Return the largest offset of the reference and the largest disturbance that can be requested; 0: none."""
+    return _nodes(scenario).largest_requests
 
 
-def agent_configs(scenario: AnyScenario) -> tuple[Any, ...]:
-    """Return the robots' configurations by ascending id: of `AgentConfig`, or of `SystemAgentConfig`."""
+@overload
+def agent_configs(scenario: UncheckedScenario) -> tuple[AgentConfig, ...]: ...
+@overload
+def agent_configs(scenario: UncheckedSystemScenario) -> tuple[SystemAgentConfig, ...]: ...
+@overload
+def agent_configs(scenario: AnyScenario) -> tuple[AgentConfig | SystemAgentConfig, ...]: ...
+def agent_configs(scenario: AnyScenario) -> tuple[AgentConfig | SystemAgentConfig, ...]:
+    """Return the robots' configurations by ascending id."""
     lives: dict[int, LifeSpan] = {}
     for change in schedule(scenario):
         life = lives.get(change.agent_id, LifeSpan())
@@ -228,37 +319,14 @@ def agent_configs(scenario: AnyScenario) -> tuple[Any, ...]:
             lives[change.agent_id] = LifeSpan(change.step, life.end, life.end_step)
         else:
             lives[change.agent_id] = LifeSpan(life.first_step, change.kind, change.step)
-    common, own = _common(scenario)
     return tuple(
         replace(
-            common,
-            **own(agent),
-            life=lives.get(agent.id, LifeSpan()),
-            faults=robot_faults(scenario, agent.id),
+            config,
+            life=lives.get(config.agent_id, LifeSpan()),
+            faults=robot_faults(scenario, config.agent_id),
         )
-        for agent in scenario.agents
+        for config in _nodes(scenario).agents()
     )
-
-
-def _common(scenario: AnyScenario) -> tuple[Any, Callable[[Any], dict[str, Any]]]:
-    """Return the configuration of robots without their own fields, and what returns these."""
-    if isinstance(scenario, UncheckedScenario):
-        return gathered(AgentConfig, *declared(scenario), **swarm_law(scenario)), robot
-    assert isinstance(scenario, UncheckedSystemScenario)  # noqa: S101 - there are two kinds
-    swarm = scenario.swarm
-    effort = inf if swarm.effort is None else swarm.effort
-    run = _run(scenario), swarm.gains
-
-    def own(agent: SystemAgent) -> dict[str, Any]:
-        return {
-            "agent_id": agent.id,
-            "kind": RobotKind[agent.kind.upper()],
-            "coordinates": agent.coordinates,
-            "velocities": agent.velocities,
-            "constants": constants_of(scenario.named, agent.constants),
-        }
-
-    return gathered(SystemAgentConfig, *run, **_system(scenario), force_law=swarm.force_law, effort=effort), own
 
 
 def swarm_law(scenario: UncheckedScenario) -> dict[str, Any]:

@@ -20,7 +20,7 @@ def check_scenario(scenario: AnyScenario, angle_max: float = ANGLE_MAX) -> Repor
     """Evaluate the paper's theorems and further conditions for sampled time; the bound is that of `setting`."""
     if isinstance(scenario, Scenario):
         return check(setting(scenario, angle_max))
-    robots = tuple(robot for robot in configure.agent_configs(scenario) if robot.life.first_step == 0)
     assert isinstance(scenario, SystemScenario)  # noqa: S101 - there are two kinds
+    robots = tuple(robot for robot in configure.agent_configs(scenario) if robot.life.first_step == 0)
     faulty = bool(scenario.faults) or not scenario.sensor.perfect
     return check_system(SystemSetting(scenario.name, robots, delay_of(scenario), faulty, scenario.requests))

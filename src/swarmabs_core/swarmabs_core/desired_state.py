@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import exp, isfinite, sqrt
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from swarmabs_core.controllers import OffsetController
 from swarmabs_core.errors import InputError, RunError
@@ -14,7 +14,7 @@ from swarmabs_core.plant import STEEPEST
 if TYPE_CHECKING:
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.manifold import Manifold
-    from swarmabs_core.messages import StandingState
+    from swarmabs_core.messages import AnyParentState, StandingState
     from swarmabs_core.swarm_law import SwarmGains
 
 FALLEN = (
@@ -71,9 +71,6 @@ class SwarmOnPlane(NamedTuple):
 class DesiredStateGenerator:
     """Asks the law for a torque, limits and filters it, and lifts it onto the manifold, once per period (ns)."""
 
-    no_offset = "the law has no method offset_torque"
-    """Why the reference of a law cannot be offset."""
-
     def __init__(self, period_ns: int, manifold: Manifold, law: ParentController, plane: SwarmOnPlane) -> None:
         self._manifold = manifold
         self._gravity, self._gains = plane
@@ -90,9 +87,9 @@ class DesiredStateGenerator:
         self._clipped = False
 
     @property
-    def offsettable(self) -> bool:
-        """Whether the reference of the law can be offset."""
-        return isinstance(self._law, OffsetController)
+    def no_offset(self) -> str:
+        """Why the reference of the law cannot be offset; empty if it can."""
+        return "" if isinstance(self._law, OffsetController) else "the law has no method offset_torque"
 
     @property
     def on_curve(self) -> bool:
@@ -148,7 +145,9 @@ class DesiredStateGenerator:
         closed = max(abs(gap), abs(rate) / TRANSITION) <= _CLOSED
         self._gap = (0.0, 0.0) if closed else (gap, rate)
 
-    def advance(self, time_ns: int, plane: PlaneState, *, offset: float = 0.0) -> tuple[Messages, DesiredAbstractState]:
+    def advance(
+        self, time_ns: int, parent: AnyParentState, *, offset: float = 0.0
+    ) -> tuple[Messages, DesiredAbstractState]:
         """Return events, and the desired abstract state for a state of the plane, with the same step.
 
         The law is evaluated at a time (ns); `offset` (rad) is added to its reference.
@@ -160,6 +159,7 @@ class DesiredStateGenerator:
         InputError
             If there is an offset and the law does not support one.
         """
+        plane = cast("PlaneState", parent)
         manifold, period, step = self._manifold, self._period, plane.step
         if problem := fallen(plane):
             raise RunError(problem)

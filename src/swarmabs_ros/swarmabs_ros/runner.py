@@ -7,11 +7,11 @@ import time
 from typing import TYPE_CHECKING, Any, cast
 
 from swarmabs_config.graph import KEPT_STEPS, LOCKSTEP, Endpoints, endpoints, options_of
-from swarmabs_core.behaviours.base import Run
 from swarmabs_core.declaration import DeclarationT, made_of, parameters_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import TOPICS
 from swarmabs_core.parameters import Parameter, SettingError
+from swarmabs_core.settings import Run
 from swarmabs_ros.endpoints import advertise, receiver
 from swarmabs_ros.lockstep import FIRST, INTERRUPTED, SLICE, Lockstep
 from swarmabs_ros.parameters import BySystem, declare, given_values, refuse_sim_time, table_of

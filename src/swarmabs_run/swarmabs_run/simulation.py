@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from swarmabs_bag.recording import RecordedStep, Step
-    from swarmabs_core.behaviours import AgentConfig, Behaviour
-    from swarmabs_core.behaviours.systems import SystemAgentConfig
+    from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.membership import Change
     from swarmabs_core.messages import Message, Messages, Topic
+    from swarmabs_core.models import AgentConfig, SystemAgentConfig
 
 
 class NodeInProcess(NamedTuple):
@@ -57,9 +57,10 @@ def nodes_in_process(scenario: AnyScenario, division: int | None = None) -> dict
         replace(configure.controller_config(scenario, recording_window=0), division=division),
     )
     watching = replace(configure.observer_config(scenario), division=division)
-    also = configure.options_for(scenario) | ({Option.WATCHING} if watching.watches_plane else set())
+    observer = Observer(watching)
+    also = configure.options_for(scenario) | ({Option.WATCHING} if PLANE_STATE in observer.awaits() else set())
     nodes = {
-        NodeName(NodeKind.OBSERVER): _node(Observer(watching), OBSERVER, also),
+        NodeName(NodeKind.OBSERVER): _node(observer, OBSERVER, also),
         NodeName(NodeKind.PARENT): _node(Parent(configure.parent_config(scenario)), PLANE, also),
         NodeName(NodeKind.CONTROLLER): _node(controller, CONTROLLER, also),
     }

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.behaviours import AgentConfig
     from swarmabs_core.messages import AbstractState, AuxiliaryState
+    from swarmabs_core.models import AgentConfig
     from swarmabs_core.plant import SwarmLoad
     from swarmabs_core.summation import Terms
 

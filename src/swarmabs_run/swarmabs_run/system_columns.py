@@ -10,10 +10,10 @@ import numpy as np
 
 from swarmabs_config import configure
 from swarmabs_core.arrays import layout_of
-from swarmabs_core.behaviours.systems import SystemAgentConfig
 from swarmabs_core.cdr import SECOND, encode
 from swarmabs_core.errors import SwarmabsError
 from swarmabs_core.messages import NEVER, ROBOT_STATE, SYSTEM_FAMILY, RobotStatus, SwarmBroadcast, word
+from swarmabs_core.models import SystemAgentConfig
 from swarmabs_core.summation import column_total
 from swarmabs_core.systems.columns import SystemOnColumns, column, columns, dynamics_of
 from swarmabs_core.systems.swarm import observed
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_config.scenario import SystemScenario
-    from swarmabs_core.behaviours.systems import SystemMotion
     from swarmabs_core.messages import ParentState, RobotState, SwarmAbstract, SwarmAuxiliary, SwarmDesired
+    from swarmabs_core.models.systems import SystemMotion
 
     Floats = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class _Kind:
         first, laws = configs[0], [config.law() for config in configs]
         self.ids = [config.agent_id for config in configs]
         self.law = laws[0].on(system.made, dynamics_of([law.dynamics for law in laws]))
-        states = [config.body(None).state(0, NEVER, RobotStatus.ACTIVE) for config in configs]
+        states = [config.body().state(0, NEVER, RobotStatus.ACTIVE) for config in configs]
         self.state: RobotState = states[0]._replace(
             coordinates=column(state.coordinates for state in states),
             velocities=column(state.velocities for state in states),

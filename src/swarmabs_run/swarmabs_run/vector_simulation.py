@@ -248,7 +248,7 @@ class VectorSimulation:
         `RunError` if the run fails, such as when the plane turns over.
         """
         gathered = _Gathered(self._swarm)
-        once: Messages = configure.parent_config(self._scenario).described()
+        once: Messages = configure.parent_config(self._scenario).motion().described()
         try:
             for messages, events in self._messages():
                 gathered.add(messages)

@@ -23,10 +23,11 @@ from swarmabs_bag.stored import ChunkContent
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core import desired_state, messages as msg
-from swarmabs_core.behaviours import Agent, AgentConfig
+from swarmabs_core.behaviours import Agent
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import MalformedMessageError, RunError
 from swarmabs_core.membership import ALWAYS, SILENT
+from swarmabs_core.models import AgentConfig
 from swarmabs_core.ranges import crossing_of
 from swarmabs_run import simulation
 from swarmabs_run.simulation import Simulation

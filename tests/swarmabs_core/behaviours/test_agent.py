@@ -9,11 +9,14 @@ from scipy.linalg import expm
 from tests.swarmabs_core.helpers import PERIOD_NS, broadcasts
 
 from swarmabs_core import messages as msg
-from swarmabs_core.behaviours import Agent, AgentConfig, AgentGroup, LifeSpan, Limits
+from swarmabs_core.behaviours import Agent, AgentGroup
 from swarmabs_core.behaviours.base import ConflictError, UnexpectedMessageError
 from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.membership import UNPLANNED, ChangeKind
+from swarmabs_core.models import AgentConfig
+from swarmabs_core.robot_controller import Limits
 from swarmabs_core.sensing import RobotSensor
+from swarmabs_core.settings import LifeSpan
 from swarmabs_core.swarm_law import SwarmGains, double_integrator_command, single_integrator_command
 
 SI, DI = msg.Kind.SINGLE_INTEGRATOR, msg.Kind.DOUBLE_INTEGRATOR
@@ -91,7 +94,7 @@ def test_another_drive_moves_the_robot_by_the_same_law(kind: msg.Kind) -> None:
         def advance(self, position: float, velocity: float, command: float) -> tuple[float, float]:
             return position + 0.5, 0.25
 
-    node = Agent(config(kind), Belt())
+    node = Agent(config(kind), config(kind).body(Belt()))
     before = state(node.start())
     after = state(hear(node, broadcasts()))
     assert (after.position, after.velocity) == (before.position + 0.5, 0.25)

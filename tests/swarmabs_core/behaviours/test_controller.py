@@ -8,12 +8,13 @@ from scipy.signal import cont2discrete
 from tests.swarmabs_core.helpers import PERIOD_NS, agent_state, taylor
 
 from swarmabs_core import messages as msg
-from swarmabs_core.behaviours import Controller, ControllerConfig
+from swarmabs_core.behaviours import Controller
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError
 from swarmabs_core.controllers import StateFeedback
 from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.manifold import Manifold
+from swarmabs_core.models import ControllerConfig
 from swarmabs_core.swarm_law import SwarmGains
 
 H = PERIOD_NS / 1e9
@@ -38,7 +39,8 @@ class Given:
 
 def controller(torques: list[float], *, window: int = 0, last_step: int | None = None) -> tuple[Controller, Given]:
     law = Given(torques)
-    return Controller(ControllerConfig(PERIOD_NS, MANIFOLD, recording_window=window, last_step=last_step), law), law
+    config = ControllerConfig(PERIOD_NS, MANIFOLD, recording_window=window, last_step=last_step)
+    return Controller(config, config.desired_states(law)), law
 
 
 def plane(step: int, angle: float = 0.1) -> msg.PlaneState:

@@ -6,12 +6,13 @@ import pytest
 from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
 
 from swarmabs_core import messages as msg
-from swarmabs_core.behaviours import Observer, ObserverConfig
+from swarmabs_core.behaviours import Observer
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError, UnknownAgentError
 from swarmabs_core.behaviours.packed import PackedObserver
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.models import ObserverConfig
 from swarmabs_core.parent_response import TorqueEstimator
 from swarmabs_core.plant import Friction
 

@@ -16,12 +16,13 @@ from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core import messages as msg, plant
 from swarmabs_core.arrays import canonical_table, layout_of
-from swarmabs_core.behaviours import Observer, ObserverConfig, Parent, PlaneConfig
+from swarmabs_core.behaviours import Observer, Parent
 from swarmabs_core.behaviours.packed import PackedObserver, PackedParent
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import SwarmabsError
 from swarmabs_core.membership import Change, ChangeKind
-from swarmabs_core.messages import SwarmStates
+from swarmabs_core.messages import PLANE_STATE, SwarmStates
+from swarmabs_core.models import ObserverConfig, PlaneConfig
 from swarmabs_run.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("systems")
@@ -93,7 +94,7 @@ def test_packed_nodes_answer_like_those_that_take_one_state_after_the_other(name
         if draw.random() < 0.2:
             told[0] = dirty(told[0])
         expected, found = single(observers[0], robot, told), together(observers[1], robot, told)
-        if watching.watches_plane:
+        if PLANE_STATE in observers[0].awaits():
             expected += observers[0].handle(step.parent)
             found += observers[1].handle(step.parent)
         (packed,) = (answer for answer in found if isinstance(answer, SwarmStates))

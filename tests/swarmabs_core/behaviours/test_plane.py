@@ -5,12 +5,13 @@ import pytest
 from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
 
 from swarmabs_core import messages as msg, plant
-from swarmabs_core.behaviours import Parent, PlaneConfig
+from swarmabs_core.behaviours import Parent
 from swarmabs_core.behaviours.base import ConflictError, StepAheadError, UnexpectedMessageError, UnknownAgentError
 from swarmabs_core.behaviours.packed import PackedParent
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import MalformedMessageError, RunError
 from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_core.models import PlaneConfig
 from swarmabs_core.plant import Disturbance, Friction, RobotPath
 from swarmabs_core.sensing import Sensor
 

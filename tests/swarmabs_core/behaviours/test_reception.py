@@ -57,7 +57,7 @@ def plane(step: int) -> msg.PlaneState:
 
 def controller(last_step: int | None = None) -> Controller:
     config = replace(configure.controller_config(SCENARIO, recording_window=0), last_step=last_step)
-    return Controller(config, configure.parent_controller(SCENARIO), packed=True)
+    return Controller(config, packed=True)
 
 
 def test_a_controller_that_packs_waits_for_plane_and_observer_and_refuses_contradictions() -> None:

@@ -184,8 +184,8 @@ def test_limited_needs_are_reported_where_the_limit_begins_to_act() -> None:
 def test_the_reference_can_be_offset() -> None:
     system = NamedSystem("beam")
     generator = SystemDesiredState(10_000_000, system, SystemGains())
-    assert generator.offsettable
-    assert not SystemDesiredState(10_000_000, NamedSystem("sheet"), SystemGains()).offsettable
+    assert not generator.no_offset
+    assert SystemDesiredState(10_000_000, NamedSystem("sheet"), SystemGains()).no_offset
     _, one = generator.advance(0, parent(system, 0, 0.0, 0.5), offset=0.1)
     assert one.value[0] == pytest.approx(2.0 * 0.5 - 5.0 * 0.1)
 

@@ -3,8 +3,9 @@
 import pytest
 from tests.swarmabs_core.systems.helpers import PERIOD, heard, rotors
 
-from swarmabs_core.behaviours.systems import HELD, SystemAgentConfig, SystemRobot
 from swarmabs_core.messages import NEVER, RobotKind, RobotStatus, Status, SwarmBroadcast
+from swarmabs_core.models import SystemAgentConfig
+from swarmabs_core.models.systems import HELD, SystemRobot
 from swarmabs_core.systems.check import initial_states
 from swarmabs_core.systems.interface import NamedSystem
 

@@ -27,7 +27,6 @@ from swarmabs_config.graph import (
 )
 from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import builtin_scenarios
-from swarmabs_core.behaviours import AgentConfig, ObserverConfig, PlaneConfig
 from swarmabs_core.declaration import made_of
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -38,6 +37,7 @@ from swarmabs_core.messages import (
     STEERING,
     SWARM_STATES,
 )
+from swarmabs_core.models import AgentConfig, ObserverConfig, PlaneConfig
 from swarmabs_core.parameters import resolve
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.observer import RealtimeObserverConfig
@@ -127,7 +127,7 @@ def test_nodes_are_configured_as_the_scenario_says(scenario: str, monkeypatch: p
     loaded = scenario_of(scenario)
     processes = planned(loaded)
     plane = settings_of(processes[PLANE])
-    expected = configure.plane_config(loaded)
+    expected = configure.parent_config(loaded)
     assert plane.made(PlaneConfig) == replace(expected, plane=replace(expected.plane, robot_gravity=False))
     observer = settings_of(processes[OBSERVER])
     assert observer.made(ObserverConfig) == configure.observer_config(loaded)

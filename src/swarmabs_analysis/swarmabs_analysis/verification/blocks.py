@@ -67,7 +67,7 @@ class BlockRecomputation:
         self._nodes = nodes
         self._period_ns = scenario.step_ns
         self._dynamics = PlaneDynamics(scenario.plane, scenario.period)
-        self._disturbances = StepSchedule(configure.plane_config(scenario).torques)
+        self._disturbances = StepSchedule(configure.parent_config(scenario).torques)
         self._configs = {config.agent_id: config for config in configure.agent_configs(scenario)}
         self._disturbed = sorted(_disturbed(scenario, self._disturbances))
         self._borders = RangeMonitor(lane(scenario.plane.length)).borders()

@@ -13,7 +13,7 @@ from swarmabs_config.model.agents import AgentId, Damping, Mass, Position, Veloc
 from swarmabs_config.model.declared import like, model_of
 from swarmabs_config.model.errors import describe
 from swarmabs_config.model.fields import LARGEST, Model, Name, Positive, Tagged, problem
-from swarmabs_core.behaviours.robot import RobotConfig
+from swarmabs_core.models.plane_robot import RobotConfig
 from swarmabs_core.parameters import Value
 from swarmabs_core.realtime.instruments import TopicSettings
 

@@ -16,9 +16,9 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from swarmabs_core.behaviours.robot import RobotConfig
-from swarmabs_core.behaviours.systems import SystemAgentConfig
 from swarmabs_core.messages import RobotKind, word
+from swarmabs_core.models import SystemAgentConfig
+from swarmabs_core.models.plane_robot import RobotConfig
 from swarmabs_core.systems.check import generated
 from swarmabs_core.systems.interface import NamedSystem
 

@@ -5,19 +5,19 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, 
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
-from swarmabs_core.behaviours.base import Lockstep, Run
-from swarmabs_core.behaviours.systems import SystemAgentConfig
 from swarmabs_core.cdr import SECOND
 from swarmabs_core.declaration import setting_of
 from swarmabs_core.faults import FAULTS, Fault, JoinFault, SystemReferenceFault
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import PLANE_FAMILY, SYSTEM_FAMILY, Family
+from swarmabs_core.models import SystemAgentConfig
 from swarmabs_core.parent_response import ParentResponse, SumObserver
 from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import Realtime
 from swarmabs_core.robot_controller import Limits
 from swarmabs_core.sensing import ParentSensor, RobotSensor
+from swarmabs_core.settings import Lockstep, Run
 from swarmabs_core.steering import REFERENCE
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_core.systems.desired import Requests

@@ -141,9 +141,9 @@ def offset_law(scenario: "UncheckedScenario") -> Iterator[Finding]:
 
 def system_settings(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
     """Check that the parent system supports the faults that offset its reference or disturb it, and false masses."""
-    able = configure.system_abilities(scenario)
+    largest = configure.largest_requests(scenario)
     for index, fault in enumerate(scenario.faults):
-        if isinstance(fault, SettingFault) and not able[fault.kind]:
+        if isinstance(fault, SettingFault) and not largest[fault.kind]:
             method = "offset_ask of its controller" if isinstance(fault, ReferenceFault) else "disturbed"
             yield Finding.of(
                 ("faults", index),

@@ -2,28 +2,19 @@
 
 from swarmabs_core.behaviours.agent import Agent, AgentGroup
 from swarmabs_core.behaviours.base import Behaviour
-from swarmabs_core.behaviours.controller import Controller, ControllerConfig
-from swarmabs_core.behaviours.observer import Observer, ObserverConfig
+from swarmabs_core.behaviours.controller import Controller
+from swarmabs_core.behaviours.observer import Observer
 from swarmabs_core.behaviours.parent import Parent
-from swarmabs_core.behaviours.plane import PlaneConfig
-from swarmabs_core.behaviours.robot import AgentConfig, LifeSpan
 from swarmabs_core.behaviours.steering import Decision, Request, Steered, SteeringConfig, SteeringController
-from swarmabs_core.robot_controller import Limits
 
 __all__ = [
     "Agent",
-    "AgentConfig",
     "AgentGroup",
     "Behaviour",
     "Controller",
-    "ControllerConfig",
     "Decision",
-    "LifeSpan",
-    "Limits",
     "Observer",
-    "ObserverConfig",
     "Parent",
-    "PlaneConfig",
     "Request",
     "Steered",
     "SteeringConfig",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 from swarmabs_core.behaviours.base import (
     UnexpectedMessageError,
@@ -12,34 +11,34 @@ from swarmabs_core.behaviours.base import (
     refuse_other_system,
 )
 from swarmabs_core.behaviours.reception import Reception, Transmission
-from swarmabs_core.behaviours.robot import LifeSpan
 from swarmabs_core.errors import InStep
 from swarmabs_core.faults import RobotFaults
 from swarmabs_core.membership import UNPLANNED, ChangeKind
 from swarmabs_core.messages import (
     NEVER,
-    PLANE_STATE,
     STEERING,
     TOPIC_OF,
     Action,
-    AgentState,
     AnyBroadcast,
     AnyRobotState,
     EventKind,
     Message,
     Messages,
     Mode,
+    PlaneState,
     Status,
     Steering,
     SwarmEvent,
     Topic,
 )
 from swarmabs_core.robot_controller import COMMAND_LIMITED, RESET, STOPPED, WITHIN_LIMITS
+from swarmabs_core.settings import LifeSpan
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from swarmabs_core.drive import Drive
+    from swarmabs_core.messages import AnyRobotState
+    from swarmabs_core.model import AgentConfig, Body
 
 UNLIMITED_NS = 500_000_000
 """Time without a limited command, ns, after which limits are reported as over: one event each, however it dithers."""
@@ -50,10 +49,10 @@ class Agent:
 
     Parameters
     ----------
-    config : AgentConfig or SystemAgentConfig
+    config : AgentConfig
         Configuration, which determines the parent system.
-    drive : Drive, optional
-        Drive of the robot; the default is the ideal drive of its kind.
+    body : Body, optional
+        The robot itself; by default the configured one.
     packed : bool
         Whether it receives the three broadcasts of a step as one message, which wakes it less often.
     steered : bool
@@ -72,27 +71,29 @@ class Agent:
 
     def __init__(
         self,
-        config: Any,
-        drive: Drive | None = None,
+        config: AgentConfig,
+        body: Body | None = None,
         *,
         packed: bool = False,
         steered: bool = False,
     ) -> None:
         self._config = config
-        self._system: int | None = config.system_hash
-        self._body = config.body(drive)
+        self._life = config.life
+        self._system = config.system_hash
+        self._body: Body = body or config.body()
         family = config.family
         # The message expected last is awaited first; the others have usually arrived by then.
         apart = (family.desired, family.abstract, family.auxiliary)
         self._topics: tuple[Topic, ...] = (family.packed,) if packed else apart
-        if config.feels_plane:
-            self._topics = (*self._topics, PLANE_STATE)
+        if (watched := self._body.watched) is not None:
+            self._topics = (*self._topics, watched)
         self._absent = steered and config.life.first_step == UNPLANNED
         self.needs = (STEERING, *self._topics) if self._absent else self._topics
         self._begin(config.life.first_step)
         self._heard: dict[Topic, Message] = {}
         self._faults = RobotFaults(config.faults, config.seed, config.agent_id) if config.faults else None
-        self._reception, self._transmission = Reception(self._faults), Transmission(self._faults)
+        self._reception: Reception = Reception(self._faults)
+        self._transmission = Transmission(self._faults)
         self._ended = False
         self._broadcast_step = NEVER
         self._status = Status.ACTIVE
@@ -109,7 +110,7 @@ class Agent:
         """Publish the initial state, unless the robot joins later."""
         return self._transmission.published((self._state(),)) if self._joined else ()
 
-    def resume(self, state: AgentState) -> None:
+    def resume(self, state: AnyRobotState) -> None:
         """Continue on the plane from a state that it would have published, without faults, as an active robot."""
         self._heard = {}
         self._step, self._broadcast_step = state.step, state.broadcast_step
@@ -135,7 +136,7 @@ class Agent:
         """Join if the order adds this robot."""
         if self._absent and order.action == Action.ADD and order.agent_id == self._config.agent_id:
             self._absent = False
-            self._config = replace(self._config, life=LifeSpan(order.step))
+            self._life = LifeSpan(order.step)
             self._begin(order.step)
 
     def _hear(self, topic: Topic, message: Message) -> Messages:
@@ -162,15 +163,15 @@ class Agent:
         return self._step, tuple(topic.name for topic in self._topics if topic not in self._heard)
 
     def _state(self) -> AnyRobotState:
-        life = self._config.life
+        life = self._life
         leaves = life.end is ChangeKind.LEAVE and life.end_step == self._step
         status = Status.LEFT if leaves else self._status
-        return self._body.state(self._step, self._broadcast_step, status)  # type: ignore[no-any-return]
+        return self._body.state(self._step, self._broadcast_step, status)
 
     def _advance(self) -> Messages:
         """Compute the command of the step, move for a period and return the state at its end."""
         config, heard = self._config, self._heard
-        if self._step == config.last_step or (self._joined and self._step == config.life.end_step):
+        if self._step == config.last_step or (self._joined and self._step == self._life.end_step):
             self._ended = True
             return ()
         self._heard = {}
@@ -181,15 +182,19 @@ class Agent:
         with InStep(self._step):
             events = self._decide() if self._reception.send(self._step, self._broadcast(heard)) else ()
             if self._faults is None or not any(fault.sticks() for fault in self._faults.acting(self._step)):
-                self._body.move(heard.get(PLANE_STATE))
+                self._body.move(self._watched(heard))
         self._step += 1
         return (*events, self._state())
 
     def _broadcast(self, heard: dict[Topic, Message]) -> AnyBroadcast:
         """Return the three broadcasts of the current step."""
         family = self._config.family
-        found: Any = heard.get(family.packed) or packed_broadcasts(family, heard.__getitem__)
-        return found  # type: ignore[no-any-return]
+        return cast("AnyBroadcast", heard.get(family.packed) or packed_broadcasts(family, heard.__getitem__))
+
+    def _watched(self, heard: dict[Topic, Message]) -> PlaneState | None:
+        """Return the state of the plane, if it acts on the robot."""
+        topic = self._body.watched
+        return None if topic is None else cast("PlaneState", heard[topic])
 
     def _decide(self) -> Messages:
         """Update command, broadcast step and status; return the events."""
@@ -243,7 +248,7 @@ class AgentGroup:
         The topics to which the robots subscribe.
     """
 
-    def __init__(self, configs: Sequence[Any], *, packed: bool = False, steered: bool = False) -> None:
+    def __init__(self, configs: Sequence[AgentConfig], *, packed: bool = False, steered: bool = False) -> None:
         self._agents = [Agent(config, packed=packed, steered=steered) for config in configs]
         self.needs = tuple(dict.fromkeys(topic for agent in self._agents for topic in agent.needs))
         self._listeners = {topic: [a for a in self._agents if topic in a.needs] for topic in self.needs}

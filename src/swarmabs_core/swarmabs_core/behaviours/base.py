@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol, cast
 
 from swarmabs_core.cdr import encode
-from swarmabs_core.declaration import setting
 from swarmabs_core.errors import ProtocolError
-from swarmabs_core.membership import Change
 from swarmabs_core.messages import (
     AnyRobotState,
-    Family,
     Message,
     Messages,
     RobotState,
@@ -25,39 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from swarmabs_core.membership import Membership
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """Settings of a run that nodes share; each node declares those that it needs."""
-
-    period_ns: int = setting(10_000_000, "control period, ns", minimum=1)
-    last_step: int | None = setting(None, "last step of the run", unset=-1)
-    members: tuple[int, ...] = setting((1, 2, 3, 4), "ids of all robots that ever take part", minimum=1, maximum=65535)
-    schedule: tuple[Change, ...] = setting(
-        (), "scheduled changes of the membership, each 'KIND AGENT STEP', such as 'kill 3 500'", make=Change.parse
-    )
-    division: int = setting(
-        0,
-        "number of steps from a change of the membership on in which the observer tells how the abstract state divides",
-        minimum=0,
-    )
-    seed: int = setting(1, "seed of random faults and noise during the run", minimum=0, below=2**63)
-    actuator_lag: float = setting(
-        0.0, "time constant with which velocity or force follows the command, s; 0: no lag", minimum=0.0
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Lockstep:
-    """Reaction to a robot that does not answer."""
-
-    on_stall: str = setting(
-        "fail",
-        "fail: the run fails; drop: the robot is dropped as if it had been killed",
-        choices=("fail", "drop"),
-    )
-    stall_timeout: float = setting(5.0, "wall time without an answer after which a robot has stalled, s", above=0.0)
+    from swarmabs_core.messages import AnyBroadcast, Family
 
 
 class Behaviour(Protocol):
@@ -142,11 +106,11 @@ def refuse_other_system(message: Message, system: int) -> None:
         raise OtherSystemError(message)
 
 
-def packed_broadcasts(family: Family, heard: Callable[[Topic], Message]) -> Any:
+def packed_broadcasts(family: Family, heard: Callable[[Topic], Message]) -> AnyBroadcast:
     """Return the three broadcasts of a step, by their topics, as one message."""
-    made: Any = family.packed.message
+    packed = cast("Callable[[int, int, Message, Message, Message], AnyBroadcast]", family.packed.message)
     desired = heard(family.desired)
-    return made(desired.stamp, desired.step, heard(family.abstract), heard(family.auxiliary), desired)
+    return packed(desired.stamp, desired.step, heard(family.abstract), heard(family.auxiliary), desired)
 
 
 def at_rest(state: AnyRobotState) -> AnyRobotState:

@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours.base import (
-    Run,
-    UnexpectedMessageError,
-    is_new,
-    packed_broadcasts,
-    refuse_other_system,
-)
-from swarmabs_core.controllers import ParentLaw
-from swarmabs_core.declaration import part, same, setting
-from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
+from swarmabs_core.behaviours.base import UnexpectedMessageError, is_new, packed_broadcasts, refuse_other_system
 from swarmabs_core.errors import InputError, InStep
-from swarmabs_core.manifold import Manifold
-from swarmabs_core.membership import Change, Membership
+from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
     NEVER,
     OBSERVER_NODE,
     PARENT_STATES,
-    PLANE_FAMILY,
     RECORDER_NODE,
     RECORDING_PROGRESS,
     STANDING,
@@ -30,7 +18,6 @@ from swarmabs_core.messages import (
     Action,
     AnyParentState,
     EventKind,
-    Family,
     Message,
     Messages,
     RecordingProgress,
@@ -38,44 +25,11 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.plant import Plane
-from swarmabs_core.steering import REFERENCE, StepChange, StepSchedule, change_of
-from swarmabs_core.swarm_law import SwarmGains
+from swarmabs_core.steering import REFERENCE, StepSchedule, change_of
 
 if TYPE_CHECKING:
-    from swarmabs_core.controllers import ParentController
     from swarmabs_core.messages import Steering
-
-
-@dataclass(frozen=True, slots=True)
-class ControllerConfig:
-    """Configuration of the parent controller's node."""
-
-    period_ns: int = same(Run, "period_ns")
-    manifold: Manifold = part(Manifold)
-    gravity: float = same(Plane, "gravity")
-    gains: SwarmGains = part(SwarmGains)
-    recording_window: int = setting(
-        0, "number of steps that the run may be ahead of the recorder; 0: not recorded", minimum=0
-    )
-    last_step: int | None = same(Run, "last_step")
-    members: tuple[int, ...] = same(Run, "members")
-    schedule: tuple[Change, ...] = same(Run, "schedule")
-    division: int = same(Run, "division")
-    offsets: tuple[StepChange, ...] = setting(
-        (),
-        "offsets of the law's reference, rad, each 'STEP VALUE' from a step on, such as '500 0.1'",
-        make=StepChange.parse,
-    )
-    law: ParentLaw = part(ParentLaw, name="")
-
-    family: ClassVar[Family] = PLANE_FAMILY
-    system_hash: ClassVar[None] = None
-
-    def generator(self, law: ParentController | None) -> DesiredStateGenerator:
-        """Return what generates the desired abstract state, by default with the configured law."""
-        law = law or self.law.make(self.period_ns / 1e9, self.manifold)
-        return DesiredStateGenerator(self.period_ns, self.manifold, law, SwarmOnPlane(self.gravity, self.gains))
+    from swarmabs_core.model import ControllerConfig, DesiredStates
 
 
 class Controller:
@@ -83,10 +37,10 @@ class Controller:
 
     Parameters
     ----------
-    config : ControllerConfig or SystemControllerConfig
+    config : ControllerConfig
         Configuration, which determines the parent system.
-    law : ParentController, optional
-        The law for the plane, by default the configured one.
+    desired : DesiredStates, optional
+        What generates the desired abstract state, by default the configured law.
     packed : bool
         Whether it also receives the observer's broadcasts and publishes the three of a step as one message.
 
@@ -98,18 +52,18 @@ class Controller:
 
     def __init__(
         self,
-        config: Any,
-        law: ParentController | None = None,
+        config: ControllerConfig,
+        desired: DesiredStates | None = None,
         *,
         packed: bool = False,
     ) -> None:
         self._config = config
-        self._system: int | None = config.system_hash
+        self._system = config.system_hash
         self._family = config.family
         self._packed = packed
         self._parts: dict[Topic, Message] = {}
-        self._generator = config.generator(law)
-        if config.offsets and not self._generator.offsettable:
+        self._generator: DesiredStates = desired or config.desired_states()
+        if config.offsets and self._generator.no_offset:
             raise InputError(f"parameter offsets: {self._generator.no_offset}; omit the parameter")
         self._offsets = StepSchedule(config.offsets)
         self._step = 0
@@ -194,6 +148,7 @@ class Controller:
 
     def _finish(self) -> Messages:
         step, parent, self._parent = self._step, self._parent, None
+        assert parent is not None  # noqa: S101 - what is ready has a state of the parent
         divided, self._divided = self._divided, None
         if divided is not None:
             self._generator.divide(divided)

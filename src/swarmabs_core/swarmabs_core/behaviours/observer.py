@@ -2,95 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING
 
-from swarmabs_core.abstraction import Weight, divided_load, observed
 from swarmabs_core.behaviours.base import (
     Gathering,
-    Run,
     UnexpectedMessageError,
     at_rest,
     is_new,
     place_of,
     refuse_other_system,
 )
-from swarmabs_core.declaration import same, setting
 from swarmabs_core.errors import InStep, RunError
-from swarmabs_core.membership import Change, Membership
+from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
-    PLANE_FAMILY,
-    PLANE_STATE,
     ROBOT_STATES,
-    AbstractState,
-    AgentState,
     AnyRobotState,
     EventKind,
-    Family,
     Message,
     Messages,
     PlaneState,
-    StandingState,
-    Status,
     Steering,
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.parent_response import ParentResponse, TorqueEstimator
-from swarmabs_core.plant import Friction, Plane
 from swarmabs_core.steering import change_of
-from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-
-@dataclass(frozen=True, slots=True)
-class ObserverConfig:
-    """Configuration of the observer, including the properties of the plane that its torque estimate requires."""
-
-    members: tuple[int, ...] = same(Run, "members")
-    period_ns: int = same(Run, "period_ns")
-    gravity: float = same(Plane, "gravity")
-    ksd: float = same(SwarmGains, "ksd")
-    schedule: tuple[Change, ...] = same(Run, "schedule")
-    last_step: int | None = same(Run, "last_step")
-    division: int = same(Run, "division")
-    type: str = setting(
-        "sum",
-        "source of the torque: the sum over the robots, or the plane's motion",
-        choices=("sum", "parent_response"),
-    )
-    inertia: float = same(Plane, "inertia")
-    friction: Friction = same(Plane, "friction")
-    bandwidth: float = same(ParentResponse, "bandwidth")
-
-    family: ClassVar[Family] = PLANE_FAMILY
-    system_hash: ClassVar[None] = None
-
-    @property
-    def watches_plane(self) -> bool:
-        """Whether the torque is estimated from the plane's motion."""
-        return self.type == ParentResponse.type
-
-    def estimator(self) -> TorqueEstimator | None:
-        """Return the estimator of the torque, if it is estimated."""
-        if not self.watches_plane:
-            return None
-        return TorqueEstimator(self.inertia, self.friction, self.bandwidth, self.period_ns / 1e9)
-
-    def observed(
-        self, stamp: int, step: int, moving: Sequence[AnyRobotState], standing: Iterable[AnyRobotState]
-    ) -> Messages:
-        """Return abstract and auxiliary state at a step, with a time stamp (ns)."""
-        robots = [s for s in (*moving, *standing) if isinstance(s, AgentState)]
-        followers = [s for s in moving if isinstance(s, AgentState) and s.status == Status.ACTIVE]
-        weights = [Weight(s.mass, s.position, s.velocity) for s in robots]
-        return observed(stamp, step, weights, followers, self.gravity, self.ksd)
-
-    def divided(self, stamp: int, step: int, robots: Iterable[AnyRobotState]) -> StandingState:
-        """Return how the abstract state divides at a step, with a time stamp (ns)."""
-        return divided_load(stamp, step, robots, self.gravity)
+    from swarmabs_core.model import Observation, Observed, ObserverConfig
 
 
 class Observer:
@@ -100,22 +40,23 @@ class Observer:
 
     Parameters
     ----------
-    config : ObserverConfig or SystemObserverConfig
+    config : ObserverConfig
         Configuration, which determines the parent system.
     """
 
-    _gatherer: ClassVar[type[Gathering]] = Gathering
-
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ObserverConfig) -> None:
         self._config = config
-        self._system: int | None = config.system_hash
-        self._estimator = config.estimator()
+        self._system = config.system_hash
+        self._observation: Observation = config.observation()
         self._plane: PlaneState | None = None
         self._announced = -1
         self._membership = Membership(config.members, config.schedule)
-        self._gathering = self._gatherer(self._membership)
+        self._gathering = self._gather()
         self._previous: Iterable[AnyRobotState] = ()
         self._standing: dict[int, AnyRobotState] = {}
+
+    def _gather(self) -> Gathering:
+        return Gathering(self._membership)
 
     def start(self) -> Messages:
         """Publish nothing: the robots start."""
@@ -142,12 +83,13 @@ class Observer:
 
         If the torque is estimated from the plane's motion, the plane's state is awaited, too.
         """
+        watched = self._observation.watched
         if self._system is not None:
             refuse_other_system(message, self._system)
         if isinstance(message, ROBOT_STATES):
             self._gathering.add(message)
-        elif isinstance(message, PlaneState) and self._estimator is not None:
-            if is_new(message, self._plane, self._gathering.step, PLANE_STATE.name):
+        elif isinstance(message, PlaneState) and watched is not None:
+            if is_new(message, self._plane, self._gathering.step, watched.name):
                 self._plane = message
         else:
             raise UnexpectedMessageError("observer", message)
@@ -168,13 +110,15 @@ class Observer:
         """Wait for the states of robots, and for that of the plane if its motion is used."""
         if self._finished():
             return ()
-        robots = self._config.family.robot
-        return (robots,) if self._estimator is None else (robots, PLANE_STATE)
+        robots, watched = self._config.family.robot, self._observation.watched
+        return (robots,) if watched is None else (robots, watched)
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step, and the missing robots, or else the plane."""
         robots = tuple(f"agent {i}" for i in self._gathering.missing())
-        return self._gathering.step, robots or (() if self._estimator is None else (self._config.family.node,))
+        return self._gathering.step, robots or (
+            () if self._observation.watched is None else (self._config.family.node,)
+        )
 
     def missing_agents(self) -> tuple[int, ...]:
         """Return the ids of the robots whose states of the current step are missing."""
@@ -201,7 +145,7 @@ class Observer:
         if self._announced < self._gathering.step:
             self._announced = self._gathering.step
             events = self._announce()
-        if self._estimator is not None and self._plane is None:
+        if self._observation.watched is not None and self._plane is None:
             return events
         return (*events, *self._sum_up())
 
@@ -213,20 +157,15 @@ class Observer:
         if not self._finished() and not self._membership.publishing(self._gathering.step):
             raise RunError(f"step {self._gathering.step}: no robot is left in the run")
         self._previous = states
+        watched, self._plane = self._plane, None
         with InStep(step):
-            answer = self._observed(stamp, step, states)
-            if self._membership.divides(step, config.division):
-                answer = (*answer, config.divided(stamp, step, (*states, *self._standing.values())))
-        plane, self._plane = self._plane, None
-        abstract, *others = answer
-        if self._estimator is not None and plane is not None and isinstance(abstract, AbstractState):
-            torque, rate = self._estimator.update(plane.angle, plane.angular_velocity, abstract.inertia)
-            answer = (abstract._replace(torque=torque, torque_rate=rate), *others)
-        return answer
+            observed = self._observed(stamp, step, states, watched)
+            if not self._membership.divides(step, config.division):
+                return observed
+            return (*observed, self._observation.divided(stamp, step, (*states, *self._standing.values())))
 
-    def _observed(self, stamp: int, step: int, states: Sequence[AnyRobotState]) -> Messages:
-        found: Messages = self._config.observed(stamp, step, states, self._standing.values())
-        return found
+    def _observed(self, stamp: int, step: int, states: Sequence[AnyRobotState], watched: PlaneState | None) -> Observed:
+        return self._observation.observed(stamp, step, states, self.standing, watched)
 
     def _announce(self) -> Messages:
         """Return events for the membership changes that take effect at the current step."""

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, overload
+from typing import TYPE_CHECKING, cast, overload
 
 import numpy as np
 
-from swarmabs_core.abstraction import summed
 from swarmabs_core.arrays import canonical_table
 from swarmabs_core.behaviours.base import Gathering
 from swarmabs_core.behaviours.observer import Observer
@@ -21,21 +20,18 @@ from swarmabs_core.cdr import decode, encode, split
 from swarmabs_core.messages import (
     EVENTS,
     OBSERVER_NODE,
-    PLANE_FAMILY,
     SWARM_STATES,
     AnyRobotState,
-    Kind,
     Status,
     SwarmStates,
 )
-from swarmabs_core.summation import column_sums
+from swarmabs_core.model import TableMotion, TableObservation
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from numpy.typing import NDArray
 
-    from swarmabs_core.messages import Message, Messages, SwarmEvent, Topic
+    from swarmabs_core.messages import Message, Messages, PlaneState, SwarmEvent, Topic
+    from swarmabs_core.model import Observed, ObserverConfig, ParentConfig
 
 
 FEW = 24
@@ -58,15 +54,15 @@ class TableStates(Sequence[AnyRobotState]):
         self.table = table
 
     @cached_property
-    def _states(self) -> list[Any]:
+    def _states(self) -> list[AnyRobotState]:
         kind = self._topic.message
-        return [decode(kind, payload) for payload in split(kind, self.table.tobytes())]
+        return [cast("AnyRobotState", decode(kind, payload)) for payload in split(kind, self.table.tobytes())]
 
     @overload
     def __getitem__(self, place: int) -> AnyRobotState: ...
     @overload
     def __getitem__(self, place: slice) -> list[AnyRobotState]: ...
-    def __getitem__(self, place: int | slice) -> Any:
+    def __getitem__(self, place: int | slice) -> AnyRobotState | list[AnyRobotState]:
         """Return a state, or several, as messages."""
         return self._states[place]
 
@@ -134,13 +130,16 @@ class PackedObserver(Observer):
     Serialized states are kept unread until all that are missing may be there.
     """
 
-    _gatherer: ClassVar = TableGathering
     _gathering: TableGathering
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ObserverConfig) -> None:
         super().__init__(config)
         self._robot: Topic = config.family.robot
         self._unread: list[bytes] = []
+        self._tables = self._observation if isinstance(self._observation, TableObservation) else None
+
+    def _gather(self) -> TableGathering:
+        return TableGathering(self._membership)
 
     def hear_all(self, topic: Topic, payloads: Sequence[bytes]) -> Messages:
         """Take serialized messages; return what `handle` does."""
@@ -177,38 +176,27 @@ class PackedObserver(Observer):
         data = states.table.tobytes() if isinstance(states, TableStates) else b"".join(map(encode, states))
         return (*super()._announce(), SwarmStates(step * self._config.period_ns, step, data))
 
-    def _observed(self, stamp: int, step: int, states: Sequence[AnyRobotState]) -> Messages:
-        config = self._config
-        if not isinstance(states, TableStates) or config.family is not PLANE_FAMILY:
-            return super()._observed(stamp, step, states)
-        table, standing = states.table, [*self._standing.values()]
-        weights = _columns(table, ("mass", "position", "velocity"), standing)
-        active = table[table["status"] == Status.ACTIVE]
-        followers = _columns(active, ("mass", "position"))
-        damped = _columns(active[active["kind"] == Kind.DOUBLE_INTEGRATOR], ("mass", "position", "damping"))
-        with np.errstate(all="ignore"):
-            robots, constants = (weights, followers, damped), (config.gravity, config.ksd)
-            return summed(stamp, step, len(weights[0]), robots, constants, column_sums)
-
-
-def _columns(table: NDArray[np.void], names: Iterable[str], also: Iterable[Any] = ()) -> tuple[Any, ...]:
-    """Return fields of robots in a table, and of others, as columns."""
-    others = [*also]
-    if not others:
-        return tuple(table[name] for name in names)
-    return tuple(np.append(table[name], [getattr(state, name) for state in others]) for name in names)
+    def _observed(self, stamp: int, step: int, states: Sequence[AnyRobotState], watched: PlaneState | None) -> Observed:
+        if isinstance(states, TableStates) and self._tables is not None:
+            still = np.frombuffer(b"".join(map(encode, self.standing)), states.table.dtype)
+            with np.errstate(all="ignore"):
+                return self._tables.observed_all(stamp, step, np.append(states.table, still), watched)
+        return super()._observed(stamp, step, states, watched)
 
 
 class PackedParent(Parent):
     """A simulated parent to which the observer sends the robots' states of a step as one message."""
 
-    _gatherer: ClassVar = TableGathering
     _gathering: TableGathering
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ParentConfig) -> None:
         super().__init__(config)
         self._robot: Topic = config.family.robot
         self._before: TableStates | None = None  # the same as `_robots`, if they all move
+        self._tables = self._motion if isinstance(self._motion, TableMotion) else None
+
+    def _gather(self) -> TableGathering:
+        return TableGathering(self._membership)
 
     def handle(self, message: Message) -> Messages:
         """Take the states of robots or an event; return the parent's state when a step is complete."""
@@ -229,14 +217,13 @@ class PackedParent(Parent):
 
     def _move(self, step: int, stamp: int, states: Sequence[AnyRobotState]) -> list[SwarmEvent]:
         before, plain = self._before, None
-        if isinstance(states, TableStates) and self._config.family is PLANE_FAMILY and not self._config.falsifications:
+        if isinstance(states, TableStates) and self._tables is not None and not self._config.falsifications:
             plain = states
-        if plain and before and before.table["agent_id"].tolist() == plain.table["agent_id"].tolist():
+        if self._tables and plain and before and before.table["agent_id"].tolist() == plain.table["agent_id"].tolist():
             self._before = plain
             with np.errstate(all="ignore"):
-                moved: list[SwarmEvent] = self._motion.advance_all(
-                    step, before.table, plain.table, self._disturbances.at(step - 1)
-                )
+                disturbance = self._disturbances.at(step - 1)
+                moved = self._tables.advance_all(step, before.table, plain.table, disturbance)
                 if self._ranges.quiet(float(np.abs(plain.table["position"]).max())):
                     return moved
                 return [*moved, *self._watch(plain, step, stamp)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours.base import Gathering, StepAheadError, UnexpectedMessageError, refuse_other_system
 from swarmabs_core.errors import InStep, RunError
@@ -16,7 +16,6 @@ from swarmabs_core.messages import (
     EventKind,
     Message,
     Messages,
-    PlaneState,
     Steering,
     SwarmEvent,
     Topic,
@@ -28,40 +27,43 @@ from swarmabs_core.steering import DISTURBANCE, StepSchedule, change_of
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
 
+    from swarmabs_core.messages import AnyParentState
+    from swarmabs_core.model import Motion, ParentConfig
+
 
 class Parent:
     """Moves the parent over a period once the robots' states at its end are known.
 
     Parameters
     ----------
-    config : PlaneConfig or SystemParentConfig
+    config : ParentConfig
         Configuration, which determines the parent system.
     ranges : RangeMonitor, optional
         What tells which robots leave the ranges of their coordinates; by default by the ends in the configuration.
     """
 
-    _gatherer: ClassVar[type[Gathering]] = Gathering
-
-    def __init__(self, config: Any, ranges: RangeMonitor | None = None) -> None:
+    def __init__(self, config: ParentConfig, ranges: RangeMonitor | None = None) -> None:
         self._config = config
         self._ranges = ranges or RangeMonitor(config.coordinates)
-        self._system: int | None = config.system_hash
-        self._motion = config.motion()
+        self._system = config.system_hash
+        self._motion: Motion = config.motion()
         self._disturbances = StepSchedule(config.torques)
         self._membership = Membership(config.members, config.schedule)
-        self._gathering = self._gatherer(self._membership)
+        self._gathering = self._gather()
         self._robots: dict[int, AnyRobotState] = {}
+
+    def _gather(self) -> Gathering:
+        return Gathering(self._membership)
 
     def start(self) -> Messages:
         """Describe the parent system, unless it is the plane; then the robots start."""
-        found: Messages = self._config.described()
-        return found
+        return self._motion.described()
 
     def standing(self, moving: Container[int]) -> tuple[AnyRobotState, ...]:
         """Return the robots that act on the parent, without those that move, by id."""
         return tuple(state for agent_id, state in self._robots.items() if agent_id not in moving)
 
-    def resume(self, states: Iterable[AnyRobotState], parent: PlaneState) -> None:
+    def resume(self, states: Iterable[AnyRobotState], parent: AnyParentState) -> None:
         """Continue after a step of the plane, given by its messages, since whose predecessors no robot has changed.
 
         The states are true, and the plane is measured by perfect sensors.
@@ -143,7 +145,8 @@ class Parent:
 
     def _move(self, step: int, stamp: int, states: Sequence[AnyRobotState]) -> list[SwarmEvent]:
         """Move through the period before a step with the states at its end; return the events."""
-        config, events = self._config, []
+        config = self._config
+        events: list[SwarmEvent] = []
         if config.falsifications:
             states = [true_state(state, config.falsifications) for state in states]
         coasting = self._coasting(step - 1)
@@ -164,7 +167,7 @@ class Parent:
         failed = failed_drives(self._config.falsifications, step) & self._robots.keys()
         return {agent_id: self._motion.coasted(self._robots[agent_id]) for agent_id in failed}
 
-    def _keep(self, states: list[AnyRobotState], coasting: dict[int, AnyRobotState]) -> None:
+    def _keep(self, states: Sequence[AnyRobotState], coasting: dict[int, AnyRobotState]) -> None:
         """Store the robots that act on the parent: with a state, or at rest or coasting after their end."""
         still = {
             agent_id: state

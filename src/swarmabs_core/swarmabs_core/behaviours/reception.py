@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from swarmabs_core.faults import RobotFaults
 from swarmabs_core.messages import (
     ROBOT_STATES,
     AnyBroadcast,
-    AnyRobotState,
     EventKind,
     Message,
     Messages,
@@ -14,13 +15,16 @@ from swarmabs_core.messages import (
     SwarmEvent,
 )
 
+if TYPE_CHECKING:
+    from swarmabs_core.messages import AnyRobotState
+
 
 class Reception:
     """Complete sets of broadcasts in transit to a robot, and the newest that has arrived.
 
     Attributes
     ----------
-    newest : AnyBroadcast or None
+    newest : Broadcast, SwarmBroadcast or None
         The newest set that has arrived.
     """
 

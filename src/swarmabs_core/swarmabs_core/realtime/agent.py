@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from math import inf, isfinite
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours.robot import RobotConfig
 from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.messages import NEVER, AgentState, EventKind, Status, SwarmEvent
+from swarmabs_core.models.plane_robot import RobotConfig
 from swarmabs_core.parameters import Settings
 from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
 from swarmabs_core.realtime.broadcasts import BroadcastInbox

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
-from swarmabs_core.behaviours.base import Run
 from swarmabs_core.declaration import same, setting
 from swarmabs_core.messages import Message, Messages
 from swarmabs_core.parameters import SettingError
+from swarmabs_core.settings import Run
 
 FEWEST = 2
 """Smallest number of robots in a swarm: with fewer, S3 vanishes."""

@@ -7,7 +7,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from swarmabs_core.abstraction import Weight, divided_load, observed
-from swarmabs_core.behaviours.base import Run, at_rest
+from swarmabs_core.behaviours.base import at_rest
 from swarmabs_core.declaration import part, same
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -31,6 +31,7 @@ from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import FEWEST, UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
 from swarmabs_core.realtime.leadership import Pair, Voice
 from swarmabs_core.realtime.validation import NO_MEMBER, Bounds, HeardStates, Origin, Problem, Refusals
+from swarmabs_core.settings import Run
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from math import copysign
 from typing import TYPE_CHECKING
 
-from swarmabs_core.behaviours.base import Run
 from swarmabs_core.declaration import part, same
 from swarmabs_core.messages import (
     NEVER,
@@ -36,6 +35,7 @@ from swarmabs_core.ranges import RangeMonitor, lane
 from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
 from swarmabs_core.realtime.validation import NO_MEMBER, Bounds, HeardStates, Problem, Refusals
 from swarmabs_core.sensing import measured_plane
+from swarmabs_core.settings import Run
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import isfinite, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from swarmabs_core.declaration import setting
 from swarmabs_core.desired_state import BANDWIDTH, GROWTH, TRANSITION, CommandFilter
@@ -16,7 +16,7 @@ from swarmabs_core.systems.law import Remainder, by_row
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from swarmabs_core.messages import ParentState, StandingState
+    from swarmabs_core.messages import AnyParentState, ParentState, StandingState
     from swarmabs_core.systems.interface import NamedSystem, Need, ParentSystem, Vector
     from swarmabs_core.systems.law import SystemGains
 
@@ -61,9 +61,6 @@ class SystemDesiredState:
     state is completed around. The gains are those of the robots.
     """
 
-    no_offset = "the controller has no method offset_ask"
-    """Why the reference of a controller cannot be offset."""
-
     def __init__(
         self, period_ns: int, system: NamedSystem, gains: SystemGains, *, requests: Requests = _REQUESTS
     ) -> None:
@@ -84,11 +81,11 @@ class SystemDesiredState:
         self._clipped = [False] * len(system.made.needs)
 
     @property
-    def offsettable(self) -> bool:
-        """Whether the reference of the controller can be offset."""
-        return hasattr(self.controller, "offset_ask")
+    def no_offset(self) -> str:
+        """Why the reference of the controller cannot be offset; empty if it can."""
+        return "" if hasattr(self.controller, "offset_ask") else "the controller has no method offset_ask"
 
-    def advance(self, time_ns: int, parent: ParentState, *, offset: float = 0.0) -> tuple[Messages, SwarmDesired]:
+    def advance(self, time_ns: int, parent: AnyParentState, *, offset: float = 0.0) -> tuple[Messages, SwarmDesired]:
         """Return events, and the desired abstract state for a state of the parent, with the same step.
 
         The controller is evaluated at a time (ns); `offset` is added to its reference.
@@ -98,6 +95,7 @@ class SystemDesiredState:
         RunError
             If the run cannot continue from this state, or the needs of the controller are not finite.
         """
+        parent = cast("ParentState", parent)
         made, period, step = self._system.made, self._period, parent.step
         failed = getattr(made, "failed", None)
         if failed is not None and (problem := failed(parent.state)):

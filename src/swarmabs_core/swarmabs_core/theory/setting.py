@@ -13,9 +13,9 @@ from swarmabs_core.theory.constraint_sets import ConstraintSets
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from swarmabs_core.behaviours import AgentConfig
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.manifold import Manifold
+    from swarmabs_core.models import AgentConfig
     from swarmabs_core.plant import Plane
     from swarmabs_core.swarm_law import SwarmGains
 

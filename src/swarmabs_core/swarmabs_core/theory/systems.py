@@ -36,7 +36,7 @@ from swarmabs_core.theory.sampled_data import Loop, double_integrator_loop, loop
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from swarmabs_core.behaviours.systems import SystemAgentConfig
+    from swarmabs_core.models import SystemAgentConfig
 
 Array = NDArray[np.float64]
 UNSEEN = 1e-6
@@ -62,7 +62,7 @@ class SystemSetting:
     @cached_property
     def states(self) -> list[RobotState]:
         """The robots at step 0."""
-        return [robot.body(None).state(0, NEVER, RobotStatus.ACTIVE) for robot in self.robots]
+        return [robot.body().state(0, NEVER, RobotStatus.ACTIVE) for robot in self.robots]
 
 
 class ClosedLoop:

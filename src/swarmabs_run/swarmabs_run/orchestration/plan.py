@@ -241,7 +241,7 @@ def _agent_processes(
         if not absent.isdisjoint(ids):
             parameters["steered"] = True
         asked = options_of(parameters) | options_for(scenario)
-        if any(config.feels_plane for config in hosted):
+        if any(Option.FEELING in options_of(values_of(config)) for config in hosted):
             asked |= {Option.FEELING}
         ends = endpoints(ROBOT, LOCKSTEP, asked)
         yield ProcessPlan(

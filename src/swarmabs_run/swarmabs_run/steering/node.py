@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP
-from swarmabs_config.model.fields import LARGEST
-from swarmabs_config.scenario import AnyScenario, SystemScenario, load_scenario, on_plane
+from swarmabs_config.scenario import AnyScenario, load_scenario
 from swarmabs_core.behaviours import Decision, SteeringConfig, SteeringController
 from swarmabs_core.cdr import decode
-from swarmabs_core.controllers import OffsetController
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
 from swarmabs_core.messages import PARENT_STATES, Action, Messages, Topic
@@ -39,9 +37,6 @@ PARAMETERS = (
         maximum=SLOWEST_STEP,
     ),
 )
-
-LARGEST_OFFSET = 1.0
-"""Largest offset of the reference that can be requested, rad; a run ends at `plant.STEEPEST`."""
 
 _NAMES = {action: name for name, action in (*VALUED.items(), *ROBOTS.items()) if name != "leave"}
 
@@ -77,13 +72,7 @@ class Pace:
 
 def steering_config(scenario: AnyScenario) -> SteeringConfig:
     """Return the steering configuration; a disturbance of the plane is limited to the largest torque of the swarm."""
-    if isinstance(scenario, SystemScenario):
-        able = configure.system_abilities(scenario)
-        largest = LARGEST * able[REFERENCE], LARGEST * able[DISTURBANCE]
-    else:
-        plane = on_plane(scenario, "steering")
-        steerable = isinstance(configure.parent_controller(plane), OffsetController)
-        largest = LARGEST_OFFSET if steerable else 0.0, plane.manifold.torque_max
+    largest = configure.largest_requests(scenario)
     return SteeringConfig(
         members=configure.members(scenario),
         period_ns=scenario.step_ns,
@@ -91,8 +80,8 @@ def steering_config(scenario: AnyScenario) -> SteeringConfig:
         schedule=configure.schedule(scenario),
         offsets=configure.step_changes(scenario, REFERENCE),
         torques=configure.step_changes(scenario, DISTURBANCE),
-        largest_offset=largest[0],
-        largest_torque=largest[1],
+        largest_offset=largest[REFERENCE],
+        largest_torque=largest[DISTURBANCE],
         family=scenario.family,
     )
 

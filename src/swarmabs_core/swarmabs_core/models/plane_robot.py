@@ -4,39 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import sin
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, cast
 
-from swarmabs_core.behaviours.base import Run
 from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.drive import Lag
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import InjectedFault
-from swarmabs_core.membership import ChangeKind
-from swarmabs_core.messages import PLANE_FAMILY, AgentState, Broadcast, Family, Kind, PlaneState
+from swarmabs_core.messages import PLANE_FAMILY, PLANE_STATE, AgentState, Family, Kind, PlaneState, Topic
+from swarmabs_core.model import FOLLOWS, Outcome
 from swarmabs_core.parameters import Settings
 from swarmabs_core.plant import Plane
 from swarmabs_core.robot_controller import HELD, Decision, Limits, RobotController
 from swarmabs_core.sensing import RobotSensor
+from swarmabs_core.settings import LifeSpan, Run
 from swarmabs_core.swarm_law import LAWS, PAPER, Robot, SwarmGains
 
 if TYPE_CHECKING:
     from swarmabs_core.drive import Drive
-
-
-@dataclass(frozen=True, slots=True)
-class LifeSpan:
-    """The steps in which a robot takes part, and its planned end, if any."""
-
-    first_step: int = setting(0, "step at which the robot joins", minimum=0)
-    end: ChangeKind | None = setting(
-        None,
-        "planned end of the robot",
-        choices=("none", *(kind.value for kind in ChangeKind if kind is not ChangeKind.JOIN)),
-        unset="none",
-        make=ChangeKind,
-        say=lambda kind: kind.value,
-    )
-    end_step: int | None = setting(None, "step of the planned end", unset=-1)
+    from swarmabs_core.messages import AnyBroadcast, AnyRobotState, Broadcast
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,33 +79,18 @@ class AgentConfig(RobotConfig):
     family: ClassVar[Family] = PLANE_FAMILY
     system_hash: ClassVar[None] = None
 
-    @property
-    def feels_plane(self) -> bool:
-        """Whether the plane's motion acts on the robot."""
-        return self.feels_gravity and self.kind is Kind.DOUBLE_INTEGRATOR
-
-    def body(self, drive: Drive | None) -> PlaneRobot:
+    def body(self, drive: Drive | None = None) -> PlaneRobot:
         """Return the robot at its initial state, by default with the ideal drive of its kind."""
         return PlaneRobot(self, drive)
 
 
-class Outcome(NamedTuple):
-    """The outcome of a robot's decision: why it does not follow the broadcasts, and what it wanted beyond a limit.
-
-    A robot that is `held` is ready to follow, but the broadcasts do not allow for any robot yet.
-    """
-
-    problem: str = ""
-    beyond: float | None = None
-    held: bool = False
-
-
-FOLLOWS = Outcome()
-"""The outcome of a robot that follows the broadcasts."""
-
-
 class PlaneRobot:
     """A robot on the plane.
+
+    Attributes
+    ----------
+    watched : Topic or None
+        The plane's state, if its motion acts on the robot.
 
     Raises
     ------
@@ -140,6 +110,9 @@ class PlaneRobot:
         self._sensor = None if config.sensor.perfect else config.sensor
         self._lag = Lag.of(config.kind, config.actuator_lag, period, config.mass, config.damping)
         self._actual = 0.0  # output of a drive with lag
+        self.watched: Topic | None = None
+        if config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR:
+            self.watched = PLANE_STATE
 
     def state(self, step: int, broadcast_step: int, status: int) -> AgentState:
         """Return the state at a step, with the step of the broadcasts that led to it."""
@@ -158,16 +131,18 @@ class PlaneRobot:
             self._command,
         )
 
-    def resume(self, state: AgentState) -> None:
+    def resume(self, state: AnyRobotState) -> None:
         """Continue from a state that it would have published, with perfect sensors and without lag."""
+        state = cast("AgentState", state)
         self._position, self._velocity, self._command = state.position, state.velocity, state.command
 
     def wait(self) -> None:
         """Set the command for a period in which no broadcasts are known."""
         self._command = 0.0
 
-    def decide(self, heard: Broadcast, asked_to: str, step: int) -> Outcome:
+    def decide(self, heard: AnyBroadcast, asked_to: str, step: int) -> Outcome:
         """Set the command of a step from the broadcasts; brake if asked to stop or reset."""
+        heard = cast("Broadcast", heard)
         position, velocity = self._sensed(step)
         if asked_to:
             decision = Decision(self._controller.brake(velocity), 0.0, asked_to)
@@ -178,11 +153,11 @@ class PlaneRobot:
             return Outcome(decision.problem, held=decision.problem == HELD)
         return FOLLOWS if decision.command == decision.wanted else Outcome(beyond=decision.wanted)
 
-    def move(self, plane: PlaneState | None) -> None:
+    def move(self, watched: PlaneState | None) -> None:
         """Move for a period under the command and, if configured, gravity."""
         force = self._command
-        if plane is not None:
-            force += self._weight(plane)
+        if watched is not None:
+            force += self._weight(watched)
         self._position, self._velocity = self._drive.advance(self._position, self._velocity, force)
         if self._lag is not None:
             gap = self._actual - self._command

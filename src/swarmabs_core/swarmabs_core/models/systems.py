@@ -5,12 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf, isfinite
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, cast
 
-from swarmabs_core.behaviours.base import Run
-from swarmabs_core.behaviours.controller import ControllerConfig
-from swarmabs_core.behaviours.plane import PlaneConfig
-from swarmabs_core.behaviours.robot import AgentConfig, LifeSpan, Outcome
 from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.events import NO_FOLLOWER
 from swarmabs_core.faults import Falsification, InjectedFault
@@ -28,9 +24,13 @@ from swarmabs_core.messages import (
     SwarmEvent,
     SystemDescription,
 )
+from swarmabs_core.model import Outcome
+from swarmabs_core.models.plane import ControllerConfig, PlaneConfig
+from swarmabs_core.models.plane_robot import AgentConfig
 from swarmabs_core.parameters import Settings
 from swarmabs_core.robot_controller import BRAKING_TIME, NOT_FINITE
 from swarmabs_core.sensing import ParentSensor
+from swarmabs_core.settings import LifeSpan, Run
 from swarmabs_core.steering import StepChange
 from swarmabs_core.summation import exact_sum
 from swarmabs_core.systems.desired import Requests, SystemDesiredState
@@ -42,7 +42,16 @@ from swarmabs_core.systems.swarm import divided, observed
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from swarmabs_core.messages import AnyRobotState, SwarmBroadcast
+    from swarmabs_core.messages import (
+        AnyBroadcast,
+        AnyParentState,
+        AnyRobotState,
+        PlaneState,
+        SwarmAbstract,
+        SwarmAuxiliary,
+        SwarmBroadcast,
+        Topic,
+    )
     from swarmabs_core.systems.interface import Quantity, Vector
     from swarmabs_core.systems.swarm import Add
 
@@ -81,21 +90,9 @@ class SystemObserverConfig(OfSystem):
     division: int = same(Run, "division")
     curvature: bool = setting(default=False, description="whether robots need the curvature of the abstract state")
 
-    watches_plane: ClassVar[bool] = False
-
-    def estimator(self) -> None:
-        """Return None: the abstract state is always the sum over the robots."""
-
-    def observed(
-        self, stamp: int, step: int, moving: Sequence[AnyRobotState], standing: Iterable[AnyRobotState]
-    ) -> Messages:
-        """Return abstract and auxiliary state at a step, with a time stamp (ns)."""
-        robots = [state for state in (*moving, *standing) if isinstance(state, RobotState)]
-        return observed(self.named, stamp, step, robots, curvature=self.curvature)
-
-    def divided(self, stamp: int, step: int, robots: Iterable[AnyRobotState]) -> StandingState:
-        """Return how the abstract state divides at a step, with a time stamp (ns)."""
-        return divided(self.named, stamp, step, [state for state in robots if isinstance(state, RobotState)])
+    def observation(self) -> SystemObservation:
+        """Return how it observes the swarm."""
+        return SystemObservation(self)
 
 
 @dataclass(frozen=True)
@@ -112,7 +109,7 @@ class SystemControllerConfig(OfSystem):
     offsets: tuple[StepChange, ...] = same(ControllerConfig, "offsets")
     requests: Requests = part(Requests)
 
-    def generator(self, _: object) -> SystemDesiredState:
+    def desired_states(self) -> SystemDesiredState:
         """Return what generates the desired abstract state."""
         return SystemDesiredState(self.period_ns, self.named, self.gains, requests=self.requests)
 
@@ -139,9 +136,30 @@ class SystemParentConfig(OfSystem):
         """Return the parent at its initial state, by default for robots one by one, whose terms are added."""
         return SystemMotion(self, system or self.named, add)
 
-    def described(self) -> Messages:
-        """Return the description of the system, which is published once."""
-        return (SystemDescription(0, 0, self.system_hash, self.named.description),)
+
+class SystemObservation:
+    """The sums over the robots on any parent system."""
+
+    watched: ClassVar[Topic | None] = None
+
+    def __init__(self, config: SystemObserverConfig) -> None:
+        self._system, self._curvature = config.named, config.curvature
+
+    def observed(
+        self,
+        stamp: int,
+        step: int,
+        moving: Sequence[AnyRobotState],
+        standing: Sequence[AnyRobotState],
+        watched: PlaneState | None = None,  # noqa: ARG002 - there is no plane
+    ) -> tuple[SwarmAbstract, SwarmAuxiliary]:
+        """Return abstract and auxiliary state at a step, with a time stamp (ns)."""
+        robots = cast("Sequence[RobotState]", (*moving, *standing))
+        return observed(self._system, stamp, step, robots, curvature=self._curvature)
+
+    def divided(self, stamp: int, step: int, robots: Sequence[AnyRobotState]) -> StandingState:
+        """Return how the abstract state divides at a step, with a time stamp (ns)."""
+        return divided(self._system, stamp, step, cast("Sequence[RobotState]", robots))
 
 
 class SystemMotion:
@@ -153,16 +171,26 @@ class SystemMotion:
         self._state: Vector = tuple(map(float, config.named.made.initial))
 
     def advance(
-        self, step: int, robots: Iterable[tuple[RobotState, RobotState | None]], disturbance: float
+        self, step: int, robots: Iterable[tuple[AnyRobotState, AnyRobotState | None]], disturbance: float
     ) -> list[SwarmEvent]:
         """Move through the period before a step; robots are given by their states at both ends, None if one stands."""
         time = (step - 1) * self._config.period_ns / 1e9
-        pairs = [(before, after or standing(before)) for before, after in robots]
+        states = cast("Iterable[tuple[RobotState, RobotState | None]]", robots)
+        pairs = [(before, after or standing(before)) for before, after in states]
         self._state = self._motion.advance(time, self._state, pairs, disturbance)
         return []
 
-    def coasted(self, state: RobotState) -> RobotState:
+    def resume(self, state: AnyParentState) -> None:
+        """Continue from a state that is measured by perfect sensors."""
+        self._state = cast("ParentState", state).state
+
+    def described(self) -> Messages:
+        """Return the description of the system, which is published once."""
+        return (SystemDescription(0, 0, self._config.system_hash, self._config.named.description),)
+
+    def coasted(self, state: AnyRobotState) -> RobotState:
         """Return the state of a robot one period later, without a command."""
+        state = cast("RobotState", state)
         period, none = self._config.period_ns / 1e9, (0.0,) * len(state.coordinates)
         law = RobotLaw(self._config.named, RobotKind(state.kind), state.constants, SystemGains(), period)
         q, velocity = law.advance(state.coordinates, state.velocities, none)
@@ -210,8 +238,6 @@ class SystemAgentConfig(OfSystem):
         unset=0.0,
     )
 
-    feels_plane: ClassVar[bool] = False
-
     def refuse_contradictions(self) -> None:
         """Accept everything: the check of the system covers it."""
 
@@ -227,13 +253,15 @@ class SystemAgentConfig(OfSystem):
             effort=self.effort,
         )
 
-    def body(self, _: object) -> SystemRobot:
+    def body(self) -> SystemRobot:
         """Return the robot at its initial state."""
         return SystemRobot(self)
 
 
 class SystemRobot:
     """A robot on any parent system."""
+
+    watched: ClassVar[Topic | None] = None
 
     def __init__(self, config: SystemAgentConfig) -> None:
         self._config = config
@@ -263,6 +291,12 @@ class SystemRobot:
             config.constants,
         )
 
+    def resume(self, state: AnyRobotState) -> None:
+        """Continue from a state that it would have published as a robot without a limited command."""
+        state = cast("RobotState", state)
+        self._q, self._velocity, self._command = state.coordinates, state.velocities, state.command
+        self._limited = False
+
     def wait(self) -> None:
         """Set the command for a period in which no broadcasts are known."""
         self._brake()
@@ -271,8 +305,9 @@ class SystemRobot:
         self._limited = False
         self._command = self._law.brake(self._q, self._velocity, max(BRAKING_TIME, self._period))
 
-    def decide(self, heard: SwarmBroadcast, asked_to: str, step: int) -> Outcome:  # noqa: ARG002 - nothing is drawn
+    def decide(self, heard: AnyBroadcast, asked_to: str, step: int) -> Outcome:  # noqa: ARG002 - nothing is drawn
         """Set the command of a step from the broadcasts; brake if asked to stop or reset."""
+        heard = cast("SwarmBroadcast", heard)
         held = self._law.held_rate(self._q, self._command) if self._limited else None
         rate = None if asked_to else self._law.rate(self._q, self._velocity, heard, held)
         if rate is None or not all(map(isfinite, rate)):
@@ -291,6 +326,6 @@ class SystemRobot:
         )
         return Outcome(beyond=next(u for u, held in zip(wanted, self._command, strict=True) if u != held))
 
-    def move(self, _: object) -> None:
+    def move(self, watched: PlaneState | None = None) -> None:  # noqa: ARG002 - there is no plane
         """Move for a period under the command."""
         self._q, self._velocity = self._law.advance(self._q, self._velocity, self._command)
