@@ -42,6 +42,7 @@ from swarmabs_config.model.scenario import FAULT_KINDS, OBSERVERS
 from swarmabs_config.scenario import Scenario, SystemScenario
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.declaration import parameters_of
+from swarmabs_core.events import EventCode
 from swarmabs_core.messages import TOPICS
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.drives import TOPIC
@@ -215,6 +216,18 @@ def events() -> str:
     text = (MESSAGES / "SwarmEvent.msg").read_text(encoding="utf-8")
     found = re.findall(r"^uint8 ([A-Z_]+)=(\d+) +# (.*)$", text, re.MULTILINE)
     return table(("kind", "value", "meaning"), ((code(name), number, comment) for name, number, comment in found))
+
+
+def event_codes() -> str:
+    """Return the table of the publishers of events, by kind and text."""
+    rows = []
+    for each in EventCode:
+        source = each.source.value if each.source is not None else "any other node"
+        text = re.sub(r"{\w+}", "...", each.text)
+        alone = sum(one.kind is each.kind for one in EventCode) == 1
+        other = "any" if alone else "any other"
+        rows.append((code(each.kind.name), code(text) if text else other, source))
+    return table(("kind", "`detail`", "published by"), rows)
 
 
 def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str, str]]:
@@ -450,6 +463,7 @@ def all_tables() -> dict[str, str]:
         "topics": topics(),
         "message fields": message_fields(),
         "events": events(),
+        "event codes": event_codes(),
         "scenario": fields(leaves(Scenario)),
         "system scenario": fields(each for each in leaves(SystemScenario) if each not in {*leaves(Scenario)}),
         "system robots": fields(leaves(SystemAgent)),

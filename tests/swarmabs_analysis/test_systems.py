@@ -45,7 +45,7 @@ from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import TOPICS
-from swarmabs_core.publishers import NodeName
+from swarmabs_core.nodes import NodeName
 from swarmabs_core.systems.components import derived
 from swarmabs_core.systems.interface import SYSTEMS
 from swarmabs_run.simulated_run import simulate_run

@@ -14,7 +14,7 @@ from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
 from swarmabs_bag.percentiles import QUANTILES, SIDES, percentiles, starts_above
 from swarmabs_bag.swarm_state import RobotStatus, ShownRobot, finite
-from swarmabs_core.events import said_event
+from swarmabs_core.events import code_of, said_event
 from swarmabs_core.messages import EventKind
 
 if TYPE_CHECKING:
@@ -328,6 +328,7 @@ class Event(Part):
     kind: str
     words: str = Field(description="what happened, as in the logs")
     value: Number
+    unit: str = Field(description="unit of the value on the plane, 'command' if it is that of the robot's commands")
     detail: str
 
     @classmethod
@@ -336,6 +337,7 @@ class Event(Part):
         event, time = timed
         kind = _KINDS.get(event.kind, str(event.kind))
         value = finite(event.value)
+        code = code_of(event)
         return cls(
             step=event.step,
             time=time,
@@ -343,6 +345,7 @@ class Event(Part):
             kind=kind,
             words=said_event(event),
             value=value,
+            unit=code.unit if code is not None else "",
             detail=event.detail,
         )
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from swarmabs_core.behaviours import Observer
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.membership import SILENT
-from swarmabs_core.publishers import NodeKind, NodeName
+from swarmabs_core.nodes import NodeKind, NodeName
 from swarmabs_run.simulation import Network, nodes_in_process
 
 if TYPE_CHECKING:

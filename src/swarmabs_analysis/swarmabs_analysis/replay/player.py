@@ -24,7 +24,8 @@ from swarmabs_core.messages import (
     RecordingProgress,
     Topic,
 )
-from swarmabs_core.publishers import PUBLISHER, NodeKind, NodeName, publisher_of
+from swarmabs_core.nodes import NodeKind, NodeName
+from swarmabs_core.publishers import PUBLISHER, publisher_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator

@@ -16,6 +16,7 @@ from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
 from swarmabs_core.errors import InputError, InStep
+from swarmabs_core.events import EventCode
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import Change, Membership
 from swarmabs_core.messages import (
@@ -29,17 +30,15 @@ from swarmabs_core.messages import (
     TOPIC_OF,
     Action,
     AnyParentState,
-    EventKind,
     Family,
     Message,
     Messages,
     RecordingProgress,
     StandingState,
-    SwarmEvent,
     Topic,
 )
 from swarmabs_core.plant import Plane
-from swarmabs_core.steering import REFERENCE, StepChange, StepSchedule, change_of
+from swarmabs_core.steering import StepChange, StepSchedule, change_of
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
@@ -202,7 +201,7 @@ class Controller:
             events, desired = self._generator.advance(stamp, parent, offset=self._offsets.at(step))
         self._step += 1
         if (offset := self._offsets.changing(step)) is not None:
-            events = (SwarmEvent(stamp, step, 0, EventKind.STEERING, offset, REFERENCE), *events)
+            events = (EventCode.REFERENCE.event(stamp, step, offset), *events)
         if self._packed:
             self._parts[self._family.desired] = desired
         return (*events, desired)

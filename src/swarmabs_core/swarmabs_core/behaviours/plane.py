@@ -10,12 +10,12 @@ from swarmabs_core import plant
 from swarmabs_core.behaviours.base import Run
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.drive import ideal_drive
+from swarmabs_core.events import EventCode
 from swarmabs_core.faults import Falsification
 from swarmabs_core.membership import Change
 from swarmabs_core.messages import (
     PLANE_FAMILY,
     AgentState,
-    EventKind,
     Family,
     Kind,
     Messages,
@@ -144,8 +144,8 @@ class PlaneMotion:
     def _hit(self, time: float, rate: float, step: int, stamp: int) -> SwarmEvent:
         """Return the event of an impact on an end stop."""
         angle = copysign(self._config.plane.end_stop, rate)
-        detail = f"end stop hit at {time:.6g} s with {rate:.4g} rad/s"
-        return SwarmEvent(stamp, step, 0, EventKind.LIMIT_HIT, angle, detail)
+        how = f" at {time:.6g} s with {rate:.4g} rad/s"
+        return EventCode.END_STOP_HIT.event(stamp, step, angle, how=how)
 
     def _path(self, before: AgentState, after: AgentState | None) -> RobotPath:
         """Return the path of a robot over the last period."""

@@ -15,7 +15,7 @@ from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import PLANE_FAMILY, AgentState, Broadcast, Family, Kind, PlaneState
 from swarmabs_core.parameters import Settings
 from swarmabs_core.plant import Plane
-from swarmabs_core.robot_controller import HELD, Decision, Limits, RobotController
+from swarmabs_core.robot_controller import Decision, Limits, RobotController
 from swarmabs_core.sensing import RobotSensor
 from swarmabs_core.swarm_law import LAWS, PAPER, Robot, SwarmGains
 
@@ -175,7 +175,7 @@ class PlaneRobot:
             decision = self._controller.decide(position, velocity, heard)
         self._command = decision.command
         if decision.problem:
-            return Outcome(decision.problem, held=decision.problem == HELD)
+            return Outcome(decision.problem, held=decision.held)
         return FOLLOWS if decision.command == decision.wanted else Outcome(beyond=decision.wanted)
 
     def move(self, plane: PlaneState | None) -> None:

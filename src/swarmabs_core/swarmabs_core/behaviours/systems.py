@@ -12,7 +12,7 @@ from swarmabs_core.behaviours.controller import ControllerConfig
 from swarmabs_core.behaviours.plane import PlaneConfig
 from swarmabs_core.behaviours.robot import AgentConfig, LifeSpan, Outcome
 from swarmabs_core.declaration import choice, part, same, setting
-from swarmabs_core.events import NO_FOLLOWER
+from swarmabs_core.events import EventCode
 from swarmabs_core.faults import Falsification, InjectedFault
 from swarmabs_core.membership import Change
 from swarmabs_core.messages import (
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from swarmabs_core.systems.interface import Quantity, Vector
     from swarmabs_core.systems.swarm import Add
 
-HELD = f"{NO_FOLLOWER} (the Gram matrix vanishes)"
+HELD = EventCode.NO_FOLLOWER.text.format(why=" (the Gram matrix vanishes)")
 """`SwarmEvent.detail` where a robot brakes because the law is not defined."""
 
 

@@ -172,25 +172,13 @@ export class Robots {
   }
 }
 
-// The unit of an event's value, where it is known, by what reached its limit or was set.
+// The unit of an event's value, where it is known, with a space before it.
 function unit(event, kinds) {
-  const begins = (text) => event.detail.startsWith(text);
   if (!kinds) {
     return ""; // of another parent system
   }
-  if (event.kind === "STEERING") {
-    return { reference: " rad", disturbance: " N m" }[event.detail] ?? "";
-  }
-  if (event.kind !== "LIMIT_HIT") {
-    return { JOINED: " m", LEFT: " m", DEAD: " m", STALLED: " s" }[event.kind] ?? "";
-  }
-  if (!event.agent) {
-    return begins("torque limited") ? " N m" : begins("end stop") ? " rad" : "";
-  }
-  if (/(out of|back in) range/.test(event.detail) || begins("off the plane")) {
-    return " m";
-  }
-  return begins("command limited") ? { single_integrator: " m/s", double_integrator: " N" }[kinds.get(event.agent)] ?? "" : "";
+  const name = event.unit === "command" ? { single_integrator: "m/s", double_integrator: "N" }[kinds.get(event.agent)] : event.unit;
+  return name ? ` ${name}` : "";
 }
 
 // The value of an event, if it has one: 0 is a value only where a setting returns to it.
