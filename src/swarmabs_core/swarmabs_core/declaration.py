@@ -288,7 +288,7 @@ def _chosen(declared: Choice, prefix: str, given: Mapping[str, object] | None) -
     try:
         chosen = declared.find(str(given.get(chooser.name, declared.default)))
     except InputError as error:
-        raise InputError(f"parameter {chooser.name}: {error}") from error
+        raise InputError(f"parameter {chooser.name}: {error.problem}", error.remedy) from error
     yield dataclasses.replace(chooser, choices=tuple(dict.fromkeys((*declared.built_in, chosen.name))))
     for each in chosen.settings:
         yield dataclasses.replace(each, name=prefix + each.name)

@@ -47,7 +47,7 @@ class NodeName(NamedTuple):
         except ValueError:
             name = None
         if name is None or name.kind not in _NAMED or (name.kind is NodeKind.AGENT) != bool(colon) or str(name) != text:
-            raise InputError(f"there is no node {text!r}; use controller, observer, parent, or agent:N for a robot")
+            raise InputError(f"there is no node {text!r}", "use controller, observer, parent, or agent:N for a robot")
         return name
 
 

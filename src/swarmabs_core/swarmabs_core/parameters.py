@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 
-from swarmabs_core.errors import InputError, joined
+from swarmabs_core.errors import InputError
 
 Scalar = bool | int | float | str
 Value = Scalar | tuple[int, ...] | tuple[float, ...] | tuple[str, ...]
@@ -22,8 +22,12 @@ class SettingError(InputError):
     """Settings that contradict each other: the name of one, relative to the declaration, the problem and the remedy."""
 
     def __init__(self, name: str, problem: str, remedy: str) -> None:
-        self.name, self.problem, self.remedy = name, problem, remedy
-        super().__init__(joined(f"{name}: {problem}", remedy))
+        super().__init__(problem, remedy)
+        self.name = name
+        self.args = (name, problem, remedy)
+
+    def __str__(self) -> str:
+        return f"{self.name}: {super().__str__()}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +93,7 @@ class Parameter:
             raise self._refusal(value, f"at most {self.maximum:g}")
 
     def _refusal(self, value: object, allowed: str) -> InputError:
-        return InputError(f"parameter {self.name}: {value!r} is not allowed; give {allowed} ({self.description})")
+        return InputError(f"parameter {self.name}: {value!r} is not allowed", f"give {allowed} ({self.description})")
 
 
 def resolve(table: tuple[Parameter, ...], given: Settings, *, owner: str) -> dict[str, Value]:
@@ -103,5 +107,5 @@ def resolve(table: tuple[Parameter, ...], given: Settings, *, owner: str) -> dic
     unknown = sorted(given.keys() - {parameter.name for parameter in table})
     if unknown:
         known = ", ".join(parameter.name for parameter in table)
-        raise InputError(f"{owner} has no parameter {unknown[0]!r}; it has {known}")
+        raise InputError(f"{owner} has no parameter {unknown[0]!r}", f"it has {known}")
     return {p.name: p.check(given[p.name]) if p.name in given else p.default for p in table}

@@ -114,15 +114,15 @@ class QuinticSpline:
     def __init__(self, times: Sequence[float], values: Sequence[float]) -> None:
         if len(times) != len(values) or len(times) < 2:
             raise InputError(
-                f"{len(times)} times and {len(values)} values do not define a curve; give equally many, at least two"
+                f"{len(times)} times and {len(values)} values do not define a curve", "give equally many, at least two"
             )
         for earlier, later in pairwise(times):
             if not later - earlier >= SHORTEST:
                 raise InputError(
-                    f"time {later!r} s follows {earlier!r} s; times must increase by at least {SHORTEST} s"
+                    f"time {later!r} s follows {earlier!r} s", f"times must increase by at least {SHORTEST} s"
                 )
         if not all(isfinite(number) for number in (*times, *values)):
-            raise InputError("a time or a value is not finite; give finite numbers")
+            raise InputError("a time or a value is not finite", "give finite numbers")
         self._times = tuple(times)
         slopes = _slopes(times, values)
         self._pieces = [

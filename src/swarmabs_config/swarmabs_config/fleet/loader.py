@@ -74,8 +74,7 @@ def load_fleet(path: str | os.PathLike[str]) -> LoadedFleet:
         raise at_parameter(error, root, {"set": fleet.settings}) from error
     except InputError as error:
         mark, _ = root.locate(("scenario",))
-        problem, _, remedy = str(error).partition("; ")
-        raise mark.error(problem, remedy, ("scenario",)) from error
+        raise mark.error(error.problem, error.remedy, ("scenario",)) from error
     loaded = LoadedFleet(fleet, _with_robots(scenario, fleet, root))
     _check_against_scenario(loaded, root)
     return loaded
@@ -137,8 +136,7 @@ def _of_scenario(check: Callable[[Scenario], None], scenario: Scenario, root: No
         check(scenario)
     except InputError as error:
         mark, _ = root.locate(("scenario",))
-        problem, _, remedy = str(error).partition("; ")
-        raise mark.error(problem, f"{remedy} ('set' changes values)", ("scenario",)) from error
+        raise mark.error(error.problem, f"{error.remedy} ('set' changes values)", ("scenario",)) from error
 
 
 def _mapping(value: Plain) -> dict[str, Plain]:

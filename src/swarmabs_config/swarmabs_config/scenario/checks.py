@@ -12,7 +12,7 @@ from swarmabs_config.model.fields import SMALLEST, Finding, Location
 from swarmabs_core import behaviours
 from swarmabs_core.cdr import SECOND
 from swarmabs_core.controllers import PD
-from swarmabs_core.errors import InputError, parts_of
+from swarmabs_core.errors import InputError
 from swarmabs_core.faults import JoinFault, MembershipFault
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import PLANE_FAMILY
@@ -99,7 +99,7 @@ def _generated(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
     try:
         _ = scenario.agents
     except InputError as error:
-        yield Finding.of(("swarm", "generate"), *parts_of(error))
+        yield Finding.of(("swarm", "generate"), error.problem, error.remedy)
 
 
 def _system(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
@@ -238,8 +238,7 @@ def _constructed(scenario: "UncheckedScenario") -> Iterator[Finding]:
             yield Finding.of((*location, *parts), error.problem, error.remedy)
             return
         except InputError as error:
-            problem, remedy = parts_of(error)
-            yield Finding.of(location, problem, remedy or "see the documentation of its package")
+            yield Finding.of(location, error.problem, error.remedy or "see the documentation of its package")
             return
 
 

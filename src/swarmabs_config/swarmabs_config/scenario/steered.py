@@ -67,7 +67,8 @@ def as_planned(
         if code is EventCode.STEERING:
             raise InputError(
                 f"{source}: this version does not know the setting {event.detail!r:.80}, which was changed at step "
-                f"{event.step}; update swarmabs"
+                f"{event.step}",
+                "update swarmabs",
             )
         if code in (EventCode.REFERENCE, EventCode.DISTURBANCE):
             settings[code.text][event.step] = event.value

@@ -109,7 +109,7 @@ class Controller:
         self._parts: dict[Topic, Message] = {}
         self._generator = config.generator(law)
         if config.offsets and not self._generator.offsettable:
-            raise InputError(f"parameter offsets: {self._generator.no_offset}; omit the parameter")
+            raise InputError(f"parameter offsets: {self._generator.no_offset}", "omit the parameter")
         self._offsets = StepSchedule(config.offsets)
         self._step = 0
         self._parent: AnyParentState | None = None

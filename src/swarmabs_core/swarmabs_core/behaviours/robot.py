@@ -73,7 +73,7 @@ class RobotConfig:
         if self.kind is Kind.SINGLE_INTEGRATOR:
             for name, value in (("damping", self.damping), ("velocity", self.velocity)):
                 if value:
-                    raise InputError(f"parameter {name}: not applicable to a single integrator; omit it")
+                    raise InputError(f"parameter {name}: not applicable to a single integrator", "omit it")
 
 
 @dataclass(frozen=True, slots=True)

@@ -122,7 +122,7 @@ class TopicSettings:
             command = "twist" if single_integrator else "force"
         if command == "twist" and not single_integrator:
             raise InputError(
-                "drive.command: a twist is a velocity, but a double integrator is driven by force; use force or joint"
+                "drive.command: a twist is a velocity, but a double integrator is driven by force", "use force or joint"
             )
         return replace(
             self,

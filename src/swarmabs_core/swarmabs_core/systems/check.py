@@ -8,7 +8,7 @@ from functools import partial
 from math import inf, isfinite, nan
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from swarmabs_core.errors import InputError, joined, one_line, parts_of
+from swarmabs_core.errors import InputError, one_line
 from swarmabs_core.messages import NEVER, RobotKind, RobotState, RobotStatus, word
 from swarmabs_core.registry import PluginError
 from swarmabs_core.sensing import ParentSensor
@@ -82,12 +82,12 @@ def generated(system: NamedSystem, number: int, count: int, constants: Mapping[s
     """
     made: Any = system.made
     if not hasattr(made, "generated"):
-        raise InputError(f"{system.type} has no method generated; give ranges of coordinates")
+        raise InputError(f"{system.type} has no method generated", "give ranges of coordinates")
     given, what = constants_of(system, constants), f"generated() of robot {number}"
     try:
         return _numbers(what, len(made.robot), lambda: made.generated(number, count, given))
     except _FaultyError as error:
-        raise InputError(joined(f"parent system {system.type!r}: {error}", error.remedy)) from error
+        raise InputError(f"parent system {system.type!r}: {error}", error.remedy) from error
 
 
 def constants_of(system: NamedSystem, given: Mapping[str, float]) -> Vector:
@@ -148,8 +148,7 @@ def _called(what: str, call: Callable[[], Any], *, pure: bool = True) -> Any:
     except PluginError:
         raise
     except InputError as error:
-        problem, remedy = parts_of(error)
-        raise _FaultyError(problem, *filter(None, [remedy])) from error
+        raise _FaultyError(error.problem, *filter(None, [error.remedy])) from error
     except Exception as error:
         raise _FaultyError(f"{what} raises {one_line(error)}") from error
     if isinstance(found, _PLAIN) and repr(found) != repr(again):  # equal numbers have equal representations
