@@ -55,7 +55,12 @@ def hermite(mass: float, start: tuple[float, float], end: tuple[float, float], p
     p0, v0 = start
     p1, v1 = end
     d0, d1, rise = v0 * period, v1 * period, p1 - p0
-    return RobotPath(mass, p0, d0, 3.0 * rise - 2.0 * d0 - d1, d0 + d1 - 2.0 * rise)
+    return RobotPath(mass, p0, d0, *bends(d0, d1, rise))
+
+
+def bends(d0: float, d1: float, rise: float) -> tuple[float, float]:
+    """Return the coefficients of s^2 and s^3 of the cubic in s on [0, 1] with slopes d0 and d1 that rises by `rise`."""
+    return 3.0 * rise - 2.0 * d0 - d1, d0 + d1 - 2.0 * rise
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from math import exp, expm1, inf, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarmabs_core.abstraction import damped
 from swarmabs_core.declaration import setting
 from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.messages import RobotKind, word
@@ -39,7 +40,6 @@ SINGULAR = 1e-12
 """Smallest pivot of a Gram matrix with which a run may start, in units of its largest diagonal entry, both scaled."""
 LEAST_PIVOT = 1e-8
 """Pivot in the same units below which the row of the abstract state is no longer fully controlled."""
-_LEAST = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class Gram:
                 row.append((scaled[i][j] - explained) / self._damped[j] if self._damped[j] else 0.0)
             pivot = scaled[i][i] - sum(row[n] * row[n] * self._damped[n] for n in range(i))
             self.pivots.append(pivot)
-            self._damped.append(pivot if pivot > edge else edge * edge / max(pivot, _LEAST * edge) if edge else 0.0)
+            self._damped.append(pivot if pivot > edge else damped(pivot, edge) if edge else 0.0)
             self._factors.append(row)
         self.uncontrolled = [i for i, pivot in enumerate(self.pivots) if not pivot > SINGULAR * self._largest]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.errors import RunError, one_line
 from swarmabs_core.messages import RobotKind
-from swarmabs_core.plant import substeps
+from swarmabs_core.plant import bends, substeps
 from swarmabs_core.summation import exact_sum
 from swarmabs_core.systems.swarm import along, total
 
@@ -87,11 +87,7 @@ class ParentMotion:
         moving = list(zip(pairs, slopes, strict=True))
         d0 = total((along(made.jacobian(a.coordinates, a.constants), v) for (a, _), (v, _) in moving), size, add)
         d1 = total((along(made.jacobian(b.coordinates, b.constants), v) for (_, b), (_, v) in moving), size, add)
-        found = []
-        for a, b, u, v in zip(start, end, d0, d1, strict=True):
-            rise = b - a
-            found.append((a, u, 3.0 * rise - 2.0 * u - v, u + v - 2.0 * rise))
-        return found
+        return [(a, u, *bends(u, v, b - a)) for a, b, u, v in zip(start, end, d0, d1, strict=True)]
 
     def _slopes(self, start: RobotState, end: RobotState) -> tuple[Vector, Vector]:
         """Return the velocities of a robot at both ends of a period, times the period."""
