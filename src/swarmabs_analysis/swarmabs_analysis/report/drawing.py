@@ -179,7 +179,7 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
 def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
     """Return a function that draws what is tracked, and positions or first coordinates, in a span of time, s."""
     time, system = recorded.arrays.time, recorded.system
-    name, unit = ("θ", "rad") if system is None else recorded.tracking[2:]
+    name, unit = ("θ", "rad") if system is None else (recorded.tracking.name, recorded.tracking.unit)
     (symbol, metre, *_), *_ = (("p", "m"),) if system is None else system.robot
     inside = (time >= begin) & (time <= end)
 

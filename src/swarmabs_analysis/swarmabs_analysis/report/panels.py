@@ -134,7 +134,7 @@ def _of_system(recorded: Recorded, system: SystemTables) -> Iterator[Panel]:
     count = len(arrays.agents.ids)
     note = joined(BANDS if count > MANY else "", recorded.falsified_note, by=" ")
     if len(system.robot) == 2:
-        draw = paths(recorded, [f"{row.name}, {row.unit}" for row in system.robot])
+        draw = paths(recorded, [row.label for row in system.robot])
         about = f"each of {counted(count, 'robot')} ends in a dot"
         yield Panel("robots-paths", "robots", "Paths of the robots", draw, about, height=2.9)
     for place, (name, unit, *_) in enumerate(system.robot):

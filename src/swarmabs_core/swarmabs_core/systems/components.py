@@ -9,10 +9,8 @@ from swarmabs_core.messages import Field, ParentState, RobotKind, fields_of
 from swarmabs_core.systems.interface import Quantity
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from swarmabs_core.messages import Message
-    from swarmabs_core.systems.interface import ParentSystem, SystemTables
+    from swarmabs_core.systems.interface import SystemTables
 
 _TABLES = {
     "state": ("parent", 0),
@@ -54,17 +52,6 @@ def components(system: SystemTables, message: type[Message]) -> dict[str, tuple[
             rows = getattr(system, table)
             found[field] = tuple(Quantity(row.name, unit or derived(row.unit, times)) for row in rows)
     return found
-
-
-def labelled(labels: Mapping[str, str], system: SystemTables | ParentSystem) -> dict[str, str]:
-    """Return the labels of figures of a run on the plane, such as ``rms error, rad``, for another parent system."""
-    units, robots = {row.name: row.unit for row in system.parent}, {row.unit for row in system.robot}
-    shown = (system.tracked or system.parent)[0].name
-    reach = f"coordinate|, {robots.pop()}" if len(robots) == 1 else "coordinate|"
-    found = {
-        name: text.replace("position|, m", reach).replace("|angle|", f"|{shown}|") for name, text in labels.items()
-    }
-    return {name: text.replace(", rad", f", {units[shown]}") for name, text in found.items()}
 
 
 def derived(unit: str, times: int = 1) -> str:
