@@ -145,7 +145,7 @@ def parameters(declared: Iterable[Parameter | type | BySystem], without: Iterabl
     names = {each.name for each in without}
     parts = (each.plane if isinstance(each, BySystem) else each for each in declared)
     found = (p for each in parts for p in ((each,) if isinstance(each, Parameter) else parameters_of(each)))
-    rows = ((code(p.name), value(p.default), bounds(p), p.description) for p in found if p.name not in names)
+    rows = ((code(p.name), value(p.default), bounds(p), p.text) for p in found if p.name not in names)
     return table(("parameter", "default", "allowed", "meaning"), rows)
 
 
@@ -270,7 +270,7 @@ def variants(models: Mapping[str, type[BaseModel]], key: str) -> str:
 def controller_parameters() -> str:
     """Return the table of the parameters that each control law adds to those of the parent controller."""
     rows = [
-        (name, code(f"controller.{p.name}"), value(p.default), bounds(p), p.description)
+        (name, code(f"controller.{p.name}"), value(p.default), bounds(p), p.text)
         for name, entry in CONTROLLERS.built_in.items()
         for p in entry.settings
     ]

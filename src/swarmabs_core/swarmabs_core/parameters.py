@@ -16,6 +16,7 @@ Scalar = bool | int | float | str
 Value = Scalar | tuple[int, ...] | tuple[float, ...] | tuple[str, ...]
 Settings = Mapping[str, Value]
 """Values by parameter name."""
+_UNIT = "{unit}"
 
 
 class SettingError(InputError):
@@ -36,7 +37,7 @@ class Parameter:
 
     name: str  # dots separate levels
     default: Value
-    description: str  # meaning and unit
+    description: str  # meaning; "{unit}" marks where the unit is read, by default at the end
     minimum: float | None = None  # inclusive bounds of a number, or of each number in an array
     maximum: float | None = None
     above: float | None = None  # exclusive bound, as `below`
@@ -44,6 +45,14 @@ class Parameter:
     choices: tuple[str, ...] | None = None  # the strings allowed
     item: Scalar = ""  # determines the type of the items if the default is an empty array
     below: float | None = None
+    unit: str = ""  # SI unit of a number, or of each number in an array; empty if it has none, or several
+
+    @property
+    def text(self) -> str:
+        """Meaning and unit."""
+        if self.unit and _UNIT not in self.description:
+            return f"{self.description}, {self.unit}"
+        return self.description.replace(_UNIT, self.unit)
 
     def check(self, value: Value) -> Value:
         """Return the value in the type of the default: arrays become tuples, and integers floats where required.
@@ -93,7 +102,7 @@ class Parameter:
             raise self._refusal(value, f"at most {self.maximum:g}")
 
     def _refusal(self, value: object, allowed: str) -> InputError:
-        return InputError(f"parameter {self.name}: {value!r} is not allowed", f"give {allowed} ({self.description})")
+        return InputError(f"parameter {self.name}: {value!r} is not allowed", f"give {allowed} ({self.text})")
 
 
 def resolve(table: tuple[Parameter, ...], given: Settings, *, owner: str) -> dict[str, Value]:

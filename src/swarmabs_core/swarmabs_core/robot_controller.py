@@ -29,8 +29,8 @@ BRAKING_TIME = 0.1
 class Limits:
     """Limits of a robot's drive; null means no limit."""
 
-    velocity: float = setting(inf, "largest speed of a robot, m/s", above=0.0, unset=0.0)
-    force: float = setting(inf, "largest force of a double integrator, N", above=0.0, unset=0.0)
+    velocity: float = setting(inf, "largest speed of a robot", unit="m/s", above=0.0, unset=0.0)
+    force: float = setting(inf, "largest force of a double integrator", unit="N", above=0.0, unset=0.0)
 
 
 HELD = EventCode.NO_FOLLOWER.text.format(why=" (S0 vanishes)")

@@ -19,6 +19,7 @@ from matplotlib.patheffects import withStroke
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
 from swarmabs_bag.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
 from swarmabs_bag.figures import PLANE_TRACKING, TOLERANCE, Tracking, tracking_of
+from swarmabs_config.model.declared import unit_at
 from swarmabs_config.scenario import SystemScenario, parse_scenario
 from swarmabs_config.theory_setting import setting
 from swarmabs_core.systems.interface import Quantity
@@ -38,24 +39,6 @@ if TYPE_CHECKING:
 
 NAME = "region"
 ANGLE, ANGULAR_VELOCITY = "plane.angle", "plane.angular_velocity"
-UNITS = {
-    "angle": "rad",
-    "angular_velocity": "rad/s",
-    "mass": "kg",
-    "damping": "N s/m",
-    "position": "m",
-    "inertia": "kg m²",
-    "length": "m",
-    "torque_max": "N m",
-    "duration": "s",
-    "step": "s",
-    "force": "N",
-    "velocity": "m/s",
-    "amplitude": "N m",
-    "angular_frequency": "rad/s",
-    "steps": "steps",
-}
-"""Units of parameters by the last part of their path."""
 MAP = "viridis"
 # The greys and the red differ in lightness, and from every colour of the map.
 LOOKS = {
@@ -257,7 +240,7 @@ def _parts(study: Study, scenario: Scenario, path: str) -> list[tuple[str, NDArr
 
 def _label(scenario: Scenario, path: str, value: str = "") -> str:
     """Return the name of a parameter, with the id of its robot, and its value or unit."""
-    unit = "" if path.startswith("system.") else UNITS.get(path.rsplit(".", maxsplit=1)[-1], "")
+    unit = unit_at(scenario, path).replace("^2", "²")
     robot, listed = re.match(r"swarm\.agents\.(\d+)\.", path), scenario.swarm.agents
     name = f"{path} (robot {listed[int(robot[1])].id})" if robot and listed else path
     return f"{name}\n{value} {unit}".rstrip() if value else f"{name}, {unit}".removesuffix(", ")

@@ -22,7 +22,7 @@ from swarmabs_core.messages import RobotKind, word
 from swarmabs_core.systems.check import generated
 from swarmabs_core.systems.interface import NamedSystem
 
-from .declared import Like, like
+from .declared import Like, like, measured
 from .errors import show
 from .fields import (
     LARGEST,
@@ -216,21 +216,17 @@ class Generate(Model):
 
     single_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of single integrator robots")
     double_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of double integrator robots")
-    mass: Annotated[tuple[Positive, Positive], AsPair] = Field(
-        default=(0.25, 0.75), description="[smallest, largest] mass, uniformly distributed, kg"
+    mass: Annotated[tuple[Positive, Positive], AsPair] = measured(
+        (0.25, 0.75), "[smallest, largest] mass, uniformly distributed", "kg"
     )
-    damping: Annotated[tuple[NonNegative, NonNegative], AsPair] = Field(
-        default=(0.5, 1.5),
-        description="[smallest, largest] damping of a double integrator, uniformly distributed, N s/m",
+    damping: Annotated[tuple[NonNegative, NonNegative], AsPair] = measured(
+        (0.5, 1.5), "[smallest, largest] damping of a double integrator, uniformly distributed", "N s/m"
     )
     position: Annotated[
         float | Literal["auto"],
         BeforeValidator(_auto_or_number),
         WithJsonSchema({"anyOf": [{"const": "auto"}, {"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST}]}),
-    ] = Field(
-        default="auto",
-        description="distance p of every robot from the axis, m; auto: sqrt(0.0288/M), M = total mass",
-    )
+    ] = measured("auto", "distance p of every robot from the axis, {unit}; auto: sqrt(0.0288/M), M = total mass", "m")
     seed: int = Field(default=1, ge=0, lt=2**63, description="seed of Python's random.Random")
 
     @model_validator(mode="after")

@@ -63,7 +63,8 @@ class ControllerConfig:
     division: int = same(Run, "division")
     offsets: tuple[StepChange, ...] = setting(
         (),
-        "offsets of the law's reference, rad, each 'STEP VALUE' from a step on, such as '500 0.1'",
+        "offsets of the law's reference, {unit}, each 'STEP VALUE' from a step on, such as '500 0.1'",
+        unit="rad",
         make=StepChange.parse,
     )
     law: ParentLaw = part(ParentLaw, name="")

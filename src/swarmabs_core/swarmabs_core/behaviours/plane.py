@@ -64,7 +64,8 @@ class PlaneConfig:
     )
     torques: tuple[StepChange, ...] = setting(
         (),
-        "constant torques that disturb the plane, N m, each 'STEP VALUE' from a step on, such as '500 0.1'",
+        "constant torques that disturb the plane, {unit}, each 'STEP VALUE' from a step on, such as '500 0.1'",
+        unit="N m",
         make=StepChange.parse,
     )
 

@@ -51,10 +51,10 @@ class RobotConfig:
         make=lambda name: Kind[name.upper()],
         say=lambda kind: kind.name.lower(),
     )
-    mass: float = setting(0.5, "mass, kg", above=0.0)
-    damping: float = setting(0.0, "viscous damping c of its motion, N s/m; may be 0", minimum=0.0)
-    position: float = setting(0.0, "initial position on the plane, 0 at the axis, m")
-    velocity: float = setting(0.0, "initial velocity, m/s")
+    mass: float = setting(0.5, "mass", unit="kg", above=0.0)
+    damping: float = setting(0.0, "viscous damping c of its motion, {unit}; may be 0", unit="N s/m", minimum=0.0)
+    position: float = setting(0.0, "initial position on the plane, 0 at the axis", unit="m")
+    velocity: float = setting(0.0, "initial velocity", unit="m/s")
     gravity: float = same(Plane, "gravity")
     plane_length: float = same(Plane, "length")
     gains: SwarmGains = part(SwarmGains)

@@ -38,7 +38,8 @@ class RealtimeAgentConfig(RobotConfig):
     swarm_mass: float = same(Bounds, "swarm_mass")
     deceleration: float = setting(
         inf,
-        "limit of the braking deceleration of a single integrator's base, m/s^2",
+        "limit of the braking deceleration of a single integrator's base",
+        unit="m/s^2",
         name="limits.deceleration",
         above=0.0,
         unset=0.0,
@@ -47,7 +48,7 @@ class RealtimeAgentConfig(RobotConfig):
     broadcast_age_limit: float = same(Realtime, "broadcast_age_limit")
     paired: bool = same(Pair, "paired")
     measurement_age_limit: float = setting(
-        0.1, "age of a robot's motion measurement above which it stops, s", above=0.0
+        0.1, "age of a robot's motion measurement above which it stops", unit="s", above=0.0
     )
     clock_tolerance: float = same(Realtime, "clock_tolerance")
     drive: str = choice(DRIVES.find, DRIVES.built_in, SIMULATED.name, "drive of the robot")

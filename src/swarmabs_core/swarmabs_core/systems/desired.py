@@ -35,7 +35,7 @@ class Requests:
     """How the needs of a controller become requests: limited to ranges, and filtered."""
 
     bandwidth: float = setting(
-        BANDWIDTH, "corner frequency of the critically damped filter of the needs, rad/s", above=0.0
+        BANDWIDTH, "corner frequency of the critically damped filter of the needs", unit="rad/s", above=0.0
     )
     low: tuple[float, ...] = setting(
         (), "lowest needs, within the ranges of the system; none: those of the system", item=0.0

@@ -46,10 +46,12 @@ LEAST_PIVOT = 1e-8
 class SystemGains:
     """Gains of the robots' laws on any parent system: one number, or one for each row of the abstract state."""
 
-    k: tuple[float, ...] = setting((5.0,), "K of single integrators and lags, 1/s, one or by row", above=0.0)
-    kp: tuple[float, ...] = setting((16.0,), "Kp of double integrators, 1/s^2, one or by row", above=0.0)
-    kd: tuple[float, ...] = setting((8.0,), "Kd of double integrators, 1/s, one or by row", above=0.0)
-    sigma: float = setting(1.0, "damping of motion that the abstract state does not see, 1/s", above=0.0)
+    k: tuple[float, ...] = setting(
+        (5.0,), "K of single integrators and lags, {unit}, one or by row", unit="1/s", above=0.0
+    )
+    kp: tuple[float, ...] = setting((16.0,), "Kp of double integrators, {unit}, one or by row", unit="1/s^2", above=0.0)
+    kd: tuple[float, ...] = setting((8.0,), "Kd of double integrators, {unit}, one or by row", unit="1/s", above=0.0)
+    sigma: float = setting(1.0, "damping of motion that the abstract state does not see", unit="1/s", above=0.0)
 
 
 class Gram:
