@@ -29,7 +29,7 @@ from swarmabs_core.faults import (
     SettingFault,
 )
 from swarmabs_core.membership import ALWAYS, SETTLING_NS, Change, ChangeKind
-from swarmabs_core.messages import Kind, RobotKind, word
+from swarmabs_core.messages import Kind
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepChange, StepSchedule
 from swarmabs_core.swarm_law import LAWS
 from swarmabs_core.systems.check import constants_of
@@ -149,7 +149,7 @@ def _system(scenario: UncheckedSystemScenario) -> dict[str, Any]:
 def observer_config(scenario: AnyScenario) -> ObserverConfig | SystemObserverConfig:
     """Return the observer's configuration."""
     if isinstance(scenario, UncheckedSystemScenario):
-        forces = any(agent.kind == word(RobotKind.DOUBLE_INTEGRATOR) for agent in scenario.agents)
+        forces = any(Kind.of(agent.kind).by_force for agent in scenario.agents)
         curvature = forces and scenario.swarm.force_law == "second_order"
         return gathered(SystemObserverConfig, _run(scenario), **_system(scenario), curvature=curvature)
     assert isinstance(scenario, UncheckedScenario)  # noqa: S101 - there are two kinds
@@ -252,7 +252,7 @@ def _common(scenario: AnyScenario) -> tuple[Any, Callable[[Any], dict[str, Any]]
     def own(agent: SystemAgent) -> dict[str, Any]:
         return {
             "agent_id": agent.id,
-            "kind": RobotKind[agent.kind.upper()],
+            "kind": Kind.of(agent.kind),
             "coordinates": agent.coordinates,
             "velocities": agent.velocities,
             "constants": constants_of(scenario.named, agent.constants),
@@ -270,7 +270,7 @@ def robot(agent: Agent) -> dict[str, Any]:
     """Return the fields of a robot's configuration that describe the robot itself."""
     return {
         "agent_id": agent.id,
-        "kind": Kind[agent.kind.upper()],
+        "kind": Kind.of(agent.kind),
         "mass": agent.mass,
         "damping": agent.damping,
         "position": agent.position,

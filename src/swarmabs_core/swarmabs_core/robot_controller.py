@@ -13,7 +13,6 @@ from swarmabs_core.abstraction import conditioned
 from swarmabs_core.declaration import setting
 from swarmabs_core.drive import SingleIntegratorDrive, ideal_drive
 from swarmabs_core.events import EventCode
-from swarmabs_core.messages import Kind
 from swarmabs_core.swarm_law import LAWS
 
 if TYPE_CHECKING:
@@ -94,7 +93,7 @@ class RobotController:
 
     def brake(self, velocity: float) -> float:
         """Return the command that brings the robot to rest: 0 m/s, or a force (N) against its velocity (m/s)."""
-        if self._kind is Kind.SINGLE_INTEGRATOR:
+        if not self._kind.by_force:
             return 0.0
         return -copysign(self.braking_force(velocity), velocity)
 

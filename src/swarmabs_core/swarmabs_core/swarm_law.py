@@ -150,7 +150,7 @@ class SwarmLaw(Part[Robot, Command]):
 
 def _make_paper(settings: Settings, robot: Robot) -> Command:  # noqa: ARG001 - it uses the gains of the swarm
     mass, damping, gains, gravity = robot.mass, robot.damping, robot.gains, robot.gravity
-    if robot.kind is Kind.SINGLE_INTEGRATOR:  # its velocity is the command of the previous step
+    if not robot.kind.by_force:  # its velocity is the command of the previous step
         return lambda position, _, abstract, sums, desired: single_integrator_command(
             mass, position, gains, gravity, abstract, sums, desired
         )

@@ -17,7 +17,7 @@ from swarmabs_core.abstraction import quotient, summed
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
-from swarmabs_core.messages import AGENT_STATE, Kind, Status
+from swarmabs_core.messages import AGENT_STATE, Status
 from swarmabs_core.parent_response import SumObserver
 from swarmabs_core.plant import column_load
 from swarmabs_core.robot_controller import Limits
@@ -89,7 +89,7 @@ class SwarmColumns:
 
     def __init__(self, scenario: Scenario, configs: Iterable[AgentConfig], *, steps: bool = False) -> None:
         ordered = sorted(configs, key=lambda config: (config.kind, config.agent_id))
-        damped = [config for config in ordered if config.kind is Kind.DOUBLE_INTEGRATOR]
+        damped = [config for config in ordered if config.kind.by_force]
         single = len(ordered) - len(damped)
         shape = (-1, 1) if steps else (-1,)
         self._sums: Any = (step_sums, np.divide) if steps else (column_sums, quotient)

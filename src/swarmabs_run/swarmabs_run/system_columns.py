@@ -13,7 +13,7 @@ from swarmabs_core.arrays import layout_of
 from swarmabs_core.behaviours.systems import SystemAgentConfig
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import SwarmabsError
-from swarmabs_core.messages import NEVER, ROBOT_STATE, SYSTEM_FAMILY, RobotStatus, SwarmBroadcast, word
+from swarmabs_core.messages import NEVER, ROBOT_STATE, SYSTEM_FAMILY, Status, SwarmBroadcast, word
 from swarmabs_core.summation import column_total
 from swarmabs_core.systems.columns import SystemOnColumns, column, columns, dynamics_of
 from swarmabs_core.systems.swarm import observed
@@ -47,7 +47,7 @@ class _Kind:
         first, laws = configs[0], [config.law() for config in configs]
         self.ids = [config.agent_id for config in configs]
         self.law = laws[0].on(system.made, dynamics_of([law.dynamics for law in laws]))
-        states = [config.body(None).state(0, NEVER, RobotStatus.ACTIVE) for config in configs]
+        states = [config.body(None).state(0, NEVER, Status.ACTIVE) for config in configs]
         self.state: RobotState = states[0]._replace(
             coordinates=column(state.coordinates for state in states),
             velocities=column(state.velocities for state in states),

@@ -13,7 +13,7 @@ from swarmabs_analysis.report.pictures import page_picture
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.events import said_event
-from swarmabs_core.messages import RobotKind, SwarmEvent
+from swarmabs_core.messages import Kind, SwarmEvent
 from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def page(recorded: Recorded, panels: Sequence[Panel]) -> str:
     for panel in panels:
         pictures[panel.section].append(Picture(panel, page_picture(panel)))
     scenario, agents = recorded.scenario, recorded.arrays.agents
-    counts = {kind: int((agents.kind == kind).any(axis=0).sum()) for kind in RobotKind}
+    counts = {kind: int((agents.kind == kind).any(axis=0).sum()) for kind in Kind}
     singles, doubles, lags = counts.values()
     time = recorded.arrays.time
     groups, whole = _groups(recorded)

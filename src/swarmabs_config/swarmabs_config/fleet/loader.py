@@ -17,6 +17,7 @@ from swarmabs_config.scenario.loader import read_mapping, validated
 from swarmabs_config.scenario.text_file import read_text
 from swarmabs_config.scenarios import as_override, at_parameter, find_scenario, named_scenario
 from swarmabs_core.errors import InputError
+from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:
     import os
@@ -146,7 +147,7 @@ def _mapping(value: Plain) -> dict[str, Plain]:
 def _agent(robot: Robot, placeholder: float) -> Iterator[tuple[str, Plain]]:
     yield from (("id", robot.id), ("kind", robot.kind), ("mass", robot.mass))
     yield "position", robot.drive.position if isinstance(robot.drive, SimulatedDrive) else placeholder
-    if robot.kind == "double_integrator":
+    if Kind.of(robot.kind).by_force:
         yield "damping", robot.damping
         if isinstance(robot.drive, SimulatedDrive):
             yield "velocity", robot.drive.velocity

@@ -18,7 +18,7 @@ from pydantic_core import PydanticCustomError
 
 from swarmabs_core.behaviours.robot import RobotConfig
 from swarmabs_core.behaviours.systems import SystemAgentConfig
-from swarmabs_core.messages import RobotKind, word
+from swarmabs_core.messages import Kind, word
 from swarmabs_core.systems.check import generated
 from swarmabs_core.systems.interface import NamedSystem
 
@@ -167,7 +167,7 @@ class SystemGenerate(Model):
     @property
     def kinds(self) -> list[str]:
         """The kinds of the robots by id."""
-        return [kind for kind in map(word, RobotKind) for _ in range(getattr(self, kind))]
+        return [kind for kind in map(word, Kind) for _ in range(getattr(self, kind))]
 
     def agents(self, named: NamedSystem) -> tuple[SystemAgent, ...]:
         """Draw the robots, in order of their ids 1, 2, ....

@@ -12,7 +12,7 @@ from swarmabs_core.drive import Lag
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import InjectedFault
 from swarmabs_core.membership import ChangeKind
-from swarmabs_core.messages import PLANE_FAMILY, AgentState, Broadcast, Family, Kind, PlaneState
+from swarmabs_core.messages import PLANE_FAMILY, PLANE_KINDS, AgentState, Broadcast, Family, Kind, PlaneState, word
 from swarmabs_core.parameters import Settings
 from swarmabs_core.plant import Plane
 from swarmabs_core.robot_controller import Decision, Limits, RobotController
@@ -45,10 +45,10 @@ class RobotConfig:
 
     agent_id: int = setting(1, "id of the robot, 1 to 65535", minimum=1, maximum=65535)
     kind: Kind = setting(
-        Kind.SINGLE_INTEGRATOR,
+        PLANE_KINDS[0],
         "dynamics of the robot",
-        choices=tuple(kind.name.lower() for kind in Kind),
-        make=lambda name: Kind[name.upper()],
+        choices=tuple(map(word, PLANE_KINDS)),
+        make=Kind.of,
         say=lambda kind: kind.name.lower(),
     )
     mass: float = setting(0.5, "mass", unit="kg", above=0.0)
@@ -70,7 +70,7 @@ class RobotConfig:
         InputError
             If a single integrator has damping or an initial velocity.
         """
-        if self.kind is Kind.SINGLE_INTEGRATOR:
+        if not self.kind.by_force:
             for name, value in (("damping", self.damping), ("velocity", self.velocity)):
                 if value:
                     raise InputError(f"parameter {name}: not applicable to a single integrator", "omit it")
@@ -97,7 +97,7 @@ class AgentConfig(RobotConfig):
     @property
     def feels_plane(self) -> bool:
         """Whether the plane's motion acts on the robot."""
-        return self.feels_gravity and self.kind is Kind.DOUBLE_INTEGRATOR
+        return self.feels_gravity and self.kind.by_force
 
     def body(self, drive: Drive | None) -> PlaneRobot:
         """Return the robot at its initial state, by default with the ideal drive of its kind."""

@@ -115,7 +115,7 @@ class TopicSettings:
             problem = "the orientation in the odometry already states which way the body faces"
             raise SettingError("reversed", problem, "omit it")
 
-    def resolved(self, *, single_integrator: bool) -> TopicSettings:
+    def resolved(self, *, by_force: bool) -> TopicSettings:
         """Return the settings with the command type for the robot's kind, and with the names of all topics.
 
         Raises
@@ -125,8 +125,8 @@ class TopicSettings:
         """
         command = self.command
         if command == "auto":
-            command = "twist" if single_integrator else "force"
-        if command == "twist" and not single_integrator:
+            command = "force" if by_force else "twist"
+        if command == "twist" and by_force:
             raise InputError(
                 "drive.command: a twist is a velocity, but a double integrator is driven by force", "use force or joint"
             )
@@ -135,7 +135,7 @@ class TopicSettings:
             topic=self.topic or MEASURED[self.source],
             command=command,
             command_topic=self.command_topic or COMMANDED[command],
-            gravity="none" if single_integrator else self.gravity,
+            gravity=self.gravity if by_force else "none",
             imu=replace(self.imu, topic=self.imu.topic or MEASURED["imu"]),
         )
 

@@ -14,17 +14,17 @@ from swarmabs_core.declaration import setting
 from swarmabs_core.events import EventCode
 from swarmabs_core.messages import (
     AGENT_STATE,
+    PLANE_KINDS,
+    PLANE_STATUSES,
     AbstractState,
     AgentState,
     AuxiliaryState,
     DesiredAbstractState,
-    Kind,
     Message,
     Messages,
     Mode,
     PlaneState,
     StandingState,
-    Status,
 )
 from swarmabs_core.realtime.base import Health, Level
 
@@ -55,7 +55,7 @@ FASTEST_TURN = 100.0
 """Largest credible angular velocity of the plane, rad/s: from one end stop to the other within three periods."""
 _NUMERIC = (AbstractState, AuxiliaryState, DesiredAbstractState, AgentState, PlaneState)
 """Messages that consist of numbers."""
-_KINDS, _STATUSES, _MODES = frozenset(Kind), frozenset(Status), frozenset(Mode)
+_KINDS, _STATUSES, _MODES = frozenset(PLANE_KINDS), frozenset(PLANE_STATUSES), frozenset(Mode)
 
 
 class Origin(NamedTuple):

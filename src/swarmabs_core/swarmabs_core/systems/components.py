@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from swarmabs_core.messages import Field, ParentState, RobotKind, fields_of
+from swarmabs_core.messages import Field, ParentState, fields_of
 from swarmabs_core.systems.interface import Quantity
 
 if TYPE_CHECKING:
@@ -61,10 +61,3 @@ def derived(unit: str, times: int = 1) -> str:
     base, power = re.fullmatch(r"(.*?)(?:/s(?:\^(\d+))?)?", unit).groups()  # type: ignore[union-attr]  # always matches
     times += 0 if base == unit else int(power or 1)
     return f"{base}/s" if times == 1 else f"{base}/s^{times}"
-
-
-def command_unit(kind: RobotKind, unit: str) -> str:
-    """Return the unit of a robot's command along a coordinate in `unit`, such as ``N`` of a force along ``m``."""
-    if kind is RobotKind.DOUBLE_INTEGRATOR:
-        return "N" if unit == "m" else f"kg {derived(unit, 2)}"
-    return derived(unit) if kind is RobotKind.SINGLE_INTEGRATOR else unit
