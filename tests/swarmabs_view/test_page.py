@@ -378,7 +378,7 @@ def test_parts_have_their_order_and_size_and_tables_tell_what_is_out_of_sight(
 ) -> None:
     page.set_viewport_size({"width": width, "height": 800})
     events = [
-        Event(step=s, time=0.01 * s, agent=1, kind="REFUSED", words="refused", value=None, unit="", detail="x" * 60)
+        Event(step=s, time=0.01 * s, agent=1, kind="REFUSED", words="refused", value=None, detail="x" * 60)
         for s in range(40)
     ]
     page_server.open(STEERED, Events(replace=True, events=events, left_out=7), hash_=f"#steer={TOKEN}")

@@ -2,7 +2,8 @@
 
 import math
 import random
-from typing import Annotated, ClassVar, Literal, TypeAlias
+from collections.abc import Iterable
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 from pydantic import (
     BeforeValidator,
@@ -11,6 +12,7 @@ from pydantic import (
     JsonValue,
     TypeAdapter,
     WithJsonSchema,
+    create_model,
     field_validator,
     model_validator,
 )
@@ -18,7 +20,7 @@ from pydantic_core import PydanticCustomError
 
 from swarmabs_core.behaviours.robot import RobotConfig
 from swarmabs_core.behaviours.systems import SystemAgentConfig
-from swarmabs_core.messages import Kind, word
+from swarmabs_core.messages import Kind, said, word
 from swarmabs_core.systems.check import generated
 from swarmabs_core.systems.interface import NamedSystem
 
@@ -130,12 +132,18 @@ class SystemAgent(Model):
         return dict(sorted(constants.items()))
 
 
-class SystemGenerate(Model):
-    """A swarm on a parent system drawn at random: ids from 1, first single integrators, then double ones, then lags."""
+def _numbers(kinds: Iterable[Kind]) -> type[Model]:
+    """Return a model with the number of robots of each kind."""
+    fields: dict[str, Any] = {
+        word(kind): (int, Field(default=0, ge=0, le=LARGEST_ID, description=f"number of {said(kind)} robots"))
+        for kind in kinds
+    }
+    return create_model("Numbers", __base__=Model, **fields)
 
-    single_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of single integrator robots")
-    double_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of double integrator robots")
-    first_order_lag: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of robots with a lag")
+
+class SystemGenerate(_numbers(Kind)):  # type: ignore[misc]  # the fields are those of the kinds
+    """A swarm on a parent system drawn at random: ids from 1, kind by kind in the order of the fields."""
+
     constants: dict[str, Range] = Field(
         default={}, description="[smallest, largest] of constants, uniformly distributed; others: default"
     )
