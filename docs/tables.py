@@ -42,6 +42,7 @@ from swarmabs_config.model.scenario import FAULT_KINDS, OBSERVERS
 from swarmabs_config.scenario import Scenario, SystemScenario
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.declaration import parameters_of
+from swarmabs_core.events import EventCode
 from swarmabs_core.messages import TOPICS
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.drives import TOPIC
@@ -144,7 +145,7 @@ def parameters(declared: Iterable[Parameter | type | BySystem], without: Iterabl
     names = {each.name for each in without}
     parts = (each.plane if isinstance(each, BySystem) else each for each in declared)
     found = (p for each in parts for p in ((each,) if isinstance(each, Parameter) else parameters_of(each)))
-    rows = ((code(p.name), value(p.default), bounds(p), p.description) for p in found if p.name not in names)
+    rows = ((code(p.name), value(p.default), bounds(p), p.text) for p in found if p.name not in names)
     return table(("parameter", "default", "allowed", "meaning"), rows)
 
 
@@ -217,6 +218,18 @@ def events() -> str:
     return table(("kind", "value", "meaning"), ((code(name), number, comment) for name, number, comment in found))
 
 
+def event_codes() -> str:
+    """Return the table of the publishers of events, by kind and text."""
+    rows = []
+    for each in EventCode:
+        source = each.source.value if each.source is not None else "any other node"
+        text = re.sub(r"{\w+}", "...", each.text)
+        alone = sum(one.kind is each.kind for one in EventCode) == 1
+        other = "any" if alone else "any other"
+        rows.append((code(each.kind.name), code(text) if text else other, source))
+    return table(("kind", "`detail`", "published by"), rows)
+
+
 def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str, str]]:
     """Return path, default and meaning of every field of a part of a scenario."""
     hints = {} if issubclass(model, DeclaredModel) else get_type_hints(model)
@@ -257,7 +270,7 @@ def variants(models: Mapping[str, type[BaseModel]], key: str) -> str:
 def controller_parameters() -> str:
     """Return the table of the parameters that each control law adds to those of the parent controller."""
     rows = [
-        (name, code(f"controller.{p.name}"), value(p.default), bounds(p), p.description)
+        (name, code(f"controller.{p.name}"), value(p.default), bounds(p), p.text)
         for name, entry in CONTROLLERS.built_in.items()
         for p in entry.settings
     ]
@@ -450,6 +463,7 @@ def all_tables() -> dict[str, str]:
         "topics": topics(),
         "message fields": message_fields(),
         "events": events(),
+        "event codes": event_codes(),
         "scenario": fields(leaves(Scenario)),
         "system scenario": fields(each for each in leaves(SystemScenario) if each not in {*leaves(Scenario)}),
         "system robots": fields(leaves(SystemAgent)),

@@ -337,8 +337,8 @@ def _far_out(_: object, q: Vector, constants: Vector) -> Vector:
     return G * constants[0] * q[0], constants[0] * q[0] * q[0]
 
 
-def _refuse(text: str) -> Any:
-    raise InputError(text)
+def _refuse(*text: str) -> Any:
+    raise InputError(*text)
 
 
 def _in_turn(*values: Any) -> Any:
@@ -355,7 +355,7 @@ FAULTS: dict[str, dict[str, Any]] = {
     "impure_outline": {"outline": _in_turn((((0.0, 1.0),),), (((0.0, 2.0),),))},
     "shared_controller": {"controller": _in_turn(Damping(2.0, 1.0, 0.01))},
     "offset_ask": {"controller": lambda *_: type("C", (), {"ask": lambda *_: (0.0,), "offset_ask": lambda *_: 0.0})()},
-    "refuses": {"controller": lambda *_: _refuse("no wheel is left; add a wheel")},
+    "refuses": {"controller": lambda *_: _refuse("no wheel is left", "add a wheel")},
     "refuses_plainly": {"controller": lambda *_: _refuse("no wheel is left")},
     "limits_of_kinds": {"limits": lambda _, __, kind: {"double_integrator": ((-1.0,), (1.0,))}[kind]},
     "none": {},

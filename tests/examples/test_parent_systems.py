@@ -25,7 +25,7 @@ from tests.processes import ROOT
 from swarmabs_analysis.losses import check as losses
 from swarmabs_analysis.losses.check import check_losses
 from swarmabs_config.scenario import SystemScenario, load_scenario
-from swarmabs_core.messages import RobotStatus
+from swarmabs_core.messages import Status
 from swarmabs_core.theory.report import Report, Theorem
 from swarmabs_run.simulation import simulate
 
@@ -222,7 +222,7 @@ def test_the_payload_follows_its_path() -> None:
 
 def test_rotors_at_their_limits_say_so_and_the_others_take_over() -> None:
     run = simulated("overloaded", 5.0, LOSS.format(3.0, 3.09), "system.distance=0", "system.height=0")
-    limited = run.agents.status == RobotStatus.LIMITED
+    limited = run.agents.status == Status.LIMITED
     assert limited[:300].sum() == 0
     assert limited[310:].any(axis=0).sum() > 3
     highest = np.array([agent["constants"]["highest"] for agent in given("overloaded")["swarm"]["agents"]])

@@ -45,7 +45,7 @@ from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import TOPICS
-from swarmabs_core.publishers import NodeName
+from swarmabs_core.nodes import NodeName
 from swarmabs_core.systems.components import derived
 from swarmabs_core.systems.interface import SYSTEMS
 from swarmabs_run.simulated_run import simulate_run
@@ -478,7 +478,7 @@ def test_the_page_has_the_numbers_of_the_bag(sheet: Path) -> None:
     assert page.rows["Messages"][1] == BagToVerify(sheet).verify().messages
     texts = [text for _, text in page.texts]
     assert {"Parent system", "State of the parent system: al, be", "Paths of the robots"} <= set(texts)
-    assert "4 (2 single, 2 double integrators)" in re.sub(r"<[^>]*>", "", report.html)
+    assert "4 (2 single integrators, 2 double integrators)" in re.sub(r"<[^>]*>", "", report.html)
     assert "Plane" not in texts and "Theory" not in texts
 
 

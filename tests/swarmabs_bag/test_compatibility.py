@@ -9,7 +9,7 @@ from tests.swarmabs_bag.test_merge import piece, sent
 from swarmabs_analysis.comparison import compare_bags
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.attached import attached_provenance, attached_scenario
+from swarmabs_bag.attached import attached_provenance, attached_scenario, events_in
 from swarmabs_bag.channels import READABLE
 from swarmabs_bag.errors import UnknownTypeError
 from swarmabs_bag.info import bag_info
@@ -18,6 +18,7 @@ from swarmabs_bag.recording import Digest
 from swarmabs_bag.schemas import message_schema
 from swarmabs_cli import main
 from swarmabs_config.scenario import load_scenario
+from swarmabs_core.events import code_of
 from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.messages import BASIS, STANDING, SYSTEM_FAMILY
 from swarmabs_run.simulation import Simulation
@@ -65,6 +66,28 @@ def test_definitions_of_today_can_be_read_and_one_that_is_not_known_is_refused_b
         load_arrays(DATA)
     assert main(["compare", str(DATA), str(DATA)]) == 2
     assert known in {topic.type_hash for topic in bag_info(DATA).topics}
+
+
+@pytest.mark.parametrize(
+    ("bag", "codes"),
+    [
+        ("schema_1", {"KILLED": "observer"}),
+        (
+            "faults_1",
+            {
+                "FAULT_INJECTED": "agent",
+                "KILLED": "observer",
+                "LEFT": "observer",
+                "OFF_END": "parent",
+                "REFERENCE": "controller",
+            },
+        ),
+        ("realtime_1", {"NO_BROADCASTS": "agent", "JOINED": "observer", "HELD": "agent", "RECOVERED": "agent"}),
+    ],
+)
+def test_events_of_earlier_versions_have_codes_and_sources(bag: str, codes: dict[str, str]) -> None:
+    found = {code_of(event) for event in events_in(open_bag(DATA.parent / bag))}
+    assert {code and (code.name, code.source and code.source.value) for code in found} == {*codes.items()}
 
 
 def test_a_bag_in_real_time_is_verified_and_not_run_again(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

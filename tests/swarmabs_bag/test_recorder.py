@@ -437,7 +437,7 @@ def test_in_real_time_messages_come_one_by_one() -> None:
             msg.EventKind.SAFE_STOP,
             0.0,
             "no complete broadcasts yet",
-            "step 7: waits to start: no complete broadcasts yet",
+            "step 7: robot 3 waits to start: no complete broadcasts yet",
         ),
         (msg.EventKind.DEAD, 0.107341234, "kill", "step 7: dead, 0.10734: kill"),
         (msg.EventKind.JOINED, 0.0, "", "step 7: joined"),
@@ -445,7 +445,8 @@ def test_in_real_time_messages_come_one_by_one() -> None:
     ],
 )
 def test_events_are_told_with_their_values(kind: msg.EventKind, value: float, detail: str, text: str) -> None:
-    assert describe_event(msg.SwarmEvent(0, 7, 0, kind, value, detail)) == text
+    robot = 3 if kind is msg.EventKind.SAFE_STOP else 0  # robots report about themselves alone
+    assert describe_event(msg.SwarmEvent(0, 7, robot, kind, value, detail)) == text
 
 
 @pytest.mark.parametrize("overrides", [(), ("swarm.actuator_lag=0.01",)])

@@ -348,7 +348,7 @@ def test_a_dead_robot_stays_where_it_died_with_all_coordinates() -> None:
     assert state.members().standing == ((4, before.coordinates[0]),)
     early = dict(zip([robot.id for robot in state.robots], state.shown_robots(5), strict=True))
     assert early[7] == ShownSystemRobot()
-    assert state.robots[4] == SystemIdentity(7, msg.RobotKind.DOUBLE_INTEGRATOR, (1.1, 0.2), joins=True)
+    assert state.robots[4] == SystemIdentity(7, msg.Kind.DOUBLE_INTEGRATOR, (1.1, 0.2), joins=True)
 
 
 def test_a_robot_at_its_limit_is_shown_and_counted_as_limited() -> None:
@@ -383,7 +383,7 @@ def test_without_a_scenario_the_swarm_is_learned_from_its_messages() -> None:
     assert instant is not None and (instant.step, instant.reference) == (14, ())
     strange = next(s for s in steps[3].states() if isinstance(s, msg.RobotState))
     state.add(strange._replace(agent_id=99, kind=77, constants=(math.inf, 0.0), step=14))
-    assert state.robots[-1] == SystemIdentity(99, msg.RobotKind.SINGLE_INTEGRATOR, (None, 0.0))
+    assert state.robots[-1] == SystemIdentity(99, msg.Kind.SINGLE_INTEGRATOR, (None, 0.0))
 
 
 def test_an_announced_offset_shifts_all_that_is_tracked() -> None:

@@ -8,12 +8,10 @@ from tests.swarmabs_core.helpers import agent_state, broadcasts
 
 from swarmabs_core import messages as msg
 from swarmabs_core.cdr import canonical, decode, encode, split
-from swarmabs_core.desired_state import TORQUE_LIMITED
 from swarmabs_core.errors import InputError, MalformedMessageError
-from swarmabs_core.publishers import NodeName, publisher_of
+from swarmabs_core.nodes import NodeName
+from swarmabs_core.publishers import publisher_of
 from swarmabs_core.record import Record
-from swarmabs_core.robot_controller import COMMAND_LIMITED
-from swarmabs_core.systems.desired import NEED_LIMITED
 
 STAMP, STEP = 12_340_000_001, 1234
 # Encapsulation; sec, nanosec; "plane" with its length, padded to a multiple of 8 after the encapsulation; step.
@@ -212,7 +210,7 @@ def event(kind: msg.EventKind, detail: str = "") -> msg.SwarmEvent:
         (msg.ParentState(0, 0, 7, (0.1,)), "parent"),
         (msg.SystemDescription(0, 0, 7, "{}"), "parent"),
         *(
-            (event(msg.EventKind.LIMIT_HIT, NEED_LIMITED.format(need))._replace(agent_id=0), "controller")
+            (event(msg.EventKind.LIMIT_HIT, f"{need} limited")._replace(agent_id=0), "controller")
             for need in ("torque", "command")
         ),
         *((event(kind), "observer") for kind in (msg.EventKind.JOINED, msg.EventKind.LEFT, msg.EventKind.DEAD)),
@@ -220,8 +218,8 @@ def event(kind: msg.EventKind, detail: str = "") -> msg.SwarmEvent:
             (event(kind), "agent:3")
             for kind in (msg.EventKind.SAFE_STOP, msg.EventKind.RECOVERED, msg.EventKind.FAULT_INJECTED)
         ),
-        (event(msg.EventKind.LIMIT_HIT, COMMAND_LIMITED), "agent:3"),
-        (event(msg.EventKind.LIMIT_HIT, TORQUE_LIMITED), "controller"),
+        (event(msg.EventKind.LIMIT_HIT, "command limited"), "agent:3"),
+        (event(msg.EventKind.LIMIT_HIT, "torque limited to torque_max"), "controller"),
         (event(msg.EventKind.LIMIT_HIT, "end stop hit"), "parent"),
         (event(msg.EventKind.STEERING, "disturbance"), "parent"),
         (event(msg.EventKind.STEERING, "reference"), "controller"),

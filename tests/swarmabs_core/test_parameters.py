@@ -1,5 +1,6 @@
 """Declarations: parameters, values and the way back, with texts of errors."""
 
+from copy import copy
 from dataclasses import dataclass, field
 from enum import Enum
 from math import inf, nan
@@ -9,6 +10,7 @@ import pytest
 from swarmabs_core.declaration import choice, made_of, parameters_of, part, same, setting, tree_of, values_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter, SettingError, Settings, Value, resolve
+from swarmabs_core.registry import PluginError
 
 RATIO = Parameter("ratio", 0.5, "a share", minimum=0.0, maximum=1.0)
 MASS = Parameter("mass", 1.0, "mass, kg", above=0.0)
@@ -165,3 +167,17 @@ def test_values_and_declarations_that_contradict_each_other_are_refused() -> Non
         made_of(Painter, values, "x.")
     with pytest.raises(TypeError, match=r"Painter\.brush is not a setting"):
         same(Painter, "brush")
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (InputError("a; b", "c; d"), "a; b; c; d"),
+        (InputError("a; b"), "a; b"),
+        (SettingError("k", "a; b", "c; d"), "k: a; b; c; d"),
+        (PluginError("a;\n b", "c; d"), "a; b; c; d"),
+    ],
+)
+def test_errors_keep_problem_and_remedy_apart_in_copies_too(error: InputError, text: str) -> None:
+    for one in (error, copy(error)):  # as processes of a sweep exchange them
+        assert (str(one), one.problem, one.remedy) == (text, "a; b", "c; d" if text.endswith("d") else "")

@@ -208,10 +208,10 @@ def test_an_operator_calls_announces_and_hears(tmp_path: Path) -> None:
             client.call("agent_009/leave", 0.1)
         problems = client.call_each(("agent_001/leave", "agent_009/leave", "agent_001/join"), PATIENCE)
         assert [words in problems.pop(name) for name, words in MIXED.items()] == [True] * 3 and not problems
-        with client.announced(7, "taken away", PATIENCE):
+        with client.carried_away(7, PATIENCE):
             until(lambda: peer.heard, "the event is heard", PATIENCE)
         removal = decode(Removal, peer.heard[0])
-        assert (removal.agent_id, removal.kind, removal.detail) == (7, EventKind.LEFT, "taken away")
+        assert (removal.agent_id, removal.kind, removal.detail) == (7, EventKind.LEFT, "carried away")
         assert removal.step == (removal.stamp - before) // 10_000_000
         client.listen(monitor, PATIENCE, monitor.complete)
         assert monitor.rows(time.monotonic()) == [Row("agent_001", "cart-1", "WARN", "stands", {"left": "3 4"})]
@@ -223,10 +223,10 @@ def test_an_operator_calls_announces_and_hears(tmp_path: Path) -> None:
     with joined(over) as client, pytest.raises(RunError, match="the run has ended; start it again"):
         client.listen(monitor, PATIENCE, lambda: False)
     starting = pytest.raises(RunError, match="one: the run is still starting; try again in a moment")
-    with joined(replace(swarm, schedule=None)) as client, starting, client.announced(7, "", 0.0):
+    with joined(replace(swarm, schedule=None)) as client, starting, client.carried_away(7, 0.0):
         pass
     unheard = pytest.raises(RunError, match="one: no node receives /elsewhere/swarm/removals")
-    with joined(replace(swarm, namespace="/elsewhere")) as client, unheard, client.announced(7, "", 0.0):
+    with joined(replace(swarm, namespace="/elsewhere")) as client, unheard, client.carried_away(7, 0.0):
         pass
 
 

@@ -85,7 +85,7 @@ def test_the_observer_that_leads_confirms_a_removal(
     for roles in (("leads", "stands by"), ("stands by", "leads")):
         doing = dict(zip(("abstraction_observer", "abstraction_observer_standby"), roles, strict=True))
         nodes = Nodes(doing, left={node: "1 2" for node, role in doing.items() if role in confirming})
-        monkeypatch.setattr(nodes, "announced", lambda *_: nullcontext())
+        monkeypatch.setattr(nodes, "carried_away", lambda *_: nullcontext())
         monkeypatch.setattr(operate, "joined", lambda _, nodes=nodes: nullcontext(nodes))
         assert main(["remove", str(EXAMPLES["standby"]), "2"]) == code
         assert ("only a silent robot can be removed" in capsys.readouterr().err) == bool(code)

@@ -425,7 +425,7 @@ def test_the_operator_may_do_what_the_commands_do(tmp_path: Path) -> None:
     swarm = Target("one", "/hall", {}, (2,), {}, schedule=Schedule(10_000_000, 0))
     client = OperatorClient(Recording(), swarm)  # type: ignore[arg-type]
     actions: list[Callable[[], object]] = [
-        lambda: client.announced(2, "gone", 1.0).__enter__(),
+        lambda: client.carried_away(2, 1.0).__enter__(),
         lambda: client.listen(HealthMonitor({}), 1.0, lambda: False),
         *(lambda name=name: client.call(name, 1.0) for name in ("swarm/stop", "swarm/reset", "agent_001/leave")),  # type: ignore[misc]
     ]

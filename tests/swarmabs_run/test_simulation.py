@@ -20,7 +20,7 @@ from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenario import Scenario, dump_scenario, parse_scenario
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import MAIN_TOPICS, AbstractState, DesiredAbstractState, PlaneState, Topic
-from swarmabs_core.publishers import NodeKind, NodeName
+from swarmabs_core.nodes import NodeKind, NodeName
 from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 from swarmabs_run.simulation import Simulation, nodes_in_process, simulate, simulated_steps

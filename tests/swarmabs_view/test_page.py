@@ -13,7 +13,7 @@ from tests.swarmabs_bag.sample_run import PERIOD
 from tests.swarmabs_view.conftest import PageServer, Served, curves, load, number, seek, serving
 
 from swarmabs_bag.swarm_state import TimedEvent
-from swarmabs_core.events import NO_BROADCASTS
+from swarmabs_core.events import EventCode
 from swarmabs_core.messages import EventKind, SwarmEvent
 from swarmabs_view.protocol import Answer, Event, Events, Steering
 
@@ -241,6 +241,7 @@ def test_a_robot_that_is_pointed_to_says_who_it_is(page: Page, served: Served) -
 
 def test_values_of_events_have_their_units(page: Page, page_server: PageServer) -> None:
     long = "a" * 199 + "b" * 500
+    no_broadcasts, torque_limited = EventCode.NO_BROADCASTS.text, EventCode.TORQUE_LIMITED.text
     right_to_left = "\u05d0 text (1) that is written from right to left"
     cases: tuple[tuple[int, str, float | None, str, str], ...] = (
         (0, "STEERING", 0.1, "reference", "reference, 0.10000 rad"),
@@ -249,10 +250,10 @@ def test_values_of_events_have_their_units(page: Page, page_server: PageServer) 
         (1, "DEAD", -0.25, "kill", "robot 1, dead, -0.25000 m – kill"),
         (1, "LIMIT_HIT", 0.5, "command limited", "robot 1, limit hit, 0.50000 m/s – command limited"),
         (1, "LIMIT_HIT", 0.5, "back in range: position", "robot 1, limit hit, 0.50000 m – back in range: position"),
-        (0, "LIMIT_HIT", 2.5, "torque limited", "limit hit, 2.5000 N m – torque limited"),
+        (0, "LIMIT_HIT", 2.5, torque_limited, f"limit hit, 2.5000 N m – {torque_limited}"),
         (2, "SAFE_STOP", 0.0, "", "robot 2, safe stop"),
-        (2, "SAFE_STOP", 0.0, NO_BROADCASTS, f"robot 2, waits to start – {NO_BROADCASTS}"),
-        (0, "LIMIT_HIT", None, "torque limited", "limit hit – torque limited"),
+        (2, "SAFE_STOP", 0.0, no_broadcasts, f"robot 2, waits to start – {no_broadcasts}"),
+        (0, "LIMIT_HIT", None, torque_limited, f"limit hit – {torque_limited}"),
         (2, "REFUSED", 3.0, long, f"robot 2, refused, 3.0000 – {long[:200]}…"),
         (2, "REFUSED", 1.0, right_to_left, f"robot 2, refused, 1.0000 – {right_to_left}"),
     )

@@ -27,12 +27,12 @@ from swarmabs_core.messages import (
     SYSTEM_FAMILY,
     TOPIC_OF,
     EventKind,
+    Kind,
     Message,
     Mode,
     ParentState,
-    RobotKind,
     RobotState,
-    RobotStatus,
+    Status,
     SwarmAbstract,
     SwarmDesired,
     SwarmEvent,
@@ -63,10 +63,10 @@ def step_of(name: str, step: int, robots: int = 3) -> Iterator[Message]:
     n, k, d, c = SIZES[name]
     head = (step * PERIOD, step, NamedSystem(name).hash)
     for robot in range(1, robots + 1):
-        status = RobotStatus.LIMITED if robot == 2 else RobotStatus.ACTIVE
+        status = Status.LIMITED if robot == 2 else Status.ACTIVE
         place, moves = numbers(d, 0.1 * robot + step), numbers(d, 0.2 * robot)
         yield RobotState(
-            *head, step, robot, RobotKind.FIRST_ORDER_LAG, status, place, moves, numbers(d, 0.3), numbers(c, robot)
+            *head, step, robot, Kind.FIRST_ORDER_LAG, status, place, moves, numbers(d, 0.3), numbers(c, robot)
         )
     yield ParentState(*head, numbers(n, 0.01 * step))
     yield SwarmAbstract(*head, robots, numbers(k, step), numbers(k, 0.5))
@@ -164,7 +164,7 @@ def test_a_system_draws_itself_and_others_are_drawn_at_their_coordinates(systems
 def test_what_is_unknown_is_not_drawn_and_a_foreign_description_changes_nothing() -> None:
     view = view_of(heard("beam", 0))
     system = NamedSystem("beam").hash
-    lost = RobotState(PERIOD, 1, system, 0, 1, 3, RobotStatus.ACTIVE, (nan,), (0.0,), (0.0,), (0.1, 0.0, 0.1))
+    lost = RobotState(PERIOD, 1, system, 0, 1, 3, Status.ACTIVE, (nan,), (0.0,), (0.0,), (0.1, 0.0, 0.1))
     view.add(lost)
     view.add(ParentState(PERIOD, 1, system, (nan, 0.0)))
     view.add(SwarmAbstract(PERIOD, 1, system, 3, (1.0, nan), (0.0, 0.0)))

@@ -85,7 +85,7 @@ class TopicLink:
             return twist
         joint = JointState(name=[settings.joint.name])
         joint.header.stamp = stamp
-        if self._kind is Kind.SINGLE_INTEGRATOR:
+        if not self._kind.by_force:
             joint.velocity = [value]
         else:
             joint.effort = [value]
@@ -106,8 +106,8 @@ class TopicDrive:
     """
 
     def __init__(self, settings: TopicSettings, body: Body, connect: Callable[[TopicSettings], TopicLink]) -> None:
-        self._single = body.kind is Kind.SINGLE_INTEGRATOR
-        settings = settings.resolved(single_integrator=self._single)
+        self._single = not body.kind.by_force
+        settings = settings.resolved(by_force=not self._single)
         self._settings, self._body = settings, body
         self._axis, self._sign = signed_axis(settings.axis)
         self._least_cosine = cos(settings.heading_tolerance)

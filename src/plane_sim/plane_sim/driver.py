@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config.graph import PLANE_DRIVER
 from swarmabs_core.declaration import part, same
-from swarmabs_core.messages import EventKind, Message, Messages, PlaneState, SwarmEvent
+from swarmabs_core.events import EventCode
+from swarmabs_core.messages import Message, Messages, PlaneState
 from swarmabs_core.realtime.base import PLANE_PHASE, UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
 from swarmabs_core.realtime.instruments import MEASURED, PlaneInstrument
 from swarmabs_core.realtime.validation import Problem, Refusals
@@ -98,7 +99,7 @@ class PlaneDriver:
         state = PlaneState(now, step, sample.value, sample.rate)
         if self._silent:
             self._silent = False
-            return (SwarmEvent(now, step, 0, EventKind.RECOVERED, age, "the plane's sensor is heard"), state)
+            return (EventCode.SENSOR_HEARD.event(now, step, age), state)
         self._silent = False
         return (state,)
 
@@ -121,10 +122,10 @@ class PlaneDriver:
         if self._silent:
             return ()
         self._silent = True
-        detail = "the plane's sensor is silent" if age < inf else "the plane's sensor has not been heard"
+        problem = "is silent" if age < inf else "has not been heard"
         if self.refused.last:
-            detail += f"; last refusal: {self.refused.last}"
-        return (SwarmEvent(now, step, 0, EventKind.STALLED, min(age, 1e9), detail),)
+            problem += f"; last refusal: {self.refused.last}"
+        return (EventCode.NO_SENSOR.event(now, step, min(age, 1e9), problem=problem),)
 
     def _measure(self, reading: Reading, now: int) -> None:
         config = self._config

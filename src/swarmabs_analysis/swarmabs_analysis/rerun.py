@@ -28,9 +28,9 @@ from swarmabs_config import configure
 from swarmabs_config.model.errors import printable, shorten, show
 from swarmabs_config.scenario.steered import as_planned
 from swarmabs_core.errors import InputError
+from swarmabs_core.events import EventCode, code_of
 from swarmabs_core.fingerprint import libm_fingerprints
-from swarmabs_core.messages import EVENTS, EventKind
-from swarmabs_core.steering import DISTURBANCE, REFERENCE
+from swarmabs_core.messages import EVENTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -175,7 +175,7 @@ def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Ite
     """
     steered = was_steered(bag)
     for event in step.events:
-        if event.kind == EventKind.STEERING and not steered and event.detail not in (REFERENCE, DISTURBANCE):
+        if not steered and code_of(event) is EventCode.STEERING:
             raise InputError(
                 f"{bag.path}: a setting was changed from outside at step {event.step} ({show(event.detail)}), "
                 f"which cannot be repeated; {_REMEDY}"

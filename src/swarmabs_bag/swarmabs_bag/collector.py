@@ -17,6 +17,7 @@ from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, Unkn
 from swarmabs_core.behaviours.steering import Orders
 from swarmabs_core.cdr import decode, split
 from swarmabs_core.errors import ProtocolError
+from swarmabs_core.events import EventCode, code_of
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
     EVENTS,
@@ -36,9 +37,10 @@ from swarmabs_core.messages import (
     Topic,
     said,
 )
-from swarmabs_core.publishers import NodeKind, publisher_of
+from swarmabs_core.nodes import NodeKind
+from swarmabs_core.publishers import publisher_of
 from swarmabs_core.record import Record
-from swarmabs_core.steering import DISTURBANCE, REFERENCE, STEERER, change_of
+from swarmabs_core.steering import STEERER, change_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     from swarmabs_core.membership import Change
 
 
+_SET_BY = {Action.REFERENCE: EventCode.REFERENCE, Action.DISTURBANCE: EventCode.DISTURBANCE}
 MEMORY = 250
 """Number of past steps for which repeats are compared with the recorded messages, unless given otherwise."""
 
@@ -121,7 +124,7 @@ class RunCollector:
         self._last_step = last_step
         self._memory = memory
         self._orders = Orders() if steered else None
-        self._settings: dict[int, str] = {}
+        self._settings: dict[int, EventCode] = {}
         self._step = 0
         self._newest = -1
         self._slots: dict[int, _Slot] = {}
@@ -265,7 +268,7 @@ class RunCollector:
                 for membership in filter(None, (self._membership, self._planned)):
                     membership.plan(change)
             elif known.action != Action.NONE:
-                self._settings[known.step] = REFERENCE if known.action == Action.REFERENCE else DISTURBANCE
+                self._settings[known.step] = _SET_BY[Action(known.action)]
         return found, self._complete()
 
     def _add_agent(self, slot: _Slot, record: Record, state: AnyRobotState) -> None:
@@ -372,16 +375,16 @@ class RunCollector:
         if not all((agent_id, kind) in told for agent_id, kind, _ in self._membership.changes(self._step)):
             return False
         setting = self._settings.get(self._step)
-        return setting is None or any(
-            isinstance(e, SwarmEvent) and e.kind == EventKind.STEERING and e.detail == setting for e in events
-        )
+        return setting is None or any(isinstance(e, SwarmEvent) and code_of(e) is setting for e in events)
 
     def _is_void(self, event: Message) -> bool:
         """Return whether an event comes from a robot that does not know that it no longer takes part."""
         if self._orders is None:
             return False
         publisher = publisher_of(event)
-        return publisher.kind is NodeKind.AGENT and not self._membership.publishes(publisher.agent_id, event.step)
+        if publisher is None or publisher.kind is not NodeKind.AGENT:
+            return False
+        return not self._membership.publishes(publisher.agent_id, event.step)
 
 
 def _states_in(data: bytes) -> bytes:

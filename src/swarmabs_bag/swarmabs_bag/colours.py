@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_core.messages import RobotKind
+from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -33,9 +33,9 @@ ABSENT = "#888888"
 ROBOTS = (DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR, TORQUE, INERTIA)
 """The first four robots, where each has its own colour instead of that of its kind."""
 KINDS: Mapping[int, str] = {
-    RobotKind.SINGLE_INTEGRATOR: SINGLE_INTEGRATOR,
-    RobotKind.DOUBLE_INTEGRATOR: DOUBLE_INTEGRATOR,
-    RobotKind.FIRST_ORDER_LAG: INERTIA,
+    Kind.SINGLE_INTEGRATOR: SINGLE_INTEGRATOR,
+    Kind.DOUBLE_INTEGRATOR: DOUBLE_INTEGRATOR,
+    Kind.FIRST_ORDER_LAG: INERTIA,
 }
 
 

@@ -21,6 +21,7 @@ from swarmabs_core.messages import (
     Topic,
 )
 from swarmabs_core.ranges import Strays
+from swarmabs_core.systems.interface import Quantity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -44,13 +45,16 @@ _ANSWERED = 10
 class Tracking(NamedTuple):
     """What of the parent's state follows the reference: indices, errors below which the numbers count as settled.
 
-    The first of them, or else of the state, is the number to show, with its name and unit.
+    The first of them, or else of the state, is the number to show, with its name and unit. `coordinate` is what the
+    robots' coordinates are called, with their unit, empty if they have several.
     """
 
     followed: tuple[int, ...] = (0,)
     tolerances: tuple[float, ...] = (TOLERANCE,)
     name: str = "angle"
     unit: str = "rad"
+    coordinate: str = "position"
+    coordinate_unit: str = "m"
 
     @classmethod
     def of(cls, system: ParentSystem | SystemTables) -> Tracking:
@@ -58,7 +62,21 @@ class Tracking(NamedTuple):
         names = [quantity.name for quantity in system.parent]
         followed = tuple(names.index(tracked.name) for tracked in system.tracked)
         shown = system.parent[followed[0] if followed else 0]
-        return cls(followed, tuple(tracked.tolerance for tracked in system.tracked), shown.name, shown.unit)
+        tolerances = tuple(tracked.tolerance for tracked in system.tracked)
+        units = {row.unit for row in system.robot}
+        unit = units.pop() if len(units) == 1 else ""
+        return cls(followed, tolerances, shown.name, shown.unit, "coordinate", unit)
+
+    @property
+    def figures(self) -> dict[str, Quantity]:
+        """What the figures of a run are called, with their units, by their names in ``summary.json``."""
+        return {
+            "settled_at": Quantity("settled at", "s"),
+            "rms_error": Quantity("rms error", self.unit),
+            "final_error": Quantity("final error", self.unit),
+            "max_abs_position": Quantity(f"max |{self.coordinate}|", self.coordinate_unit),
+            "messages": Quantity("messages", ""),
+        }
 
     def errors(self, wanted: float | Vector, state: Vector) -> list[float]:
         """Return the errors of the parent's state: one for each quantity that follows a reference."""

@@ -13,6 +13,7 @@ from swarmabs_config import configure
 from swarmabs_config.graph import REALTIME, RECORDER, STANDBY_TOPICS, USUAL_TOPICS, Option, endpoints, usual_topic
 from swarmabs_core.cdr import misplaced
 from swarmabs_core.errors import InputError
+from swarmabs_core.events import EventCode, code_of
 from swarmabs_core.messages import (
     BASIS,
     BROADCASTS,
@@ -21,7 +22,6 @@ from swarmabs_core.messages import (
     AgentState,
     Basis,
     DesiredAbstractState,
-    EventKind,
     Source,
     SwarmEvent,
     Topic,
@@ -49,8 +49,6 @@ RECORDED = recorded(paired=True)
 _UNKNOWN_BOUNDS, _LIMITS = Bounds(inf, inf), Realtime()
 MEMORY = 1000
 """Steps around the recorder's current one within which messages are recorded, and duplicates recognised."""
-DIFFERENT = "two different messages of this step on "
-"""Prefix of an event's detail in bags of earlier versions: of that topic and step only the first message is there."""
 QUIET_STEPS = 100
 """Steps without another dispute after which one is over; bounds the number of events about it."""
 
@@ -81,25 +79,23 @@ SECOND_WRITER = "a second sender"
 TWO_MESSAGES = "different messages of a step"
 CAUSES = (SECOND_WRITER, TWO_MESSAGES)
 """Why messages are disputed. One sender says different things of a step if its clock was set back."""
-_BEGINS, _ENDS = "from this step on ", "up to this step "
-_DISPUTE = re.compile(
-    rf"({_BEGINS}|{_ENDS})({'|'.join(CAUSES)}), of which the bag has only the first, "
-    r"on (\S+?)(?: of source (\d{1,3}))?"
-)
+_PLACE = re.compile(r"(\S+?)(?: of source (\d{1,3}))?")
+"""Where a dispute is: topic, and source of provenances."""
 
 
 def disputed(event: SwarmEvent) -> Dispute | None:
     """Return what an event says of the beginning or the end of a dispute; None for other events."""
-    if event.kind != EventKind.REFUSED:
+    code = code_of(event)
+    if code is EventCode.TWO_MESSAGES:  # in bags of earlier versions
+        return Dispute(TWO_MESSAGES, code.read(event)["topic"], event.agent_id, event.step, event.step)
+    if code not in (EventCode.DISPUTE_BEGINS, EventCode.DISPUTE_ENDS):
         return None
-    if event.detail.startswith(DIFFERENT):
-        topic = event.detail.removeprefix(DIFFERENT)
-        return Dispute(TWO_MESSAGES, topic, event.agent_id, event.step, event.step)
-    if (found := _DISPUTE.fullmatch(event.detail)) is None:
+    told = code.read(event)
+    place = _PLACE.fullmatch(told["where"])
+    if place is None or told["cause"] not in CAUSES:
         return None
-    limit, cause, topic, source = found.groups()
-    steps = (event.step, None) if limit == _BEGINS else (None, event.step)
-    return Dispute(cause, topic, int(source or event.agent_id), *steps)
+    steps = (event.step, None) if code is EventCode.DISPUTE_BEGINS else (None, event.step)
+    return Dispute(told["cause"], place[1], int(place[2] or event.agent_id), *steps)
 
 
 @dataclass(slots=True)
@@ -260,24 +256,25 @@ class RealtimeCollector:
         known = self._disputes.get(key)
         if known is None:
             self._disputes[key] = _Disputed(first, last, 1, step)
-            return (self._told(_BEGINS, key, first, 1),)
+            return (self._told(EventCode.DISPUTE_BEGINS, key, first, 1),)
         known.last, known.count, known.renewed = max(known.last, last), known.count + 1, step
         if first >= known.first:
             return ()
         known.first = step - MEMORY  # the oldest that are taken, so this is told at most twice
-        return (self._told(_BEGINS, key, known.first, known.count),)
+        return (self._told(EventCode.DISPUTE_BEGINS, key, known.first, known.count),)
 
     def _end_disputes(self, step: int | None) -> tuple[Record, ...]:
         """Return the events with which disputes end that were not renewed for some time; without a step, of all."""
         over = [key for key, found in self._disputes.items() if step is None or abs(step - found.renewed) > QUIET_STEPS]
         ended = ((key, self._disputes.pop(key)) for key in over)
-        return tuple(self._told(_ENDS, key, found.last, found.count) for key, found in ended)
+        return tuple(self._told(EventCode.DISPUTE_ENDS, key, found.last, found.count) for key, found in ended)
 
-    def _told(self, prefix: str, key: tuple[str, Topic, int], step: int, count: int) -> Record:
+    def _told(self, code: EventCode, key: tuple[str, Topic, int], step: int, count: int) -> Record:
         cause, topic, number = key
         agent_id, of = (0, f" of source {number}") if topic.message is Basis else (number, "")
-        detail = f"{prefix}{cause}, of which the bag has only the first, on {topic.name}{of}"
-        return Record.of(SwarmEvent(self._now, max(0, step), agent_id, EventKind.REFUSED, float(count), detail))
+        where = f"{topic.name}{of}"
+        event = code.event(self._now, max(0, step), float(count), robot=agent_id, cause=cause, where=where)
+        return Record.of(event)
 
     def _problem(self, record: Record, step: int, writer: bytes) -> Problem | None:
         topic, agent_id, message = record.topic, record.agent_id, record.message

@@ -32,13 +32,13 @@ from swarmabs_bag.swarm_state import (
 from swarmabs_core.arrays import MessageArrays
 from swarmabs_core.messages import (
     PLANE_FAMILY,
+    PLANE_KINDS,
     SYSTEM_FAMILY,
     AbstractState,
     DesiredAbstractState,
     Family,
     Kind,
     PlaneState,
-    RobotKind,
     Status,
     SwarmEvent,
 )
@@ -302,7 +302,7 @@ def _name(bag: BagReader) -> str | None:
 
 
 def _check_kinds(bag: BagReader, tables: Tables) -> None:
-    states, kinds = tables[bag.family.robot], Kind if bag.family is PLANE_FAMILY else RobotKind
+    states, kinds = tables[bag.family.robot], PLANE_KINDS if bag.family is PLANE_FAMILY else tuple(Kind)
     wrong = states[~np.isin(states["kind"], [kind.value for kind in kinds])]
     if len(wrong):
         first = wrong[0]

@@ -31,9 +31,7 @@ from swarmabs_core.messages import (
     ParentState,
     PlaneState,
     Removal,
-    RobotKind,
     RobotState,
-    RobotStatus as SystemStatus,
     Source,
     Status,
     SwarmEvent,
@@ -57,10 +55,10 @@ if TYPE_CHECKING:
 RobotStatus: TypeAlias = Literal["active", "safe_stop", "left", "dead", "silent", "limited"]
 STATUSES: tuple[RobotStatus, ...] = get_args(RobotStatus)
 STATUS_NAMES: dict[int, RobotStatus] = {
-    SystemStatus.ACTIVE: "active",
-    SystemStatus.SAFE_STOP: "safe_stop",
-    SystemStatus.LEFT: "left",
-    SystemStatus.LIMITED: "limited",
+    Status.ACTIVE: "active",
+    Status.SAFE_STOP: "safe_stop",
+    Status.LEFT: "left",
+    Status.LIMITED: "limited",
 }
 """The status that a robot publishes, by `AgentState.status` or `RobotState.status`."""
 
@@ -95,7 +93,7 @@ class SystemIdentity(NamedTuple):
     """Constant properties of a robot on any parent system: id, kind, constants, and whether it is absent at first."""
 
     id: int
-    kind: RobotKind
+    kind: Kind
     constants: ShownVector
     joins: bool = False
 
@@ -540,8 +538,8 @@ def _identity(robot: Any, *, joins: bool = False) -> RobotIdentity:
 
 
 def _system_identity(robot: Any, *, joins: bool = False) -> SystemIdentity:
-    kind = robot.kind if robot.kind in set(RobotKind) else RobotKind.SINGLE_INTEGRATOR
-    return SystemIdentity(robot.agent_id, RobotKind(kind), finites(robot.constants), joins)
+    kind = robot.kind if robot.kind in set(Kind) else Kind.SINGLE_INTEGRATOR
+    return SystemIdentity(robot.agent_id, Kind(kind), finites(robot.constants), joins)
 
 
 class SwarmState(_State[RobotIdentity, Instant, ShownRobot]):

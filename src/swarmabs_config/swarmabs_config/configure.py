@@ -22,7 +22,7 @@ from swarmabs_core.faults import (
     SettingFault,
 )
 from swarmabs_core.membership import ALWAYS, SETTLING_NS, Change, ChangeKind
-from swarmabs_core.messages import SYSTEM_FAMILY, Kind, RobotKind, word
+from swarmabs_core.messages import SYSTEM_FAMILY, Kind
 from swarmabs_core.models import (
     AgentConfig,
     ControllerConfig,
@@ -201,7 +201,7 @@ class _SystemNodes:
 
     def observer(self) -> SystemObserverConfig:
         scenario = self._scenario
-        forces = any(agent.kind == word(RobotKind.DOUBLE_INTEGRATOR) for agent in scenario.agents)
+        forces = any(Kind.of(agent.kind).by_force for agent in scenario.agents)
         curvature = forces and scenario.swarm.force_law == "second_order"
         return gathered(SystemObserverConfig, _run(scenario), **self._selected, curvature=curvature)
 
@@ -229,7 +229,7 @@ class _SystemNodes:
             replace(
                 common,
                 agent_id=agent.id,
-                kind=RobotKind[agent.kind.upper()],
+                kind=Kind.of(agent.kind),
                 coordinates=agent.coordinates,
                 velocities=agent.velocities,
                 constants=constants_of(named, agent.constants),
@@ -338,7 +338,7 @@ def robot(agent: Agent) -> dict[str, Any]:
     """Return the fields of a robot's configuration that describe the robot itself."""
     return {
         "agent_id": agent.id,
-        "kind": Kind[agent.kind.upper()],
+        "kind": Kind.of(agent.kind),
         "mass": agent.mass,
         "damping": agent.damping,
         "position": agent.position,

@@ -38,7 +38,9 @@ def check_realtime(scenario: Scenario) -> None:
     )
     for name, given in lockstep_only:
         if given:
-            raise InputError(f"{name}: not supported in real time with simulated robots; remove it, or run in lockstep")
+            raise InputError(
+                f"{name}: not supported in real time with simulated robots", "remove it, or run in lockstep"
+            )
 
 
 def check_pairs(scenario: Scenario) -> None:
@@ -55,7 +57,8 @@ def check_pairs(scenario: Scenario) -> None:
         raise InputError(
             f"realtime.takeover_after: {limits.takeover_after:g} s is too long for a fleet with standbys: a takeover "
             f"takes {TAKEOVER_STEPS} periods more, and robots stop after realtime.broadcast_age_limit "
-            f"({limits.broadcast_age_limit:g} s); set it below {latest:g} s, or raise the age limit"
+            f"({limits.broadcast_age_limit:g} s)",
+            f"set it below {latest:g} s, or raise the age limit",
         )
 
 

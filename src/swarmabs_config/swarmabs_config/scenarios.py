@@ -70,10 +70,10 @@ def find_scenario(named: str, overrides: Sequence[str] = ()) -> Any:
     if path.exists() or path.suffix in {".yaml", ".yml"} or os.sep in named:
         return load_scenario(path, overrides)
     if "=" in named:
-        raise InputError(f"no built-in scenario or file {named!r}; to change a value, write --set '{named}'")
+        raise InputError(f"no built-in scenario or file {named!r}", f"to change a value, write --set '{named}'")
     close = difflib.get_close_matches(named, builtin, n=1)
     hint = f"did you mean {close[0]}?" if close else f"name a YAML file or one of {', '.join(builtin)}"
-    raise InputError(f"no built-in scenario or file {named!r}; {hint}")
+    raise InputError(f"no built-in scenario or file {named!r}", hint)
 
 
 def names_bag(named: str) -> bool:

@@ -200,6 +200,11 @@ LEAST_SPREAD = 1e-4
 _LEAST = 1e-9
 
 
+def damped(value: float, edge: float) -> float:
+    """Return what replaces a divisor below an edge, in its unit: it grows without bound as the divisor vanishes."""
+    return edge * edge / max(value, _LEAST * edge)
+
+
 def least_s3(s0: float, length: float) -> float:
     """Return S3 (kg^4 m^2) at the least spread, for S0 (kg^2) and the length of the plane (m)."""
     return LEAST_SPREAD * LEAST_SPREAD * s0 * s0 * length * length
@@ -220,5 +225,5 @@ def conditioned(sums: AuxiliaryState, length: float) -> AuxiliaryState:
     if not is_degenerate(s0, s3, length):
         return sums
     edge = least_s3(s0, length)
-    damped = edge * edge / max(s3, _LEAST * edge)
-    return sums._replace(s2=(damped + s1 * s1) / s0, s3=damped)
+    larger = damped(s3, edge)
+    return sums._replace(s2=(larger + s1 * s1) / s0, s3=larger)

@@ -128,7 +128,7 @@ class LqrSettings:
         minimum=0.0,
         length=2,
     )
-    r: float = setting(1.0, "weight of the torque, 1/(N m)^2", above=0.0)
+    r: float = setting(1.0, "weight of the torque", unit="1/(N m)^2", above=0.0)
 
     def __post_init__(self) -> None:
         """Reject a zero weight of the angle.
@@ -163,15 +163,15 @@ LQR = ControllerType(
 class AriseGains:
     """Gains of the ARISE controller."""
 
-    ks: float = setting(1.0, "gain of the filtered error, N m s/rad", minimum=0.0)
-    alpha1: float = setting(1.0, "gain of the angle error in e2, 1/s", above=0.0)
-    alpha2: float = setting(2.0, "gain of e2 in the integral, 1/s", above=0.0)
-    beta: float = setting(0.5, "gain of the robust (sign) term, N m/s", minimum=0.0)
+    ks: float = setting(1.0, "gain of the filtered error", unit="N m s/rad", minimum=0.0)
+    alpha1: float = setting(1.0, "gain of the angle error in e2", unit="1/s", above=0.0)
+    alpha2: float = setting(2.0, "gain of e2 in the integral", unit="1/s", above=0.0)
+    beta: float = setting(0.5, "gain of the robust (sign) term", unit="N m/s", minimum=0.0)
     gamma: Vector = setting(
         (10.0, 1.0, 1.0, 10.0), "diagonal of the adaptation gain, one for each parameter", minimum=0.0, length=4
     )
     smoothing: float = setting(
-        0.03, "width of tanh(e2/smoothing), which replaces sgn(e2) in sampled time, rad/s", above=0.0
+        0.03, "width of tanh(e2/smoothing), which replaces sgn(e2) in sampled time", unit="rad/s", above=0.0
     )
     adaptive_initial: Vector = setting(
         (0.4566, 0.009, 0.01, 0.9),

@@ -90,7 +90,7 @@ def setting(
     default : object
         Default, which determines the type; `inf` and None require `unset`.
     description : str
-        Meaning and unit.
+        Meaning, in which ``{unit}`` stands for the unit; without it, the unit follows at the end.
     name : str, optional
         Name as a parameter and in files, if it differs from the attribute.
     unset, make, say
@@ -104,13 +104,16 @@ def setting(
     required : bool
         Whether a file must contain it.
     bounds : object
-        As in `Parameter`: minimum, maximum, above, below, length, choices, item.
+        As in `Parameter`: unit, minimum, maximum, above, below, length, choices, item.
     """
     said: Any = default
     if unset is not None:
         said = unset
     elif make is not None and not isinstance(default, tuple):
         said = say(default)
+    unit = bounds.get("unit", "")
+    if unit and "{unit}" not in description:
+        description = f"{description}, {{unit}}"  # before what is added below
     parameter = Parameter("", said, description, **bounds)
     in_file = parameter
     if unset is not None:
@@ -288,7 +291,7 @@ def _chosen(declared: Choice, prefix: str, given: Mapping[str, object] | None) -
     try:
         chosen = declared.find(str(given.get(chooser.name, declared.default)))
     except InputError as error:
-        raise InputError(f"parameter {chooser.name}: {error}") from error
+        raise InputError(f"parameter {chooser.name}: {error.problem}", error.remedy) from error
     yield dataclasses.replace(chooser, choices=tuple(dict.fromkeys((*declared.built_in, chosen.name))))
     for each in chosen.settings:
         yield dataclasses.replace(each, name=prefix + each.name)

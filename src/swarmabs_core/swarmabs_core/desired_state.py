@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 from swarmabs_core.controllers import OffsetController
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.events import EventCode
 from swarmabs_core.manifold import Load
-from swarmabs_core.messages import DesiredAbstractState, EventKind, Messages, Mode, PlaneState, SwarmEvent
+from swarmabs_core.messages import DesiredAbstractState, Messages, Mode, PlaneState
 from swarmabs_core.plant import STEEPEST
 
 if TYPE_CHECKING:
@@ -22,8 +23,6 @@ FALLEN = (
     "manifold.torque_max, or set a plane.end_stop below that angle"
 )
 """Why a run ends at `STEEPEST`, and the remedy."""
-TORQUE_LIMITED = "torque limited to torque_max"
-"""`SwarmEvent.detail` where the controller begins to limit the torque."""
 BANDWIDTH = 50.0
 """Corner frequency of the filter between parent controller and manifold, rad/s."""
 
@@ -260,5 +259,5 @@ class DesiredStateGenerator:
         """Report the step in which limiting of the torque begins."""
         before, self._clipped = self._clipped, raw != command
         if self._clipped and not before:
-            return (SwarmEvent(stamp, step, 0, EventKind.LIMIT_HIT, raw, TORQUE_LIMITED),)
+            return (EventCode.TORQUE_LIMITED.event(stamp, step, raw),)
         return ()

@@ -92,7 +92,7 @@ def ideal_drive(
     kind: Kind, period: float, mass: float, damping: float
 ) -> SingleIntegratorDrive | DoubleIntegratorDrive:
     """Return the drive that a robot's law expects; period in s, mass in kg, damping in N s/m."""
-    if kind is Kind.SINGLE_INTEGRATOR:
+    if not kind.by_force:
         return SingleIntegratorDrive(period)
     return DoubleIntegratorDrive.of(period, mass, damping)
 
@@ -125,7 +125,7 @@ class Lag:
         if not time_constant:
             return None
         lag, drag = -period / time_constant, -damping * period / mass
-        if kind is Kind.SINGLE_INTEGRATOR:
+        if not kind.by_force:
             return cls(exp(lag), exp(lag), period * _phi(lag)[0])
         return cls(
             exp(lag),

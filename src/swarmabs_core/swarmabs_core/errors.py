@@ -1,4 +1,4 @@
-"""Errors of the package. Each text is one line that states what is wrong and, if there is one, the remedy."""
+"""Errors of the package. Each text is one line: what is wrong and, if there is one, the remedy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,21 @@ _OWN = {"swarmabs_core", "swarmabs_config", "swarmabs_bag", "swarmabs_run", "swa
 
 
 class SwarmabsError(Exception):
-    """Base class of all errors that are not bugs."""
+    """Base class of all errors that are not bugs.
+
+    Attributes
+    ----------
+    problem, remedy : str
+        What is wrong and what to do about it; the remedy is empty if it is not given on its own.
+    """
+
+    def __init__(self, problem: str, remedy: str = "") -> None:
+        self.problem = problem
+        self.remedy = remedy
+        super().__init__(problem, *filter(None, (remedy,)))
+
+    def __str__(self) -> str:
+        return joined(self.problem, self.remedy)
 
 
 class InputError(SwarmabsError):
@@ -50,12 +64,6 @@ def raised(error: BaseException) -> str:
 def joined(problem: str, remedy: str) -> str:
     """Return a problem and its remedy as one text; either may be empty."""
     return "; ".join(filter(None, (problem, remedy)))
-
-
-def parts_of(error: InputError) -> tuple[str, str]:
-    """Return problem and remedy of an error, the remedy empty if its text has none."""
-    head, _, tail = str(error).rpartition("; ")
-    return (head, tail) if head else (tail, "")
 
 
 def one_line(error: BaseException) -> str:

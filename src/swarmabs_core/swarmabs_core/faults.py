@@ -28,7 +28,7 @@ LARGEST_OFFSET = 1e6
 """Largest clock offset, s, that a float represents to the nanosecond."""
 SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 1e3
 """Range of the factors of a falsified state that can be safely inverted."""
-_AT = "time in s; the fault step is the nearest step, round(at/step)"
+_AT = "time in {unit}; the fault step is the nearest step, round(at/step)"
 
 
 def fraction(text: str) -> float:
@@ -38,7 +38,7 @@ def fraction(text: str) -> float:
 
 
 def _time(default: float | None, description: str, **more: Any) -> Any:
-    return setting(default, description, minimum=0.0, maximum=LONGEST_TIME, **more)
+    return setting(default, description, unit="s", minimum=0.0, maximum=LONGEST_TIME, **more)
 
 
 def _probability(description: str) -> Any:
@@ -134,9 +134,9 @@ class SettingFault(Fault):
 
     sets: ClassVar[str]
 
-    at: float = _time(0.0, "start time in s, rounded to the nearest step", required=True)
+    at: float = _time(0.0, "start time in {unit}, rounded to the nearest step", required=True)
     until: float | None = _time(
-        None, "time in s at which the value returns to 0", unset=-1.0, null="when it is set again, or never"
+        None, "time in {unit} at which the value returns to 0", unset=-1.0, null="when it is set again, or never"
     )
 
     @property
@@ -151,7 +151,8 @@ class ReferenceFault(SettingFault, kind=REFERENCE, description="the reference is
 
     offset: float = setting(
         0.0,
-        "offset added to the parent controller's reference, rad",
+        "offset added to the parent controller's reference",
+        unit="rad",
         above=-STEEPEST,
         below=STEEPEST,
         required=True,
@@ -171,7 +172,9 @@ class DisturbanceFault(
 ):
     """A constant torque disturbs the plane, in addition to ``plane.disturbance`` and with its sign."""
 
-    torque: float = setting(0.0, "torque, N m; a positive one turns the plane to smaller angles", required=True)
+    torque: float = setting(
+        0.0, "torque, {unit}; a positive one turns the plane to smaller angles", unit="N m", required=True
+    )
 
 
 @dataclass(frozen=True)
@@ -185,9 +188,9 @@ class RobotFault(Fault):
 
     when: ClassVar[tuple[str, str]] = "from", "to"
 
-    at: float = _time(0.0, "start time in s, rounded to the nearest step", name="from")
+    at: float = _time(0.0, "start time in {unit}, rounded to the nearest step", name="from")
     until: float | None = _time(
-        None, "end time in s, rounded to the nearest step", name="to", unset=-1.0, null="end of the run"
+        None, "end time in {unit}, rounded to the nearest step", name="to", unset=-1.0, null="end of the run"
     )
 
     def hits(self, agent_id: int) -> bool:
@@ -279,7 +282,7 @@ class DelayFault(
 ):
     """Robots act on broadcasts that are some steps old; until the first ones arrive, their command is 0."""
 
-    steps: int = setting(0, "age of the broadcasts, steps", minimum=0, below=2**31, required=True)
+    steps: int = setting(0, "age of the broadcasts", unit="steps", minimum=0, below=2**31, required=True)
 
     def late(self, draw: str) -> int:  # noqa: ARG002
         """Return the age of the broadcasts."""
@@ -314,7 +317,7 @@ class ReorderingFault(
     """Broadcasts arrive out of order, at random; a robot acts on the newest that it has received."""
 
     probability: float = _probability("probability that broadcasts are late, for each robot and step")
-    steps: int = setting(1, "largest delay, steps", minimum=1, below=2**31)
+    steps: int = setting(1, "largest delay", unit="steps", minimum=1, below=2**31)
 
     def late(self, draw: str) -> int:
         """Draw whether the broadcasts are late, and by how many steps."""
@@ -345,7 +348,8 @@ class ClockOffsetFault(
 
     offset: float = setting(
         0.0,
-        "how far its clock is ahead, s",
+        "how far its clock is ahead",
+        unit="s",
         minimum=-LARGEST_OFFSET,
         maximum=LARGEST_OFFSET,
         whole_nanoseconds=True,
@@ -361,7 +365,7 @@ class ClockOffsetFault(
 class FalsifiedStateFault(SingleRobotFault, kind="lie", description="the robot reports a false position or mass"):
     """A robot reports a false position or mass; the plane moves under the true ones."""
 
-    position_offset: float = setting(0.0, "offset added to its position, m")
+    position_offset: float = setting(0.0, "offset added to its position", unit="m")
     position_factor: float = setting(
         1.0,
         "factor of its position, applied before the offset; not 0",

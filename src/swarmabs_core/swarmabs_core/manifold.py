@@ -77,9 +77,9 @@ class Manifold:
     The torque is limited to +-torque_max (eq. tauLimit).
     """
 
-    curvature: float = setting(0.0125, "A of Js = A tau^2 + B, kg m^2/(N m)^2", minimum=0.0)
-    offset: float = setting(0.025, "B of Js = A tau^2 + B, kg m^2", above=0.0)
-    torque_max: float = setting(5.0, "largest torque requested from the swarm, N m", above=0.0)
+    curvature: float = setting(0.0125, "A of Js = A tau^2 + B", unit="kg m^2/(N m)^2", minimum=0.0)
+    offset: float = setting(0.025, "B of Js = A tau^2 + B", unit="kg m^2", above=0.0)
+    torque_max: float = setting(5.0, "largest torque requested from the swarm", unit="N m", above=0.0)
 
     @property
     def curve(self) -> Curve:

@@ -11,12 +11,13 @@ from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.errors import InputError
+from swarmabs_core.events import EventCode
 from swarmabs_core.messages import EventKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-SILENT = "silent"
+SILENT = EventCode.SILENT.text
 """Reason for the end of a robot that was dropped because it did not answer."""
 
 ALWAYS = 2**62

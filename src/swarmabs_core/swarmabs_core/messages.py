@@ -8,6 +8,7 @@ lockstep it is exactly ``step`` times the control period.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_type_hints
@@ -20,35 +21,35 @@ FRAME_ID = "plane"
 
 
 class Kind(IntEnum):
-    """Dynamics of a robot (``AgentState.kind``)."""
-
-    SINGLE_INTEGRATOR = 1
-    DOUBLE_INTEGRATOR = 2
-
-
-class Status(IntEnum):
-    """Status that a robot reports (``AgentState.status``)."""
-
-    ACTIVE = 1
-    SAFE_STOP = 2
-    LEFT = 3
-
-
-class RobotKind(IntEnum):
-    """Dynamics of a robot on any parent system (``RobotState.kind``)."""
+    """Dynamics of a robot (``AgentState.kind``, ``RobotState.kind``)."""
 
     SINGLE_INTEGRATOR = 1
     DOUBLE_INTEGRATOR = 2
     FIRST_ORDER_LAG = 3
 
+    @classmethod
+    def of(cls, name: str) -> Kind:
+        """Return the kind with a word, as in scenarios, such as "double_integrator"."""
+        return cls[name.upper()]
 
-class RobotStatus(IntEnum):
-    """Status that a robot on any parent system reports (``RobotState.status``)."""
+    @property
+    def by_force(self) -> bool:
+        """Whether its command is a force: it has a velocity of its own, a mass and a damping."""
+        return self is Kind.DOUBLE_INTEGRATOR
+
+
+class Status(IntEnum):
+    """Status that a robot reports (``AgentState.status``, ``RobotState.status``)."""
 
     ACTIVE = 1
     SAFE_STOP = 2
     LEFT = 3
     LIMITED = 4
+
+
+PLANE_KINDS = (Kind.SINGLE_INTEGRATOR, Kind.DOUBLE_INTEGRATOR)
+PLANE_STATUSES = (Status.ACTIVE, Status.SAFE_STOP, Status.LEFT)
+"""The kinds and statuses of robots on the plane."""
 
 
 class Mode(IntEnum):
@@ -102,12 +103,9 @@ def word(value: IntEnum) -> str:
     return value.name.lower()
 
 
-def word_of(constants: type[IntEnum], number: int) -> str:
+def word_of(constants: Iterable[IntEnum], number: int) -> str:
     """Return the word for a number that a message contains for a constant; the digits if it is unknown."""
-    try:
-        return word(constants(number))
-    except ValueError:
-        return str(number)
+    return next((word(constant) for constant in constants if constant == number), str(number))
 
 
 def said(value: IntEnum) -> str:
@@ -144,7 +142,7 @@ class Field(NamedTuple):
         SI unit, 1 for dimensionless numbers, empty for strings.
     meaning : str
         What the name does not express.
-    constants : type of IntEnum, optional
+    constants : iterable of IntEnum, optional
         The allowed values.
     missing : int, optional
         The value that means none.
@@ -153,7 +151,7 @@ class Field(NamedTuple):
     ros_type: FieldType
     unit: str = "1"
     meaning: str = ""
-    constants: type[IntEnum] | None = None
+    constants: Iterable[IntEnum] | None = None
     missing: int | None = None
 
 
@@ -187,8 +185,8 @@ class AgentState(NamedTuple):
     step: StepNumber
     broadcast_step: Annotated[int, Field("uint64", meaning="step of the broadcasts used", missing=NEVER)]
     agent_id: RobotId
-    kind: Annotated[int, Field("uint8", constants=Kind)]
-    status: Annotated[int, Field("uint8", constants=Status)]
+    kind: Annotated[int, Field("uint8", constants=PLANE_KINDS)]
+    status: Annotated[int, Field("uint8", constants=PLANE_STATUSES)]
     mass: Annotated[float, Field("float64", "kg")]
     damping: Annotated[float, Field("float64", "N s/m")]
     position: Annotated[float, Field("float64", "m")]
@@ -333,8 +331,8 @@ class RobotState(NamedTuple):
     system: SystemHash
     broadcast_step: Annotated[int, Field("uint64", meaning="step of the broadcasts used", missing=NEVER)]
     agent_id: RobotId
-    kind: Annotated[int, Field("uint8", constants=RobotKind)]
-    status: Annotated[int, Field("uint8", constants=RobotStatus)]
+    kind: Annotated[int, Field("uint8", constants=Kind)]
+    status: Annotated[int, Field("uint8", constants=Status)]
     coordinates: Coordinates
     velocities: Coordinates
     command: Coordinates

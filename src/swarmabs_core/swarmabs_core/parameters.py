@@ -10,20 +10,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 
-from swarmabs_core.errors import InputError, joined
+from swarmabs_core.errors import InputError
 
 Scalar = bool | int | float | str
 Value = Scalar | tuple[int, ...] | tuple[float, ...] | tuple[str, ...]
 Settings = Mapping[str, Value]
 """Values by parameter name."""
+_UNIT = "{unit}"
 
 
 class SettingError(InputError):
     """Settings that contradict each other: the name of one, relative to the declaration, the problem and the remedy."""
 
     def __init__(self, name: str, problem: str, remedy: str) -> None:
-        self.name, self.problem, self.remedy = name, problem, remedy
-        super().__init__(joined(f"{name}: {problem}", remedy))
+        super().__init__(problem, remedy)
+        self.name = name
+        self.args = (name, problem, remedy)
+
+    def __str__(self) -> str:
+        return f"{self.name}: {super().__str__()}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +37,7 @@ class Parameter:
 
     name: str  # dots separate levels
     default: Value
-    description: str  # meaning and unit
+    description: str  # meaning; "{unit}" marks where the unit is read, by default at the end
     minimum: float | None = None  # inclusive bounds of a number, or of each number in an array
     maximum: float | None = None
     above: float | None = None  # exclusive bound, as `below`
@@ -40,6 +45,14 @@ class Parameter:
     choices: tuple[str, ...] | None = None  # the strings allowed
     item: Scalar = ""  # determines the type of the items if the default is an empty array
     below: float | None = None
+    unit: str = ""  # SI unit of a number, or of each number in an array; empty if it has none, or several
+
+    @property
+    def text(self) -> str:
+        """Meaning and unit."""
+        if self.unit and _UNIT not in self.description:
+            return f"{self.description}, {self.unit}"
+        return self.description.replace(_UNIT, self.unit)
 
     def check(self, value: Value) -> Value:
         """Return the value in the type of the default: arrays become tuples, and integers floats where required.
@@ -89,7 +102,7 @@ class Parameter:
             raise self._refusal(value, f"at most {self.maximum:g}")
 
     def _refusal(self, value: object, allowed: str) -> InputError:
-        return InputError(f"parameter {self.name}: {value!r} is not allowed; give {allowed} ({self.description})")
+        return InputError(f"parameter {self.name}: {value!r} is not allowed", f"give {allowed} ({self.text})")
 
 
 def resolve(table: tuple[Parameter, ...], given: Settings, *, owner: str) -> dict[str, Value]:
@@ -103,5 +116,5 @@ def resolve(table: tuple[Parameter, ...], given: Settings, *, owner: str) -> dic
     unknown = sorted(given.keys() - {parameter.name for parameter in table})
     if unknown:
         known = ", ".join(parameter.name for parameter in table)
-        raise InputError(f"{owner} has no parameter {unknown[0]!r}; it has {known}")
+        raise InputError(f"{owner} has no parameter {unknown[0]!r}", f"it has {known}")
     return {p.name: p.check(given[p.name]) if p.name in given else p.default for p in table}

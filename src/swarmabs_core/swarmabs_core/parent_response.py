@@ -36,7 +36,7 @@ class ParentResponse:
     description: ClassVar[str] = "the torque is estimated from the plane's motion"
 
     bandwidth: float = setting(
-        50.0, "bandwidth of the filter of the torque estimated from the plane's motion, rad/s", above=0.0
+        50.0, "bandwidth of the filter of the torque estimated from the plane's motion", unit="rad/s", above=0.0
     )
 
 

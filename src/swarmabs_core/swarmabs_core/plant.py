@@ -55,7 +55,12 @@ def hermite(mass: float, start: tuple[float, float], end: tuple[float, float], p
     p0, v0 = start
     p1, v1 = end
     d0, d1, rise = v0 * period, v1 * period, p1 - p0
-    return RobotPath(mass, p0, d0, 3.0 * rise - 2.0 * d0 - d1, d0 + d1 - 2.0 * rise)
+    return RobotPath(mass, p0, d0, *bends(d0, d1, rise))
+
+
+def bends(d0: float, d1: float, rise: float) -> tuple[float, float]:
+    """Return the coefficients of s^2 and s^3 of the cubic in s on [0, 1] with slopes d0 and d1 that rises by `rise`."""
+    return 3.0 * rise - 2.0 * d0 - d1, d0 + d1 - 2.0 * rise
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +163,8 @@ class Friction(NamedTuple):
 class Disturbance:
     """The unmeasured torque on the plane, tau_d = amplitude sin(angular_frequency t)."""
 
-    amplitude: float = setting(0.0, "amplitude of the disturbance torque, N m")
-    angular_frequency: float = setting(0.5, "angular frequency of the disturbance, rad/s")
+    amplitude: float = setting(0.0, "amplitude of the disturbance torque", unit="N m")
+    angular_frequency: float = setting(0.5, "angular frequency of the disturbance", unit="rad/s")
 
     def torques(self, times: Sequence[Any], sin: Function = sin) -> list[Any]:
         """Return the disturbance torque, N m, at times in s; of arrays, the sine takes each element."""
@@ -172,9 +177,9 @@ class Disturbance:
 class Plane:
     """The tilting plane."""
 
-    inertia: float = setting(0.5, "moment of inertia J without robots, kg m^2", above=0.0)
-    length: float = setting(1.0, "length L; robots stay within L/2 of the axis, m", above=0.0)
-    gravity: float = setting(9.81, "acceleration g of gravity, m/s^2", above=0.0)
+    inertia: float = setting(0.5, "moment of inertia J without robots", unit="kg m^2", above=0.0)
+    length: float = setting(1.0, "length L; robots stay within L/2 of the axis", unit="m", above=0.0)
+    gravity: float = setting(9.81, "acceleration g of gravity", unit="m/s^2", above=0.0)
     friction: Friction = setting(
         Friction(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0),
         "[g1, ..., g6] of g1 (tanh(g2 w) - tanh(g3 w)) + g4 tanh(g5 w) + g6 w: "
@@ -184,16 +189,23 @@ class Plane:
         make=Friction._make,
         say=tuple,
     )
-    substep: float = setting(0.001, "longest step of the plane's integrator, s", above=0.0, whole_nanoseconds=True)
-    angle: float = setting(0.1, "initial angle, rad", above=-STEEPEST, below=STEEPEST)
-    angular_velocity: float = setting(0.0, "initial angular velocity, rad/s")
+    substep: float = setting(
+        0.001, "longest step of the plane's integrator", unit="s", above=0.0, whole_nanoseconds=True
+    )
+    angle: float = setting(0.1, "initial angle", unit="rad", above=-STEEPEST, below=STEEPEST)
+    angular_velocity: float = setting(0.0, "initial angular velocity", unit="rad/s")
     disturbance: Disturbance = part(Disturbance, "disturbance torque on the plane")
     robot_gravity: bool = setting(
         default=False,
         description="whether the plane's motion acts on the double integrators, force -m g sin(th) + m p w^2",
     )
     end_stop: float = setting(
-        inf, f"angle of inelastic end stops on both sides, below {STEEPEST:g} rad", above=0.0, below=STEEPEST, unset=0.0
+        inf,
+        f"angle of inelastic end stops on both sides, below {STEEPEST:g} {{unit}}",
+        unit="rad",
+        above=0.0,
+        below=STEEPEST,
+        unset=0.0,
     )
     sensor: PlaneSensor = part(PlaneSensor, "sensor of the plane's motion")
 

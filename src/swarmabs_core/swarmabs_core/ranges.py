@@ -6,11 +6,11 @@ it states none, one is assumed, so large that only robots out of control leave i
 
 from __future__ import annotations
 
-import re
 from enum import Enum
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from swarmabs_core.events import EventCode, code_of
 from swarmabs_core.messages import EventKind, SwarmEvent
 from swarmabs_core.systems.interface import Quantity
 
@@ -34,14 +34,19 @@ def lane(length: float) -> tuple[Quantity, ...]:
 
 
 class Phase(str, Enum):
-    """How a coordinate of a robot has crossed the end of its range; the text begins `SwarmEvent.detail`."""
+    """How a coordinate of a robot has crossed the end of its range."""
 
     OUT = "out of range"
     FAR = "far out of range"  # as far beyond an end as half the range is long
     BACK = "back in range"
 
 
-_TOLD = re.compile(rf"({'|'.join(phase.value for phase in Phase)}): (\w+)(?: ((?:above|below) .+))?")
+_CODES = {
+    Phase.OUT: EventCode.OUT_OF_RANGE,
+    Phase.FAR: EventCode.FAR_OUT_OF_RANGE,
+    Phase.BACK: EventCode.BACK_IN_RANGE,
+}
+_PHASES = {code: phase for phase, code in _CODES.items()}
 
 
 class Crossing(NamedTuple):
@@ -54,8 +59,11 @@ class Crossing(NamedTuple):
 
 def crossing_of(event: SwarmEvent) -> Crossing | None:
     """Return how a robot has crossed the end of a range by an event; None for other events."""
-    found = _TOLD.fullmatch(event.detail) if event.agent_id and event.kind == EventKind.LIMIT_HIT else None
-    return None if found is None else Crossing(Phase(found[1]), found[2], found[3] or "")
+    code = code_of(event)
+    if code is None or code not in _PHASES or not event.agent_id:
+        return None
+    coordinate, _, where = code.read(event)["where"].partition(" ")
+    return Crossing(_PHASES[code], coordinate, where)
 
 
 class _Ends(NamedTuple):
@@ -126,8 +134,8 @@ class RangeMonitor:
             for place, (x, ends) in enumerate(zip(q, self._ends, strict=True)):
                 key = (robot, place)
                 if (key in self._phases or not ends.within(x)) and (phase := self._crossed(key, x, ends)) is not None:
-                    text = self._said(phase, self._ranges[place], x, ends)
-                    events.append(SwarmEvent(stamp, step, robot, EventKind.LIMIT_HIT, x, text))
+                    where = self._said(phase, self._ranges[place], x, ends)
+                    events.append(_CODES[phase].event(stamp, step, x, robot=robot, where=where))
         return events
 
     def _meet(self, robots: Sequence[tuple[int, Sequence[float]]]) -> None:
@@ -158,10 +166,10 @@ class RangeMonitor:
     @staticmethod
     def _said(phase: Phase, of: Quantity, x: float, ends: _Ends) -> str:
         if phase is Phase.BACK:
-            return f"{phase.value}: {of.name}"
+            return of.name
         side, end, stated = ("below", ends.low, of.low) if x < ends.low else ("above", ends.high, of.high)
         assumed = "" if isfinite(stated) else _ASSUMED
-        return f"{phase.value}: {of.name} {side} {f'{end:g} {of.unit}'.rstrip()}{assumed}"
+        return f"{of.name} {side} {f'{end:g} {of.unit}'.rstrip()}{assumed}"
 
 
 class Stray(NamedTuple):

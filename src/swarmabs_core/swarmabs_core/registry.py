@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from swarmabs_core.errors import InputError, joined
+from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter, resolve
 
 if TYPE_CHECKING:
@@ -29,9 +29,7 @@ class PluginError(InputError):
     """A plug-in of an installed package cannot be used."""
 
     def __init__(self, problem: str, remedy: str) -> None:
-        self.problem = " ".join(problem.split())
-        self.remedy = remedy
-        super().__init__(joined(self.problem, remedy))
+        super().__init__(" ".join(problem.split()), remedy)
 
 
 ContextT = TypeVar("ContextT")
@@ -125,7 +123,7 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         try:
             return self[name]
         except KeyError:
-            raise InputError(f"there is no {self._noun} {name!r}; available: {', '.join(sorted(self))}") from None
+            raise InputError(f"there is no {self._noun} {name!r}", f"available: {', '.join(sorted(self))}") from None
 
     def make(self, name: str, settings: Settings, context: ContextT) -> MadeT:
         """Create the object of a part; omitted settings have their defaults.

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmabs_core.abstraction import conditioned
 from swarmabs_core.declaration import setting
 from swarmabs_core.drive import SingleIntegratorDrive, ideal_drive
-from swarmabs_core.events import NO_FOLLOWER
-from swarmabs_core.messages import Kind
+from swarmabs_core.events import EventCode
 from swarmabs_core.swarm_law import LAWS
 
 if TYPE_CHECKING:
@@ -29,29 +28,28 @@ BRAKING_TIME = 0.1
 class Limits:
     """Limits of a robot's drive; null means no limit."""
 
-    velocity: float = setting(inf, "largest speed of a robot, m/s", above=0.0, unset=0.0)
-    force: float = setting(inf, "largest force of a double integrator, N", above=0.0, unset=0.0)
+    velocity: float = setting(inf, "largest speed of a robot", unit="m/s", above=0.0, unset=0.0)
+    force: float = setting(inf, "largest force of a double integrator", unit="N", above=0.0, unset=0.0)
 
 
-HELD = f"{NO_FOLLOWER} (S0 vanishes)"
+HELD = EventCode.NO_FOLLOWER.text.format(why=" (S0 vanishes)")
 NOT_FINITE = "the law gives no finite command"
 STOPPED = "stop commanded"
 RESET = "reset commanded"
-COMMAND_LIMITED = "command limited"
-WITHIN_LIMITS = "command within its limits"
-"""`SwarmEvent.detail` where a robot does not follow the broadcasts, or begins or ends to limit commands."""
+"""`SwarmEvent.detail` where a robot does not follow the broadcasts."""
 
 
 class Decision(NamedTuple):
     """What a robot does in a step.
 
     The command (m/s or N) is that of the law, within the limits, or, if there is a problem, one that brakes the robot.
-    `wanted` is the law's command without limits.
+    `wanted` is the law's command without limits. A robot that is `held` waits until others follow the law.
     """
 
     command: float
     wanted: float
     problem: str = ""
+    held: bool = False
 
 
 class RobotController:
@@ -86,7 +84,7 @@ class RobotController:
     def decide(self, position: float, velocity: float, heard: Broadcast) -> Decision:
         """Return the robot's decision at a position (m) with a velocity (m/s)."""
         if heard.auxiliary.s0 == 0.0:
-            return Decision(self.brake(velocity), 0.0, HELD)
+            return Decision(self.brake(velocity), 0.0, HELD, held=True)
         sums = conditioned(heard.auxiliary, self._length)
         wanted = self.follow(position, velocity, heard.abstract, sums, heard.desired)
         if not isfinite(wanted):
@@ -95,7 +93,7 @@ class RobotController:
 
     def brake(self, velocity: float) -> float:
         """Return the command that brings the robot to rest: 0 m/s, or a force (N) against its velocity (m/s)."""
-        if self._kind is Kind.SINGLE_INTEGRATOR:
+        if not self._kind.by_force:
             return 0.0
         return -copysign(self.braking_force(velocity), velocity)
 

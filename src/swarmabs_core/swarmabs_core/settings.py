@@ -12,7 +12,7 @@ from swarmabs_core.membership import Change, ChangeKind
 class Run:
     """Settings of a run that nodes share; each node declares those that it needs."""
 
-    period_ns: int = setting(10_000_000, "control period, ns", minimum=1)
+    period_ns: int = setting(10_000_000, "control period", unit="ns", minimum=1)
     last_step: int | None = setting(None, "last step of the run", unset=-1)
     members: tuple[int, ...] = setting((1, 2, 3, 4), "ids of all robots that ever take part", minimum=1, maximum=65535)
     schedule: tuple[Change, ...] = setting(
@@ -25,7 +25,7 @@ class Run:
     )
     seed: int = setting(1, "seed of random faults and noise during the run", minimum=0, below=2**63)
     actuator_lag: float = setting(
-        0.0, "time constant with which velocity or force follows the command, s; 0: no lag", minimum=0.0
+        0.0, "time constant with which velocity or force follows the command, {unit}; 0: no lag", unit="s", minimum=0.0
     )
 
 
@@ -38,7 +38,9 @@ class Lockstep:
         "fail: the run fails; drop: the robot is dropped as if it had been killed",
         choices=("fail", "drop"),
     )
-    stall_timeout: float = setting(5.0, "wall time without an answer after which a robot has stalled, s", above=0.0)
+    stall_timeout: float = setting(
+        5.0, "wall time without an answer after which a robot has stalled", unit="s", above=0.0
+    )
 
 
 @dataclass(frozen=True, slots=True)

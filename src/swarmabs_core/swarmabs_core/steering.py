@@ -10,8 +10,9 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_core.errors import InputError, InStep
+from swarmabs_core.events import EventCode, code_of
 from swarmabs_core.membership import Change, ChangeKind
-from swarmabs_core.messages import Action, EventKind
+from swarmabs_core.messages import Action
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -20,10 +21,10 @@ if TYPE_CHECKING:
 
 STEERER = "steering"
 """Name of the node that publishes changes from outside."""
-REFERENCE = "reference"
-"""`SwarmEvent.detail` where the offset (rad) of the plane's reference changes."""
-DISTURBANCE = "disturbance"
-"""`SwarmEvent.detail` where the constant torque (N m) that disturbs the plane changes."""
+REFERENCE = EventCode.REFERENCE.text
+"""The offset (rad) of the plane's reference, as a setting that changes during a run."""
+DISTURBANCE = EventCode.DISTURBANCE.text
+"""The constant torque (N m) that disturbs the plane, as such a setting."""
 
 
 ENDS = {Action.KILL: ChangeKind.KILL, Action.FREEZE: ChangeKind.FREEZE, Action.REMOVE: ChangeKind.REMOVE}
@@ -124,5 +125,5 @@ class OffsetReference:
 
     def hear(self, event: SwarmEvent) -> None:
         """Apply the offset that an event announces; other events are ignored."""
-        if event.kind == EventKind.STEERING and event.detail == REFERENCE:
+        if code_of(event) is EventCode.REFERENCE:
             self.shift(event.step, event.value)

@@ -69,10 +69,10 @@ def damping_matrix(sums: AuxiliaryState, gravity: float) -> tuple[float, float, 
 class SwarmGains:
     """Gains of the robots' control laws; pairs are for torque and inertia."""
 
-    k: Pair = setting((10.0, 10.0), "K of single integrators, 1/s", above=0.0, length=2)
-    kp: Pair = setting((10.0, 10.0), "Kp of double integrators, 1/s^2", above=0.0, length=2)
-    kd: Pair = setting((5.0, 5.0), "Kd of double integrators, 1/s", above=0.0, length=2)
-    ksd: float = setting(1.0, "damping k_sd added to double integrators, N s/m", minimum=0.0)
+    k: Pair = setting((10.0, 10.0), "K of single integrators", unit="1/s", above=0.0, length=2)
+    kp: Pair = setting((10.0, 10.0), "Kp of double integrators", unit="1/s^2", above=0.0, length=2)
+    kd: Pair = setting((5.0, 5.0), "Kd of double integrators", unit="1/s", above=0.0, length=2)
+    ksd: float = setting(1.0, "damping k_sd added to double integrators", unit="N s/m", minimum=0.0)
 
 
 def single_integrator_command(
@@ -150,7 +150,7 @@ class SwarmLaw(Part[Robot, Command]):
 
 def _make_paper(settings: Settings, robot: Robot) -> Command:  # noqa: ARG001 - it uses the gains of the swarm
     mass, damping, gains, gravity = robot.mass, robot.damping, robot.gains, robot.gravity
-    if robot.kind is Kind.SINGLE_INTEGRATOR:  # its velocity is the command of the previous step
+    if not robot.kind.by_force:  # its velocity is the command of the previous step
         return lambda position, _, abstract, sums, desired: single_integrator_command(
             mass, position, gains, gravity, abstract, sums, desired
         )

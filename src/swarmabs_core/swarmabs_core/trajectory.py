@@ -48,8 +48,8 @@ class Sine:
     type: ClassVar[str] = "sine"
     description: ClassVar[str] = "th_d = amplitude sin(angular_frequency t)"
 
-    amplitude: float = setting(0.7, "amplitude of the reference angle, rad", above=-STEEPEST, below=STEEPEST)
-    angular_frequency: float = setting(0.0471238898038469, "angular frequency of the reference, rad/s")
+    amplitude: float = setting(0.7, "amplitude of the reference angle", unit="rad", above=-STEEPEST, below=STEEPEST)
+    angular_frequency: float = setting(0.0471238898038469, "angular frequency of the reference", unit="rad/s")
 
     def derivatives(self, time: float) -> Derivatives:
         """Return th_d and its first four derivatives at a time in s."""
@@ -66,7 +66,7 @@ class Constant:
     type: ClassVar[str] = "constant"
     description: ClassVar[str] = "th_d = angle"
 
-    angle: float = setting(0.0, "reference angle, rad", above=-STEEPEST, below=STEEPEST)
+    angle: float = setting(0.0, "reference angle", unit="rad", above=-STEEPEST, below=STEEPEST)
 
     def derivatives(self, time: float) -> Derivatives:  # noqa: ARG002
         """Return the angle and four zeros."""
@@ -83,10 +83,10 @@ class QuinticStep:
     type: ClassVar[str] = "quintic"
     description: ClassVar[str] = "from start_angle to end_angle along a polynomial of degree 5"
 
-    start_angle: float = setting(0.0, "angle before the step, rad", above=-STEEPEST, below=STEEPEST)
-    end_angle: float = setting(0.2, "angle after the step, rad", above=-STEEPEST, below=STEEPEST)
-    start_time: float = setting(1.0, "time at which the step begins, s", minimum=0.0)
-    duration: float = setting(5.0, "duration of the step, s", above=0.0)
+    start_angle: float = setting(0.0, "angle before the step", unit="rad", above=-STEEPEST, below=STEEPEST)
+    end_angle: float = setting(0.2, "angle after the step", unit="rad", above=-STEEPEST, below=STEEPEST)
+    start_time: float = setting(1.0, "time at which the step begins", unit="s", minimum=0.0)
+    duration: float = setting(5.0, "duration of the step", unit="s", above=0.0)
 
     def derivatives(self, time: float) -> Derivatives:
         """Return th_d and its first four derivatives at a time in s; the third and fourth jump at both ends."""
@@ -114,15 +114,15 @@ class QuinticSpline:
     def __init__(self, times: Sequence[float], values: Sequence[float]) -> None:
         if len(times) != len(values) or len(times) < 2:
             raise InputError(
-                f"{len(times)} times and {len(values)} values do not define a curve; give equally many, at least two"
+                f"{len(times)} times and {len(values)} values do not define a curve", "give equally many, at least two"
             )
         for earlier, later in pairwise(times):
             if not later - earlier >= SHORTEST:
                 raise InputError(
-                    f"time {later!r} s follows {earlier!r} s; times must increase by at least {SHORTEST} s"
+                    f"time {later!r} s follows {earlier!r} s", f"times must increase by at least {SHORTEST} s"
                 )
         if not all(isfinite(number) for number in (*times, *values)):
-            raise InputError("a time or a value is not finite; give finite numbers")
+            raise InputError("a time or a value is not finite", "give finite numbers")
         self._times = tuple(times)
         slopes = _slopes(times, values)
         self._pieces = [
@@ -233,8 +233,10 @@ TRAJECTORY = (
         choices=(*(each.type for each in _DECLARED), "csv"),
     ),
     *(parameter for each in _DECLARED for parameter in parameters_of(each, prefix="trajectory.")),
-    Parameter("trajectory.times", (0.0, 1.0), "times of the rows of csv, increasing, s", minimum=0.0),
-    Parameter("trajectory.angles", (0.0, 0.0), "angles of the rows of csv, rad", minimum=-STEEPEST, maximum=STEEPEST),
+    Parameter("trajectory.times", (0.0, 1.0), "times of the rows of csv, increasing", unit="s", minimum=0.0),
+    Parameter(
+        "trajectory.angles", (0.0, 0.0), "angles of the rows of csv", unit="rad", minimum=-STEEPEST, maximum=STEEPEST
+    ),
 )
 """Settings of a controller that follows a trajectory; they appear in a scenario as ``controller.trajectory``."""
 

@@ -37,7 +37,8 @@ from swarmabs_config.graph import (
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.cdr import decode, encode, misplaced
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
-from swarmabs_core.messages import AGENT_STATE, REMOVALS, AgentState, EventKind, Removal, Status
+from swarmabs_core.events import EventCode
+from swarmabs_core.messages import AGENT_STATE, REMOVALS, AgentState, Removal, Status
 from swarmabs_core.realtime.base import Level
 from swarmabs_fleet.check import expiring
 from swarmabs_fleet.host_plan import HostPlan
@@ -261,7 +262,7 @@ class OperatorClient:
         return RobotWatch(self._node, self._target)
 
     @contextmanager
-    def announced(self, agent_id: int, detail: str, patience: float) -> Iterator[None]:
+    def carried_away(self, agent_id: int, patience: float) -> Iterator[None]:
         """Publish that a robot was removed; this stays available to subscribers during the block.
 
         Raises
@@ -284,7 +285,7 @@ class OperatorClient:
             self._target.check()
             now = time.time_ns()
             step = max(0, schedule.step(now))
-            publisher.publish(encode(Removal(now, step, agent_id, EventKind.LEFT, 0.0, detail)))
+            publisher.publish(encode(Removal(*EventCode.CARRIED_AWAY.event(now, step, robot=agent_id))))
             yield
         finally:
             self._node.destroy_publisher(publisher)

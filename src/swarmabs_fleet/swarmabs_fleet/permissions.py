@@ -18,7 +18,7 @@ from swarmabs_config.graph import (
     services,
     usual_topic,
 )
-from swarmabs_core.messages import REMOVALS
+from swarmabs_core.messages import REMOVALS, Kind
 from swarmabs_core.realtime.instruments import MEASURED, TopicSettings
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
         return named(plane.instrument.topic or MEASURED[plane.instrument.source]), []
     if node.robot is None or not isinstance(node.robot.drive, TopicSettings):
         return [], []
-    drive = node.robot.drive.resolved(single_integrator=node.robot.kind == "single_integrator")
+    drive = node.robot.drive.resolved(by_force=Kind.of(node.robot.kind).by_force)
     return named(drive.topic, *([drive.imu.topic] if drive.gravity == "imu" else [])), named(drive.command_topic)
 
 

@@ -117,7 +117,7 @@ def plain(value: object) -> Value:
 
 
 def _descriptor(parameter: Parameter, *, read_only: bool) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(name=parameter.name, description=parameter.description, read_only=read_only)
+    descriptor = ParameterDescriptor(name=parameter.name, description=parameter.text, read_only=read_only)
     constraints = []
     if parameter.above is not None:
         constraints.append(f"more than {parameter.above:g}")

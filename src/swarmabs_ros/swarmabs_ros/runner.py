@@ -33,9 +33,19 @@ if TYPE_CHECKING:
 COMMON = (
     *(parameter for parameter in parameters_of(Run) if parameter.name in {"period_ns", "last_step"}),
     Parameter("receive", "wait_set", "how the node waits for messages", choices=("wait_set", "executor")),
-    Parameter("stall_timeout", 5.0, "duration of a silence that is reported as a stall, s; 0: never", minimum=0.0),
     Parameter(
-        "repeat_after", FIRST, "shortest wait for an answer before the last messages are sent again, s", above=0.0
+        "stall_timeout",
+        5.0,
+        "duration of a silence that is reported as a stall, {unit}; 0: never",
+        unit="s",
+        minimum=0.0,
+    ),
+    Parameter(
+        "repeat_after",
+        FIRST,
+        "shortest wait for an answer before the last messages are sent again",
+        unit="s",
+        above=0.0,
     ),
     Parameter(
         "repeat_steps",

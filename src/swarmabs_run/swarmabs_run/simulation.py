@@ -22,7 +22,7 @@ from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
 from swarmabs_core.errors import RunError
 from swarmabs_core.membership import with_ends
 from swarmabs_core.messages import PLANE_STATE, SYSTEM_FAMILY, TOPIC_OF
-from swarmabs_core.publishers import NodeKind, NodeName
+from swarmabs_core.nodes import NodeKind, NodeName
 from swarmabs_core.record import Record
 from swarmabs_core.systems import SystemTables
 from swarmabs_run.swarm_columns import NotVectorisableError

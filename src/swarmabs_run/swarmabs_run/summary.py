@@ -63,21 +63,20 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Track
     Print it without wrapping, which would tear the digest, so that it could not be copied.
     """
 
-    def number(key: str, unit: str) -> str:
-        value = summary[key]
-        return "-" if value is None else f"{value:.4g} {unit}".rstrip()
+    def row(key: str) -> dict[str, str]:
+        value, (name, unit, *_) = summary[key], tracking.figures[key]
+        return {name: "-" if value is None else f"{value:.4g} {unit}".rstrip()}
 
-    on_plane, unit = tracking is PLANE_TRACKING, tracking.unit
-    within = f"within {', '.join(f'{each:g}' for each in dict.fromkeys(tracking.tolerances))} {unit}"
+    within = f"within {', '.join(f'{each:g}' for each in dict.fromkeys(tracking.tolerances))} {tracking.unit}"
     settled = summary["settled_at"]
     rows = {
         "scenario": f"{summary['scenario']}, {summary['agents']} robots, {summary['steps']} steps",
         "status": summary["status"],
         "wall time": _wall_time(summary),
         "settled": f"not {within}" if settled is None else f"{within} from t = {settled:g} s",
-        "final error": number("final_error", unit),
-        "rms error": number("rms_error", unit),
-        "max |position|" if on_plane else "max |coordinate|": number("max_abs_position", "m" if on_plane else ""),
+        **row("final_error"),
+        **row("rms_error"),
+        **row("max_abs_position"),
         "messages": str(summary["messages"] or 0),
         "digest": summary["digest"] or "-",
         "folder": str(folder.path),

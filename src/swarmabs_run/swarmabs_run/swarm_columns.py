@@ -17,7 +17,7 @@ from swarmabs_core.abstraction import quotient, summed
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
-from swarmabs_core.messages import AGENT_STATE, Kind, Status
+from swarmabs_core.messages import AGENT_STATE, Status
 from swarmabs_core.parent_response import SumObserver
 from swarmabs_core.plant import column_load
 from swarmabs_core.robot_controller import Limits
@@ -62,6 +62,15 @@ def step_sums(robots: Iterable[Any], terms: Terms) -> list[Any]:
     return [step_total(column) for column in terms(*robots)]
 
 
+def rows_of_steps(robots: NDArray[np.void], steps: NDArray[np.uint64], stamps: NDArray[np.int64]) -> NDArray[np.void]:
+    """Return the robots' states, (N,), with the numbers and stamps (ns) of K steps: (K, N)."""
+    rows = np.repeat(robots[np.newaxis], len(steps), axis=0)
+    rows["sec"], rows["nanosec"] = (part[:, np.newaxis] for part in np.divmod(stamps, SECOND))
+    rows["step"] = steps[:, np.newaxis]
+    rows["broadcast_step"] = steps[:, np.newaxis] - np.uint64(1)  # `NEVER` in step 0
+    return rows
+
+
 class SwarmColumns:
     """The constants of N robots: single integrators first, then double integrators, so that each kind is a slice.
 
@@ -80,7 +89,7 @@ class SwarmColumns:
 
     def __init__(self, scenario: Scenario, configs: Iterable[AgentConfig], *, steps: bool = False) -> None:
         ordered = sorted(configs, key=lambda config: (config.kind, config.agent_id))
-        damped = [config for config in ordered if config.kind is Kind.DOUBLE_INTEGRATOR]
+        damped = [config for config in ordered if config.kind.by_force]
         single = len(ordered) - len(damped)
         shape = (-1, 1) if steps else (-1,)
         self._sums: Any = (step_sums, np.divide) if steps else (column_sums, quotient)
@@ -113,10 +122,7 @@ class SwarmColumns:
 
         The motion is given by positions (m), velocities (m/s) and commands, (K, N) in the order of the columns.
         """
-        rows = np.repeat(self._rows[np.newaxis], len(steps), axis=0)
-        rows["sec"], rows["nanosec"] = (part[:, np.newaxis] for part in np.divmod(stamps, SECOND))
-        rows["step"] = steps[:, np.newaxis]
-        rows["broadcast_step"] = steps[:, np.newaxis] - np.uint64(1)  # `NEVER` in step 0
+        rows = rows_of_steps(self._rows, steps, stamps)
         for name, values in zip(("position", "velocity", "command"), motion, strict=True):
             rows[name] = values[: len(steps), self.by_id]
         return rows

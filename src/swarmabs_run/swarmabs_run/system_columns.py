@@ -10,14 +10,14 @@ import numpy as np
 
 from swarmabs_config import configure
 from swarmabs_core.arrays import layout_of
-from swarmabs_core.cdr import SECOND, encode
+from swarmabs_core.cdr import encode
 from swarmabs_core.errors import SwarmabsError
-from swarmabs_core.messages import NEVER, ROBOT_STATE, SYSTEM_FAMILY, RobotStatus, SwarmBroadcast, word
+from swarmabs_core.messages import NEVER, ROBOT_STATE, SYSTEM_FAMILY, Status, SwarmBroadcast, word
 from swarmabs_core.models import SystemAgentConfig
 from swarmabs_core.summation import column_total
 from swarmabs_core.systems.columns import SystemOnColumns, column, columns, dynamics_of
 from swarmabs_core.systems.swarm import observed
-from swarmabs_run.swarm_columns import NotVectorisableError
+from swarmabs_run.swarm_columns import NotVectorisableError, rows_of_steps
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -47,7 +47,7 @@ class _Kind:
         first, laws = configs[0], [config.law() for config in configs]
         self.ids = [config.agent_id for config in configs]
         self.law = laws[0].on(system.made, dynamics_of([law.dynamics for law in laws]))
-        states = [config.body().state(0, NEVER, RobotStatus.ACTIVE) for config in configs]
+        states = [config.body().state(0, NEVER, Status.ACTIVE) for config in configs]
         self.state: RobotState = states[0]._replace(
             coordinates=column(state.coordinates for state in states),
             velocities=column(state.velocities for state in states),
@@ -138,10 +138,7 @@ class SystemSwarm:
         self, steps: NDArray[np.uint64], stamps: NDArray[np.int64], motions: Sequence[list[RobotState]]
     ) -> NDArray[np.void]:
         """Return the robots' messages of K steps with their stamps (ns), by step and ascending id: (K, N)."""
-        rows = np.repeat(self._rows[np.newaxis], len(steps), axis=0)
-        rows["sec"], rows["nanosec"] = (part[:, np.newaxis] for part in np.divmod(stamps, SECOND))
-        rows["step"] = steps[:, np.newaxis]
-        rows["broadcast_step"] = steps[:, np.newaxis] - np.uint64(1)  # `NEVER` in step 0
+        rows = rows_of_steps(self._rows, steps, stamps)
         for name in ("coordinates", "velocities", "command"):
             parts = [np.array([getattr(state, name) for state in states]) for states in zip(*motions, strict=True)]
             rows[name] = np.concatenate(parts, axis=2).transpose(0, 2, 1)[:, self._by_id]

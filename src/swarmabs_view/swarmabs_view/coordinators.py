@@ -9,7 +9,8 @@ import json
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, SILENCE, standby_name
-from swarmabs_core.messages import EventKind, SwarmEvent
+from swarmabs_core.events import EventCode
+from swarmabs_core.messages import SwarmEvent
 from swarmabs_core.pair_role import RECORDS, ROLE, ROLE_FOR, PairRole
 from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators
 
@@ -113,4 +114,4 @@ def takeovers(roles: Sequence[Role]) -> list[SwarmEvent]:
             found.append((role.step, f"{role.node}: {role.why}"))
         elif (role.node, role.role, now.get(_STANDBY_RECORDER)) == (RECORDER, LOST, RECORDS):
             found.append((role.step, f"{_STANDBY_RECORDER}: {RECORDER} {role.why}"))
-    return [SwarmEvent(0, step, 0, EventKind.LEADING, 0.0, detail) for step, detail in found]
+    return [EventCode.LEADING.event(0, step, detail=detail) for step, detail in found]

@@ -14,8 +14,8 @@ from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
 from swarmabs_bag.percentiles import QUANTILES, SIDES, percentiles, starts_above
 from swarmabs_bag.swarm_state import RobotStatus, ShownRobot, finite
-from swarmabs_core.events import said_event
-from swarmabs_core.messages import EventKind
+from swarmabs_core.events import code_of, said_event
+from swarmabs_core.messages import EventKind, Kind, word
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -68,7 +68,7 @@ class RobotInfo(Part):
     """The constant properties of a robot."""
 
     id: int
-    kind: Literal["single_integrator", "double_integrator", "first_order_lag"]
+    kind: str = Field(json_schema_extra={"enum": [*map(word, Kind)]})
     mass: Number = Field(description="kg")
     damping: Number = Field(description="N s/m")
     joins: bool = Field(default=False, description="whether it takes part only after it joins")
@@ -76,7 +76,7 @@ class RobotInfo(Part):
     @classmethod
     def of(cls, robot: RobotIdentity | SystemIdentity) -> Self:
         """Return the constant properties of a robot; those of a robot that is not on the plane follow in `System`."""
-        known = {"mass": None, "damping": None, **robot._asdict(), "kind": robot.kind.name.lower()}
+        known = {"mass": None, "damping": None, **robot._asdict(), "kind": word(robot.kind)}
         known.pop("constants", None)
         return cls(**known)
 
@@ -328,6 +328,9 @@ class Event(Part):
     kind: str
     words: str = Field(description="what happened, as in the logs")
     value: Number
+    unit: str = Field(
+        default="", description="unit of the value on the plane, 'command' if it is that of the robot's commands"
+    )
     detail: str
 
     @classmethod
@@ -336,6 +339,7 @@ class Event(Part):
         event, time = timed
         kind = _KINDS.get(event.kind, str(event.kind))
         value = finite(event.value)
+        code = code_of(event)
         return cls(
             step=event.step,
             time=time,
@@ -343,6 +347,7 @@ class Event(Part):
             kind=kind,
             words=said_event(event),
             value=value,
+            unit=code.unit if code is not None else "",
             detail=event.detail,
         )
 

@@ -11,7 +11,8 @@ from swarmabs_bag.recording import RecordedStep
 from swarmabs_core import messages as msg
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
 from swarmabs_core.errors import RunError
-from swarmabs_core.publishers import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName, publisher_of
+from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
+from swarmabs_core.publishers import publisher_of
 from swarmabs_run.simulation import Simulation
 
 ROBOT = NodeName(NodeKind.AGENT, 3)

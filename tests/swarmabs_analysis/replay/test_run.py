@@ -24,7 +24,7 @@ from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.faults import RobotFault
 from swarmabs_core.membership import SILENT, Change, ChangeKind
-from swarmabs_core.publishers import PARENT, NodeName
+from swarmabs_core.nodes import PARENT, NodeName
 from swarmabs_core.record import Record
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 from swarmabs_run.simulation import Simulation

@@ -206,7 +206,7 @@ THREE = f"{TWO}, controller.type: [pd, lqr]"
         ("grid: {plane.angle: [0, 0.1, 0.2]}\nsamples: 20", "90 % of the cases|median|run fails", "mass"),
         ("random: {plane.angle: {uniform: [0, 1]}}\nsamples: 40", "settled at, s", "%"),
         (f"grid: {{{TWO}}}", "settled at, s|swarm.agents.2.mass (robot 3), kg|run fails", "median"),
-        (f"grid: {{{TWO}}}\nsamples: 3\nresults: [rms_error]", "RMS error, rad (median)", "settled at"),
+        (f"grid: {{{TWO}}}\nsamples: 3\nresults: [rms_error]", "rms error, rad (median)", "settled at"),
         (f"grid: {{{THREE}}}", "controller.type|>pd<|>lqr<", "median"),
         (
             f"grid: {{{TWO}}}\nrandom: {{plane.length: {{uniform: [1, 2]}}}}\nsamples: 9",

@@ -106,7 +106,7 @@ def test_an_unfit_package_and_what_a_package_refuses_are_errors_before_anything_
     with pytest.raises(ScenarioError, match=expected):
         parse(law="{type: broken}")
     for kind, name, error, said in (
-        ("ControllerType", "picky", "InputError('too steep; lower it')", "2: controller: too steep; lower it"),
+        ("ControllerType", "picky", "InputError('too steep', 'lower it')", "2: controller: too steep; lower it"),
         ("ControllerType", "picky2", "SettingError('k.1', 'no', 'more')", "2: controller.k.1: no; more"),
         ("SwarmLaw", "picky3", "InputError('no')", "4: swarm.law: no; see the documentation of its package"),
     ):

@@ -8,6 +8,7 @@ from tests.swarmabs_core.realtime.nodes import CLOCK, at, broadcasts, controller
 
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_core import messages as msg
+from swarmabs_core.events import EventCode
 from swarmabs_core.realtime import broadcasts as inbox
 from swarmabs_core.realtime.base import Sender
 from swarmabs_core.realtime.broadcasts import BroadcastInbox, Coordinators
@@ -293,12 +294,12 @@ def test_events_from_the_time_in_which_neither_spoke_are_published_by_the_next_l
     def event(step: int) -> msg.SwarmEvent:
         return msg.SwarmEvent(0, step, 1, msg.EventKind.DEAD, 0.0, "")
 
-    voice = Voice("observer", following(step=100), STANDBY)
+    voice = Voice(EventCode.OBSERVER_LEADS, following(step=100), STANDBY)
     for k in range(101, 115):
         if k == 108:  # until step 111 the peer spoke
             voice.leadership.hear(107, 108)
         assert voice.say((event(k),), at(k), k, able=k > 110) == ()
-    leads = msg.SwarmEvent(at(115), 115, 0, msg.EventKind.LEADING, 0.0, "observer_standby: peer silent")
+    leads = msg.SwarmEvent(at(115), 115, 0, msg.EventKind.LEADING, 0.0, "abstraction_observer_standby: peer silent")
     assert voice.say((event(115),), at(115), 115) == (leads, *map(event, range(112, 116)))
     assert voice.say((event(116),), at(116), 116) == (event(116),)
 
@@ -312,7 +313,7 @@ def spoke(voice: Voice, step: int, *, able: bool) -> bool:
 def test_once_one_has_settled_the_other_may_stop(rank: str) -> None:
     draw = Random(f"settles {rank}")
     for _ in range(300):
-        voice = Voice("observer", leadership(rank), rank)
+        voice = Voice(EventCode.OBSERVER_LEADS, leadership(rank), rank)
         peer, source = (100 + draw.choice((draw.randrange(5), draw.randrange(80))) for _ in range(2))
         k = 100
         while not voice.settled:
@@ -327,8 +328,8 @@ def test_once_one_has_settled_the_other_may_stop(rank: str) -> None:
 
 
 def test_one_that_hears_nothing_is_not_awaited_for_ever() -> None:
-    assert Voice("observer", leadership(SINGLE), SINGLE).settled
-    voice, steps = Voice("observer", leadership(PRIMARY), PRIMARY), 0
+    assert Voice(EventCode.OBSERVER_LEADS, leadership(SINGLE), SINGLE).settled
+    voice, steps = Voice(EventCode.OBSERVER_LEADS, leadership(PRIMARY), PRIMARY), 0
     while not voice.settled:
         spoke(voice, 100 + steps + 10**6 * (steps > 30), able=False)  # the clock of the host is set meanwhile
         steps += 1

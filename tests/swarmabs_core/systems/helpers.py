@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from tests.swarmabs_core.helpers import Array
 
-from swarmabs_core.messages import Mode, RobotKind, RobotState, SwarmBroadcast, SwarmDesired
+from swarmabs_core.messages import Kind, Mode, RobotState, SwarmBroadcast, SwarmDesired
 from swarmabs_core.systems.check import initial_states
 from swarmabs_core.systems.interface import NamedSystem
 from swarmabs_core.systems.law import RobotLaw, SystemGains
@@ -71,7 +71,7 @@ def heard(system: NamedSystem, states: Sequence[RobotState], seed: int = 2) -> S
 
 
 def law(system: NamedSystem, state: RobotState, gains: SystemGains, **options: Any) -> RobotLaw:
-    return RobotLaw(system, RobotKind(state.kind), state.constants, gains, PERIOD, **options)
+    return RobotLaw(system, Kind(state.kind), state.constants, gains, PERIOD, **options)
 
 
 def rates(

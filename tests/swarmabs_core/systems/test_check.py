@@ -8,7 +8,7 @@ from tests.swarmabs_core.systems.helpers import PERIOD, Robot, robots, rotors
 from tests.systems import BEAM_SCENARIO
 
 from swarmabs_config.scenario import ScenarioError, parse_scenario
-from swarmabs_core.messages import RobotKind
+from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.registry import PluginError
 from swarmabs_core.systems.check import Problem, problems_of
@@ -164,7 +164,7 @@ def test_a_row_that_no_robot_can_change_is_refused_with_its_name() -> None:
 def test_limits_depend_on_the_kind_of_robot() -> None:
     assert found("faulty", robots((0.1,), (-0.3,), kind="double_integrator"), fault="limits_of_kinds") == []
     system = NamedSystem("faulty", {"fault": "limits_of_kinds"})
-    law = RobotLaw(system, RobotKind.DOUBLE_INTEGRATOR, (0.5, 0.0, 0.05), SystemGains(), PERIOD)
+    law = RobotLaw(system, Kind.DOUBLE_INTEGRATOR, (0.5, 0.0, 0.05), SystemGains(), PERIOD)
     assert law.limited((3.0,)) == (1.0,)
 
 

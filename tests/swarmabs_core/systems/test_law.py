@@ -19,7 +19,7 @@ from tests.swarmabs_core.systems.helpers import (
 )
 
 from swarmabs_core.abstraction import Weight, is_degenerate, observed as plane_observed, second_moments
-from swarmabs_core.messages import AgentState, DesiredAbstractState, Kind, RobotStatus, Status, SwarmBroadcast
+from swarmabs_core.messages import AgentState, DesiredAbstractState, Kind, Status, SwarmBroadcast
 from swarmabs_core.swarm_law import SwarmGains, double_integrator_command, single_integrator_command
 from swarmabs_core.systems.interface import NamedSystem, Quantity
 from swarmabs_core.systems.law import LEAST_PIVOT, Gram, SystemGains
@@ -99,12 +99,12 @@ def test_double_integrators_with_the_velocity_law_end_the_period_with_the_veloci
 def test_robots_that_do_not_follow_the_law_are_compensated_by_the_others() -> None:
     system = NamedSystem("sheet")
     states = random_states(system, 8, "single_integrator")
-    states[2] = states[2]._replace(status=RobotStatus.LIMITED)
-    states[5] = states[5]._replace(status=RobotStatus.SAFE_STOP)
+    states[2] = states[2]._replace(status=Status.LIMITED)
+    states[5] = states[5]._replace(status=Status.SAFE_STOP)
     broadcast = heard(system, states)
     wanted = 4.0 * (np.array(broadcast.desired.value) - broadcast.abstract.value) + broadcast.desired.mean_rate
-    active = [s for s in states if s.status == RobotStatus.ACTIVE]
-    others = [s for s in states if s.status != RobotStatus.ACTIVE]
+    active = [s for s in states if s.status == Status.ACTIVE]
+    others = [s for s in states if s.status != Status.ACTIVE]
     moved = np.einsum("nkd,nd->k", jacobians(system, active), rates(system, active, broadcast, GAINS))
     carried = np.einsum("nkd,nd->k", jacobians(system, others), np.array([s.velocities for s in others]))
     assert moved + carried == pytest.approx(wanted, rel=1e-12)
@@ -191,7 +191,7 @@ def test_a_robot_at_its_limit_asks_what_the_law_would_be_with_it(name: str) -> N
     system = NamedSystem(name)
     states = random_states(system, 9, KINDS[name])
     held = tuple(0.1 for _ in states[0].coordinates)
-    limited = [states[0]._replace(status=RobotStatus.LIMITED, velocities=held), *states[1:]]
+    limited = [states[0]._replace(status=Status.LIMITED, velocities=held), *states[1:]]
     without, whole = heard(system, limited), heard(system, states)
     asked = law(system, states[0], GAINS).rate(*states[0][7:9], without, held)
     same = whole._replace(abstract=without.abstract, desired=without.desired)

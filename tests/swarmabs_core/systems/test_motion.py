@@ -10,7 +10,7 @@ from tests.swarmabs_core.helpers import Array
 from tests.swarmabs_core.systems.helpers import PERIOD, jacobians, random_states
 
 from swarmabs_core.errors import RunError
-from swarmabs_core.messages import EventKind, ParentState, RobotState, RobotStatus
+from swarmabs_core.messages import EventKind, ParentState, RobotState, Status
 from swarmabs_core.systems.desired import SystemDesiredState
 from swarmabs_core.systems.interface import NamedSystem
 from swarmabs_core.systems.law import SystemGains
@@ -25,7 +25,7 @@ Path = Callable[[float], tuple[Array, Array]]
 def test_sums_do_not_depend_on_the_order_and_are_those_of_their_definitions() -> None:
     system = NamedSystem("sheet")
     states = random_states(system, 9, "double_integrator")
-    states[3] = states[3]._replace(status=RobotStatus.SAFE_STOP)
+    states[3] = states[3]._replace(status=Status.SAFE_STOP)
     abstract, auxiliary = observed(system, 7, 3, states, curvature=True)
     assert observed(system, 7, 3, states[4:] + states[:4], curvature=True) == (abstract, auxiliary)
     m, (x, y), (u, v) = (
@@ -41,9 +41,9 @@ def test_sums_do_not_depend_on_the_order_and_are_those_of_their_definitions() ->
     assert auxiliary.curvature == pytest.approx(
         [0, 0, 2 * m @ (u * u), 2 * m @ (v * v), 2 * m @ (u * v)], rel=1e-9, abs=1e-12
     )
-    still = [s for s in states if s.status != RobotStatus.ACTIVE]
+    still = [s for s in states if s.status != Status.ACTIVE]
     assert auxiliary.drift == pytest.approx(jacobians(system, still)[0] @ still[0].velocities)
-    active = [s for s in states if s.status == RobotStatus.ACTIVE]
+    active = [s for s in states if s.status == Status.ACTIVE]
     gram = sum(j @ j.T / s.constants[0] for j, s in zip(jacobians(system, active), active, strict=True))
     assert auxiliary.gram == pytest.approx(gram[np.tril_indices(5)], rel=1e-12)  # type: ignore[index]
     assert (abstract.agent_count, abstract.stamp, abstract.step, abstract.system) == (9, 7, 3, system.hash)

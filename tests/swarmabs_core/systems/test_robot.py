@@ -3,7 +3,7 @@
 import pytest
 from tests.swarmabs_core.systems.helpers import PERIOD, heard, rotors
 
-from swarmabs_core.messages import NEVER, RobotKind, RobotStatus, Status, SwarmBroadcast
+from swarmabs_core.messages import NEVER, Kind, Status, SwarmBroadcast
 from swarmabs_core.models import SystemAgentConfig
 from swarmabs_core.models.systems import HELD, SystemRobot
 from swarmabs_core.systems.check import initial_states
@@ -21,7 +21,7 @@ def rotor(thrust: float) -> tuple[SystemRobot, SwarmBroadcast, SwarmBroadcast]:
     singular = usable._replace(auxiliary=usable.auxiliary._replace(gram=(0.0, 0.0, 0.0)))
     config = SystemAgentConfig(
         "lift",
-        kind=RobotKind.FIRST_ORDER_LAG,
+        kind=Kind.FIRST_ORDER_LAG,
         coordinates=(thrust,),
         constants=states[0].constants,
         period_ns=round(PERIOD * 1e9),
@@ -33,11 +33,11 @@ def test_a_limited_robot_stays_with_the_others_if_these_need_it() -> None:
     """Alone they cannot control all rows, so it takes part with what it can do, without a break."""
     robot, usable, alone = rotor(14.0)
     assert robot.decide(usable, "", 0).beyond is not None
-    assert robot.state(1, 0, Status.ACTIVE).status == RobotStatus.LIMITED, "three control two rows without one"
+    assert robot.state(1, 0, Status.ACTIVE).status == Status.LIMITED, "three control two rows without one"
     outcome = robot.decide(alone, "", 1)
     assert (outcome.problem, outcome.beyond is not None) == ("", True)
     state = robot.state(2, 0, Status.ACTIVE)
-    assert (state.status, state.command) == (RobotStatus.ACTIVE, (15.0,))
+    assert (state.status, state.command) == (Status.ACTIVE, (15.0,))
     less = usable._replace(desired=usable.desired._replace(mean_rate=(0.0, 0.0), value=usable.abstract.value))
     assert robot.decide(less, "", 2).beyond is None
 

@@ -15,7 +15,7 @@ from swarmabs_core.messages import (
     ParentState,
     PlaneState,
     RobotState,
-    RobotStatus,
+    Status,
     SwarmAbstract,
     SwarmDesired,
 )
@@ -120,13 +120,13 @@ def test_a_robot_at_its_limit_says_so_and_the_others_take_over() -> None:
     ]
     run = ran(LIFT, "duration=5", f"swarm.agents=[{', '.join(hovering)}]")
     states = {s.step: s for s in run.of(RobotState) if s.agent_id == 1}
-    limited = [s.step for s in states.values() if s.status == RobotStatus.LIMITED]
+    limited = [s.step for s in states.values() if s.status == Status.LIMITED]
     assert 5 < len(limited) < 250
     assert limited == list(range(limited[0], limited[-1] + 1)), "it returns once"
     assert all(states[k].command == (6.0,) for k in limited)
     (event,) = [e for e in run.events() if e.kind == EventKind.LIMIT_HIT and e.agent_id == 1]
     assert event.step == limited[0]
-    assert {s.status for s in run.of(RobotState) if s.agent_id > 1} == {RobotStatus.ACTIVE}
+    assert {s.status for s in run.of(RobotState) if s.agent_id > 1} == {Status.ACTIVE}
     abstract, wanted = (vectors(run, kind, "value") for kind in (SwarmAbstract, SwarmDesired))
     # a' = v all the same: e[k+1] = (1 - h K) e[k], exactly for a linear contribution
     error = wanted - abstract

@@ -14,9 +14,10 @@ from rich.table import Table
 from rich.text import Text
 
 from swarmabs_analysis.difference import component_of
+from swarmabs_bag.figures import PLANE_TRACKING, Tracking
 from swarmabs_config.model.errors import printable, shorten
 from swarmabs_core.messages import ROBOT_STATE, TOPICS
-from swarmabs_core.systems.components import components, labelled
+from swarmabs_core.systems.components import components
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,13 +29,6 @@ if TYPE_CHECKING:
     from swarmabs_core.systems import SystemTables
 
 _MOST_ROWS = 40
-_FIGURES = {
-    "settled_at": "settled at, s",
-    "rms_error": "rms error, rad",
-    "final_error": "final error, rad",
-    "max_abs_position": "max |position|, m",
-    "messages": "messages",
-}
 _UNLIMITED = 1000
 
 
@@ -99,10 +93,12 @@ def _facts(comparison: Comparison) -> Iterator[tuple[str, str, str]]:
     yield "period, s", _number(a.period), _number(b.period)
     yield "robots", str(a.robots), str(b.robots)
     yield "robots only in this bag", _ids(comparison.robots_only_in_a), _ids(comparison.robots_only_in_b)
-    names = labelled(_FIGURES, comparison.system) if comparison.system else _FIGURES
-    if comparison.system is None and any(topic.topic == ROBOT_STATE.name for topic in comparison.messages.topics):
-        names = {key: name.partition(",")[0] for key, name in names.items()}  # different systems have different units
-    for key, name in names.items():
+    tracking = Tracking.of(comparison.system) if comparison.system else PLANE_TRACKING
+    different = comparison.system is None and any(
+        topic.topic == ROBOT_STATE.name for topic in comparison.messages.topics
+    )
+    for key, figure in tracking.figures.items():
+        name = figure.name if different else figure.label  # different systems have different units
         yield name, _number(a.figures[key]), _number(b.figures[key])
     yield "not compared", ", ".join(a.not_compared), ", ".join(b.not_compared)
 

@@ -16,7 +16,6 @@ from swarmabs_core.messages import (
     Kind,
     ParentState,
     PlaneState,
-    RobotKind,
     RobotState,
     SwarmAuxiliary,
     SwarmEvent,
@@ -107,7 +106,7 @@ class _OfSystem:
         if not self.limits:
             return False
         assert isinstance(state, RobotState)  # noqa: S101 - of this family
-        low, high = self._made.limits(state.constants, word(RobotKind(state.kind)))  # type: ignore[attr-defined]
+        low, high = self._made.limits(state.constants, word(Kind(state.kind)))  # type: ignore[attr-defined]
         return any(not a < u < b for u, a, b in zip(state.command, low, high, strict=True))
 
     def contribution(self, state: AnyRobotState) -> Vector:
@@ -120,7 +119,7 @@ class _OfSystem:
     def velocities(state: AnyRobotState) -> Vector:
         """Return the velocities of a robot that moves; those of a lag are rates of what its drive puts out."""
         assert isinstance(state, RobotState)  # noqa: S101 - of this family
-        return () if state.kind == RobotKind.FIRST_ORDER_LAG else state.velocities
+        return () if state.kind == Kind.FIRST_ORDER_LAG else state.velocities
 
 
 class Measures:

@@ -6,9 +6,9 @@ import copy
 from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours import Observer
-from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.errors import InputError, RunError, one_line
 from swarmabs_core.membership import SILENT
-from swarmabs_core.publishers import NodeKind, NodeName
+from swarmabs_core.nodes import NodeKind, NodeName
 from swarmabs_run.simulation import Network, nodes_in_process
 
 if TYPE_CHECKING:
@@ -45,8 +45,9 @@ class Rehearsal:
         try:
             return copy.deepcopy(self)
         except Exception as error:  # foreign objects may raise anything
-            what = " ".join(f"{type(error).__name__}: {error}".split())
-            raise InputError(f"the parent controller cannot be copied ({what}): give it attributes that can") from error
+            raise InputError(
+                f"the parent controller cannot be copied ({one_line(error)})", "give it attributes that can be copied"
+            ) from error
 
     def advance(self, step: int, watch: Watch, lost: Collection[int] = ()) -> None:
         """Simulate until the robots wait for the desired state of a step; robots that are `lost` die at once.

@@ -12,8 +12,8 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_config.graph import Endpoints, requested
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
+from swarmabs_core.nodes import NodeName
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.publishers import NodeName
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.runner import Settings, run_node
 from swarmabs_ros.status import StatusChannel

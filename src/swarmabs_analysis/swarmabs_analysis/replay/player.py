@@ -15,6 +15,7 @@ from swarmabs_core.messages import (
     EVENTS,
     NEVER,
     PLANE_FAMILY,
+    RECORDER_NODE,
     RECORDING_PROGRESS,
     STANDING,
     TOPIC_OF,
@@ -24,7 +25,8 @@ from swarmabs_core.messages import (
     RecordingProgress,
     Topic,
 )
-from swarmabs_core.publishers import PUBLISHER, NodeKind, NodeName, publisher_of
+from swarmabs_core.nodes import NodeKind, NodeName
+from swarmabs_core.publishers import PUBLISHER, publisher_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -141,7 +143,7 @@ class Player:
         """Return the current step and what is missing for it."""
         keys = sorted(self._lacking(), key=lambda key: (key.topic.name, key.agent_id))
         if not keys:
-            return self._step + 1, () if self._finished() else ("recorder",)
+            return self._step + 1, () if self._finished() else (RECORDER_NODE,)
         return self._step, tuple(f"agent {key.agent_id}" if key.agent_id else key.topic.name for key in keys)
 
     def _finished(self) -> bool:

@@ -17,7 +17,8 @@ from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, agent_name
 from swarmabs_core.behaviours import Observer
 from swarmabs_core.membership import SILENT, ChangeKind
 from swarmabs_core.messages import EVENTS, RECORDING_PROGRESS, STANDING
-from swarmabs_core.publishers import NodeKind, NodeName, publisher_of
+from swarmabs_core.nodes import NodeKind, NodeName
+from swarmabs_core.publishers import publisher_of
 from swarmabs_core.settings import LifeSpan
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
 from swarmabs_run.orchestration.plan import ProcessPlan, expect_counterparts

@@ -13,9 +13,10 @@ from swarmabs_bag.recording import Digest, RecordedStep
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import InputError
-from swarmabs_core.membership import SILENT, Change, ChangeKind, with_ends
-from swarmabs_core.messages import EVENTS, STANDING, EventKind, SwarmEvent, SystemDescription
-from swarmabs_core.publishers import NodeKind
+from swarmabs_core.events import EventCode, code_of
+from swarmabs_core.membership import Change, ChangeKind, with_ends
+from swarmabs_core.messages import EVENTS, STANDING, SwarmEvent, SystemDescription
+from swarmabs_core.nodes import NodeKind
 from swarmabs_core.record import Record
 from swarmabs_core.systems import SystemTables
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.messages import Message
-    from swarmabs_core.publishers import NodeName
+    from swarmabs_core.nodes import NodeName
     from swarmabs_core.systems.interface import NamedSystem
 
 WINDOW = 1000
@@ -134,7 +135,7 @@ def open_source(path: Path, *, namespace: str | None = None) -> ReplaySource:
 
 def unplanned_end(message: Message) -> Change | None:
     """Return the end of a robot if the message announces that it was dropped as silent."""
-    if isinstance(message, SwarmEvent) and message.kind == EventKind.DEAD and message.detail == SILENT:
+    if isinstance(message, SwarmEvent) and code_of(message) is EventCode.SILENT:
         return Change(message.step - 1, message.agent_id, ChangeKind.KILL)
     return None
 

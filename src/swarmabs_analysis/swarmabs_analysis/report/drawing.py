@@ -14,7 +14,7 @@ from swarmabs_analysis.figures.responses import SUBSCRIPTS, same_limits
 from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, ROBOTS, SOLID
 from swarmabs_analysis.report.percentile_bands import density, draw_bands
 from swarmabs_bag.colours import ABSENT, FAILED, KINDS, PLANE, REFERENCE, SAFE_STOP, TORQUE
-from swarmabs_core.messages import EventKind, RobotKind, said
+from swarmabs_core.messages import EventKind, Kind, said
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
         return draw_bands(axes, recorded, values)
     agents, drawn = recorded.arrays.agents, set()
     for column, number in enumerate(agents.ids.tolist()):
-        kind = RobotKind(max(agents.kind[:, column].tolist()))
+        kind = Kind(max(agents.kind[:, column].tolist()))
         if np.isfinite(values[:, column]).any():
             drawn.add(kind)
         axes.plot(
@@ -171,15 +171,13 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
         )
     if count <= NAMED:
         return axes.lines
-    return [
-        Line2D([], [], color=colour, label=said(RobotKind(kind))) for kind, colour in KINDS.items() if kind in drawn
-    ]
+    return [Line2D([], [], color=colour, label=said(Kind(kind))) for kind, colour in KINDS.items() if kind in drawn]
 
 
 def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
     """Return a function that draws what is tracked, and positions or first coordinates, in a span of time, s."""
     time, system = recorded.arrays.time, recorded.system
-    name, unit = ("θ", "rad") if system is None else recorded.tracking[2:]
+    name, unit = ("θ", "rad") if system is None else (recorded.tracking.name, recorded.tracking.unit)
     (symbol, metre, *_), *_ = (("p", "m"),) if system is None else system.robot
     inside = (time >= begin) & (time <= end)
 
@@ -211,7 +209,7 @@ def paths(recorded: Recorded, labels: Sequence[str]) -> Draw:
         agents = recorded.arrays.agents
         for column in range(len(agents.ids)):
             x, y = recorded.coordinates[:, column].T
-            colour = KINDS[RobotKind(max(agents.kind[:, column].tolist()))]
+            colour = KINDS[Kind(max(agents.kind[:, column].tolist()))]
             axes.plot(x, y, color=colour, linewidth=0.9)
             last = np.flatnonzero(np.isfinite(x))[-1:]
             axes.plot(x[last], y[last], "o", color=colour, markersize=3.5)

@@ -13,7 +13,7 @@ from swarmabs_analysis.report.pictures import page_picture
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.events import said_event
-from swarmabs_core.messages import RobotKind, SwarmEvent
+from swarmabs_core.messages import Kind, SwarmEvent, said
 from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
@@ -68,8 +68,7 @@ def page(recorded: Recorded, panels: Sequence[Panel]) -> str:
     for panel in panels:
         pictures[panel.section].append(Picture(panel, page_picture(panel)))
     scenario, agents = recorded.scenario, recorded.arrays.agents
-    counts = {kind: int((agents.kind == kind).any(axis=0).sum()) for kind in RobotKind}
-    singles, doubles, lags = counts.values()
+    counts = {kind: int((agents.kind == kind).any(axis=0).sum()) for kind in Kind}
     time = recorded.arrays.time
     groups, whole = _groups(recorded)
     theory = check_scenario(scenario) if recorded.system is None else None
@@ -87,9 +86,8 @@ def page(recorded: Recorded, panels: Sequence[Panel]) -> str:
             swarm=recorded.swarm,
             scenario=scenario,
             margin=None if theory is None else recorded.margins,
-            singles=singles,
-            doubles=doubles,
-            lags=lags,
+            robots=sum(counts.values()),
+            kinds=", ".join(counted(count, said(kind)) for kind, count in counts.items() if count),
             end=round(float(time[-1]), 6) if len(time) else 0.0,
             realtime=_realtime(recorded),
             groups=groups,

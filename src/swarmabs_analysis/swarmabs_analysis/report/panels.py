@@ -41,8 +41,8 @@ from swarmabs_bag.colours import (
 from swarmabs_bag.figures import TOLERANCE
 from swarmabs_core.abstraction import least_s3
 from swarmabs_core.events import said_event
-from swarmabs_core.messages import EventKind, Kind, RobotKind, said
-from swarmabs_core.systems.components import command_unit
+from swarmabs_core.messages import PLANE_KINDS, EventKind, Kind, said
+from swarmabs_core.systems.kinds import MODELS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -134,7 +134,7 @@ def _of_system(recorded: Recorded, system: SystemTables) -> Iterator[Panel]:
     count = len(arrays.agents.ids)
     note = joined(BANDS if count > MANY else "", recorded.falsified_note, by=" ")
     if len(system.robot) == 2:
-        draw = paths(recorded, [f"{row.name}, {row.unit}" for row in system.robot])
+        draw = paths(recorded, [row.label for row in system.robot])
         about = f"each of {counted(count, 'robot')} ends in a dot"
         yield Panel("robots-paths", "robots", "Paths of the robots", draw, about, height=2.9)
     for place, (name, unit, *_) in enumerate(system.robot):
@@ -156,10 +156,10 @@ def _of_system(recorded: Recorded, system: SystemTables) -> Iterator[Panel]:
 
 def _commands(recorded: Recorded, name: str, unit: str, command: Floats, note: str) -> Iterator[Panel]:
     """Yield a panel with the commands along a coordinate for each kind of robot, whose units differ."""
-    for kind in RobotKind:
+    for kind in Kind:
         of_kind = (recorded.arrays.agents.kind == kind).any(axis=0)
         if of_kind.any():
-            values, own = np.where(of_kind, command, np.nan), command_unit(kind, unit)
+            values, own = np.where(of_kind, command, np.nan), MODELS[kind].command_unit(unit)
             draw = of_all_robots(recorded, values, f"u {name} ", f"command along {name}, {own}".removesuffix(", "))
             whose = counted(int(of_kind.sum()), said(kind))
             about = span(f"commands of {whose}", values, own, over_time=False)
@@ -384,7 +384,7 @@ def _membership(recorded: Recorded) -> Panel:
     looks = {
         **{
             f"{said(kind)} follows": (follows & (kinds == kind), KINDS[kind])
-            for kind in (Kind if recorded.system is None else RobotKind)
+            for kind in (PLANE_KINDS if recorded.system is None else Kind)
         },
         **({} if recorded.system is None else {"at a limit": (swarm.have_status("limited"), ERROR)}),
         "safe stop": (stopped, SAFE_STOP),

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, SOLID
 from swarmabs_bag.colours import KINDS
 from swarmabs_bag.percentiles import SIDES, percentiles, starts_above
-from swarmabs_core.messages import RobotKind
+from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -47,7 +47,7 @@ def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | 
             legend.append(Patch(color=colour, alpha=0.5, label=f"initially {symbol} {named_side}"))
     named = _named(recorded, values, there).items() if there.any() else ()
     for (name, column), dashes in zip(named, (SOLID, DASHED, DOTTED), strict=False):
-        colour = KINDS[RobotKind(int(recorded.arrays.agents.kind[:, column].max()))]
+        colour = KINDS[Kind(int(recorded.arrays.agents.kind[:, column].max()))]
         legend += axes.plot(
             recorded.arrays.time, values[:, column], color=colour, linestyle=dashes, linewidth=1.0, label=name
         )

@@ -30,8 +30,8 @@ from swarmabs_core.messages import (
     DESIRED_ABSTRACT_STATE,
     PLANE_STATE,
 )
+from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.plant import PlaneDynamics
-from swarmabs_core.publishers import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.ranges import RangeMonitor, lane
 from swarmabs_core.steering import StepSchedule
 from swarmabs_run.swarm_columns import SwarmColumns

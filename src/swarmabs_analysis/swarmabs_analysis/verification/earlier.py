@@ -6,7 +6,8 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from swarmabs_config.scenario import SystemScenario
-from swarmabs_core.messages import EventKind, SwarmEvent
+from swarmabs_core.events import EventCode, code_of
+from swarmabs_core.messages import SwarmEvent
 from swarmabs_core.ranges import RangeMonitor, crossing_of
 
 if TYPE_CHECKING:
@@ -14,9 +15,6 @@ if TYPE_CHECKING:
 
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.systems import Quantity
-
-OFF_END = "off the plane's end"
-"""`SwarmEvent.detail` in bags of these versions, for each step in which a robot has just crossed an end."""
 
 
 def are_earlier(events: Iterable[SwarmEvent], scenario: AnyScenario) -> bool:
@@ -27,7 +25,7 @@ def are_earlier(events: Iterable[SwarmEvent], scenario: AnyScenario) -> bool:
     for event in events:
         if crossing_of(event) is not None:
             return False
-        if event.kind == EventKind.LIMIT_HIT and event.detail == OFF_END:
+        if code_of(event) is EventCode.OFF_END:
             return True
     stated = scenario.named.made.robot if isinstance(scenario, SystemScenario) else ()
     return not any(isfinite(end) for row in stated for end in (row.low, row.high))
@@ -46,4 +44,4 @@ class EarlierEnds(RangeMonitor):
         places = {robot: q[0] for robot, q in robots if not self._assumes and abs(q[0]) > self._lane[0].high}
         new = places.keys() - self._outside
         self._outside = {*places}
-        return [SwarmEvent(stamp, step, i, EventKind.LIMIT_HIT, places[i], OFF_END) for i in sorted(new)]
+        return [EventCode.OFF_END.event(stamp, step, places[i], robot=i) for i in sorted(new)]

@@ -21,9 +21,10 @@ from swarmabs_config.scenario import Scenario
 from swarmabs_core.behaviours import Observer, Parent
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import RunError
+from swarmabs_core.events import EventCode
 from swarmabs_core.membership import SILENT, Membership
 from swarmabs_core.messages import EVENTS, ROBOT_STATES, STANDING, TOPIC_OF, EventKind, SwarmEvent, Topic
-from swarmabs_core.publishers import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
+from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.record import Record
 from swarmabs_run.simulation import nodes_in_process
 from swarmabs_run.swarm_columns import on_columns
@@ -389,7 +390,7 @@ class LockstepVerification(Verification):
             assert isinstance(observer, Observer)  # noqa: S101 - by its name
             self._ask(observer.drop, dropped, SILENT)
             for agent_id in dropped:
-                self._ask(plane.handle, SwarmEvent(0, self.step, agent_id, EventKind.DEAD, 0.0, SILENT))
+                self._ask(plane.handle, EventCode.SILENT.event(0, self.step, robot=agent_id))
 
     def _on_topic(self, slot: Slot, topic: Topic, *, cut: bool) -> Generator[Finding, None, bool]:
         """Yield the findings on a topic; return whether the run continues.

@@ -22,6 +22,7 @@ from swarmabs_core.membership import Change, with_ends
 from swarmabs_core.messages import (
     EVENTS,
     NEVER,
+    RECORDER_NODE,
     STANDING,
     STEERING,
     SWARM_STATES,
@@ -207,7 +208,7 @@ class Recorder:
         """Record a message created in this process; see `hear_all`."""
         topic = TOPIC_OF[type(message)]
         if topic not in self._topics:
-            raise UnexpectedMessageError("recorder", message)
+            raise UnexpectedMessageError(RECORDER_NODE, message)
         return self.hear_all(topic, [encode(message)])
 
     def hear_all(self, topic: Topic, payloads: Sequence[bytes]) -> Messages:

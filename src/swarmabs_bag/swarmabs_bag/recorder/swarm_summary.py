@@ -7,7 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_bag.swarm_state import RobotHistory, shown_robot, shown_status
-from swarmabs_core.events import named, said_event
+from swarmabs_core.events import said_event
 from swarmabs_core.messages import ROBOT_STATES, EventKind, Removal, SwarmEvent
 from swarmabs_core.ranges import crossing_of
 
@@ -152,7 +152,7 @@ def describe_event(event: SwarmEvent) -> str:
     who = f"robot {event.agent_id} " if event.agent_id else ""
     told = isfinite(event.value) and (event.value != 0.0 or event.kind == EventKind.STEERING)  # which may set it to 0
     value = f", {event.value:.5g}" if told else ""
-    detail = f": {event.detail}" if event.detail and not named(event) else ""
+    detail = f": {event.detail}" if event.detail and event.detail != said_event(event) else ""
     said = f"step {event.step}: {who}{said_event(event)}{value}{detail}"
     text = "".join(c if c.isprintable() else " " for c in said)
     return text if len(text) <= EVENT_CHARACTERS else f"{text[: EVENT_CHARACTERS - 1]}…"

@@ -25,7 +25,7 @@ from swarmabs_cli.options import (
 from swarmabs_cli.output import print_json, print_warnings, results_folder
 from swarmabs_cli.runs import print_summary, summed_up
 from swarmabs_core.errors import InputError
-from swarmabs_core.publishers import NodeName
+from swarmabs_core.nodes import NodeName
 from swarmabs_run.ending import end_asked
 from swarmabs_run.run import Outcome
 

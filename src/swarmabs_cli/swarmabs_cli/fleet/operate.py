@@ -23,7 +23,6 @@ from swarmabs_cli.options import Number, examples, json_option, together
 from swarmabs_cli.output import print_json, print_warnings
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.errors import RunError
-from swarmabs_core.realtime.observer import CARRIED_AWAY
 from swarmabs_fleet import pairs
 from swarmabs_fleet.operate import (
     SILENT,
@@ -201,7 +200,7 @@ def remove(swarm: Path, robot: int, patience: float) -> None:
             leaders = [node for node in observers if len(observers) == 1 or pairs.leads(monitor, node)]
             return any(str(robot) in monitor.value(node, "left").split() for node in leaders)
 
-        with joined(found) as client, client.announced(robot, CARRIED_AWAY, patience):
+        with joined(found) as client, client.carried_away(robot, patience):
             client.listen(monitor, patience, gone)
     if not gone():
         raise RunError(

@@ -17,6 +17,7 @@ from swarmabs_config.scenario.loader import read_mapping, validated
 from swarmabs_config.scenario.text_file import read_text
 from swarmabs_config.scenarios import as_override, at_parameter, find_scenario, named_scenario
 from swarmabs_core.errors import InputError
+from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:
     import os
@@ -74,8 +75,7 @@ def load_fleet(path: str | os.PathLike[str]) -> LoadedFleet:
         raise at_parameter(error, root, {"set": fleet.settings}) from error
     except InputError as error:
         mark, _ = root.locate(("scenario",))
-        problem, _, remedy = str(error).partition("; ")
-        raise mark.error(problem, remedy, ("scenario",)) from error
+        raise mark.error(error.problem, error.remedy, ("scenario",)) from error
     loaded = LoadedFleet(fleet, _with_robots(scenario, fleet, root))
     _check_against_scenario(loaded, root)
     return loaded
@@ -137,8 +137,7 @@ def _of_scenario(check: Callable[[Scenario], None], scenario: Scenario, root: No
         check(scenario)
     except InputError as error:
         mark, _ = root.locate(("scenario",))
-        problem, _, remedy = str(error).partition("; ")
-        raise mark.error(problem, f"{remedy} ('set' changes values)", ("scenario",)) from error
+        raise mark.error(error.problem, f"{error.remedy} ('set' changes values)", ("scenario",)) from error
 
 
 def _mapping(value: Plain) -> dict[str, Plain]:
@@ -148,7 +147,7 @@ def _mapping(value: Plain) -> dict[str, Plain]:
 def _agent(robot: Robot, placeholder: float) -> Iterator[tuple[str, Plain]]:
     yield from (("id", robot.id), ("kind", robot.kind), ("mass", robot.mass))
     yield "position", robot.drive.position if isinstance(robot.drive, SimulatedDrive) else placeholder
-    if robot.kind == "double_integrator":
+    if Kind.of(robot.kind).by_force:
         yield "damping", robot.damping
         if isinstance(robot.drive, SimulatedDrive):
             yield "velocity", robot.drive.velocity

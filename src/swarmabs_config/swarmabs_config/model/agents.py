@@ -2,7 +2,8 @@
 
 import math
 import random
-from typing import Annotated, ClassVar, Literal, TypeAlias
+from collections.abc import Iterable
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 from pydantic import (
     BeforeValidator,
@@ -11,18 +12,19 @@ from pydantic import (
     JsonValue,
     TypeAdapter,
     WithJsonSchema,
+    create_model,
     field_validator,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
 
-from swarmabs_core.messages import RobotKind, word
+from swarmabs_core.messages import Kind, said, word
 from swarmabs_core.models import SystemAgentConfig
 from swarmabs_core.models.plane_robot import RobotConfig
 from swarmabs_core.systems.check import generated
 from swarmabs_core.systems.interface import NamedSystem
 
-from .declared import Like, like
+from .declared import Like, like, measured
 from .errors import show
 from .fields import (
     LARGEST,
@@ -130,12 +132,18 @@ class SystemAgent(Model):
         return dict(sorted(constants.items()))
 
 
-class SystemGenerate(Model):
-    """A swarm on a parent system drawn at random: ids from 1, first single integrators, then double ones, then lags."""
+def _numbers(kinds: Iterable[Kind]) -> type[Model]:
+    """Return a model with the number of robots of each kind."""
+    fields: dict[str, Any] = {
+        word(kind): (int, Field(default=0, ge=0, le=LARGEST_ID, description=f"number of {said(kind)} robots"))
+        for kind in kinds
+    }
+    return create_model("Numbers", __base__=Model, **fields)
 
-    single_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of single integrator robots")
-    double_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of double integrator robots")
-    first_order_lag: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of robots with a lag")
+
+class SystemGenerate(_numbers(Kind)):  # type: ignore[misc]  # the fields are those of the kinds
+    """A swarm on a parent system drawn at random: ids from 1, kind by kind in the order of the fields."""
+
     constants: dict[str, Range] = Field(
         default={}, description="[smallest, largest] of constants, uniformly distributed; others: default"
     )
@@ -167,7 +175,7 @@ class SystemGenerate(Model):
     @property
     def kinds(self) -> list[str]:
         """The kinds of the robots by id."""
-        return [kind for kind in map(word, RobotKind) for _ in range(getattr(self, kind))]
+        return [kind for kind in map(word, Kind) for _ in range(getattr(self, kind))]
 
     def agents(self, named: NamedSystem) -> tuple[SystemAgent, ...]:
         """Draw the robots, in order of their ids 1, 2, ....
@@ -216,21 +224,17 @@ class Generate(Model):
 
     single_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of single integrator robots")
     double_integrator: int = Field(default=0, ge=0, le=LARGEST_ID, description="number of double integrator robots")
-    mass: Annotated[tuple[Positive, Positive], AsPair] = Field(
-        default=(0.25, 0.75), description="[smallest, largest] mass, uniformly distributed, kg"
+    mass: Annotated[tuple[Positive, Positive], AsPair] = measured(
+        (0.25, 0.75), "[smallest, largest] mass, uniformly distributed", "kg"
     )
-    damping: Annotated[tuple[NonNegative, NonNegative], AsPair] = Field(
-        default=(0.5, 1.5),
-        description="[smallest, largest] damping of a double integrator, uniformly distributed, N s/m",
+    damping: Annotated[tuple[NonNegative, NonNegative], AsPair] = measured(
+        (0.5, 1.5), "[smallest, largest] damping of a double integrator, uniformly distributed", "N s/m"
     )
     position: Annotated[
         float | Literal["auto"],
         BeforeValidator(_auto_or_number),
         WithJsonSchema({"anyOf": [{"const": "auto"}, {"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST}]}),
-    ] = Field(
-        default="auto",
-        description="distance p of every robot from the axis, m; auto: sqrt(0.0288/M), M = total mass",
-    )
+    ] = measured("auto", "distance p of every robot from the axis, {unit}; auto: sqrt(0.0288/M), M = total mass", "m")
     seed: int = Field(default=1, ge=0, lt=2**63, description="seed of Python's random.Random")
 
     @model_validator(mode="after")

@@ -5,7 +5,7 @@ and its canonical text follow from the declaration.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from functools import cache
 from inspect import cleandoc
 from types import MappingProxyType
@@ -33,6 +33,7 @@ from .fields import (
 )
 
 _LARGEST_INTEGER = 2**63 - 1
+_UNIT = "unit"
 ModelT = TypeVar("ModelT", bound=Model)
 
 
@@ -106,9 +107,48 @@ def _fields_of(declaration: type) -> dict[str, Any]:
             continue
         assert isinstance(declared, Setting)  # noqa: S101 - a file cannot select anything else
         default = ... if declared.required else None if declared.unset is not None else declared.parameter.default
-        content = Field(default=default, alias=name, description=declared.in_file.description)
+        content = described_field(declared.in_file, default=default, alias=name)
         found[_field_of(name)] = (_type_of(declared), content)
     return found
+
+
+def described_field(declared: Parameter, **options: Any) -> Any:
+    """Return a field with the meaning and the unit of a declared number or text."""
+    return Field(description=declared.text, json_schema_extra=_with_unit(declared.unit), **options)
+
+
+def measured(default: object, description: str, unit: str) -> Any:
+    """Return a field that only files have, with its unit, for which ``{unit}`` stands in the description."""
+    return described_field(Parameter("", "", description, unit=unit), default=default)
+
+
+def _with_unit(unit: str) -> Any:
+    return {_UNIT: unit} if unit else None
+
+
+def unit_at(content: Any, path: str) -> str:
+    """Return the unit of the number at a dotted path of a scenario; empty if it has none, several, or is missing."""
+    unit = ""
+    for name in path.split("."):
+        if isinstance(content, Model):
+            fields = {field.alias or key: (key, field) for key, field in type(content).model_fields.items()}
+            if name not in fields:
+                return ""
+            key, field = fields[name]
+            extra = field.json_schema_extra
+            unit = str(extra.get(_UNIT, "")) if isinstance(extra, dict) else ""
+            content = getattr(content, key)
+        elif isinstance(content, tuple):
+            content = content[int(name)] if name.isdigit() and int(name) < len(content) else None
+        elif is_dataclass(content) and not isinstance(content, type):
+            entry = next((each for each in entries_of(type(content)) if each.name == name), None)
+            if entry is None:
+                return ""
+            unit = entry.declared.parameter.unit if isinstance(entry.declared, Setting) else ""
+            content = getattr(content, entry.attribute)
+        else:
+            return ""
+    return unit
 
 
 def declared_field(declaration: type, description: str, alias: str | None = None) -> Any:
@@ -141,7 +181,7 @@ def model_of_table(
                 Field(default=inner(), alias=head, description=f"{head} settings of {title}"),
             )
         else:
-            content = Field(default=group[0].default, alias=head, description=group[0].description)
+            content = described_field(group[0], default=group[0].default, alias=head)
             fields[_field_of(head)] = (_of_parameter(group[0]), content)
     return create_model(title, __base__=base, **fields, **last)
 
@@ -166,7 +206,7 @@ class Like:
 def like(declaration: type, attribute: str, *, required: bool = False) -> Any:
     """Return a field, annotated with `Like`, with the default and description of the declared setting."""
     declared = setting_of(declaration, attribute)
-    return Field(default=... if required else declared.parameter.default, description=declared.in_file.description)
+    return described_field(declared.in_file, default=... if required else declared.parameter.default)
 
 
 def _type_of(declared: Setting) -> Any:

@@ -26,13 +26,12 @@ class ScenarioError(InputError):
         field: str = "",
         more: int = 0,
     ) -> None:
+        super().__init__(problem, remedy)
         self.source = source
         self.line = line
         self.field = field
-        self.problem = problem
-        self.remedy = remedy
         self.more = more
-        super().__init__(source, problem, remedy)
+        self.args = (source, problem, remedy)
 
     def __str__(self) -> str:
         source, field, problem, remedy = (

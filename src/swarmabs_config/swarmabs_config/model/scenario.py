@@ -38,7 +38,7 @@ from .controllers import (
     SystemConfig,
     settings_of,
 )
-from .declared import Declared, Like, declared_field, like, model_of
+from .declared import Declared, Like, declared_field, described_field, like, measured, model_of
 from .errors import describe
 from .fields import (
     AsTuple,
@@ -140,8 +140,8 @@ class SystemSwarm(Model):
 
     gains: Annotated[SystemGains, Declared()] = declared_field(SystemGains, "gains of the robots' control laws")
     force_law: Annotated[str, Like(SystemAgentConfig, "force_law")] = like(SystemAgentConfig, "force_law")
-    effort: Annotated[float | None, Like(SystemAgentConfig, "effort")] = Field(
-        default=None, description=setting_of(SystemAgentConfig, "effort").in_file.description
+    effort: Annotated[float | None, Like(SystemAgentConfig, "effort")] = described_field(
+        setting_of(SystemAgentConfig, "effort").in_file, default=None
     )
     agents: Annotated[tuple[SystemAgent, ...], AsTuple] | None = Field(default=None, description="list of the robots")
     generate: SystemGenerate | None = Field(default=None, description="random swarm, instead of 'agents'")
@@ -166,8 +166,8 @@ class AnyScenario(Model):
         description="name of the scenario, by default the file's stem",
         json_schema_extra={"minLength": 1, "maxLength": LONGEST_NAME},
     )
-    duration: Duration = Field(default=30.0, description="simulated time, a multiple of step, s")
-    step: Duration = Field(default=0.01, description="control period, s")
+    duration: Duration = measured(30.0, "simulated time, a multiple of step", "s")
+    step: Duration = measured(0.01, "control period", "s")
     seed: Annotated[int, Like(Run, "seed")] = like(Run, "seed")
 
     if TYPE_CHECKING:  # the subclasses determine the order of these fields in files

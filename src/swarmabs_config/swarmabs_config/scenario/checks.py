@@ -12,10 +12,10 @@ from swarmabs_config.model.fields import SMALLEST, Finding, Location
 from swarmabs_core import behaviours
 from swarmabs_core.cdr import SECOND
 from swarmabs_core.controllers import PD
-from swarmabs_core.errors import InputError, parts_of
+from swarmabs_core.errors import InputError
 from swarmabs_core.faults import JoinFault, MembershipFault
 from swarmabs_core.membership import ChangeKind
-from swarmabs_core.messages import PLANE_FAMILY
+from swarmabs_core.messages import PLANE_FAMILY, Kind
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.swarm_law import LAWS
 from swarmabs_core.systems.check import problems_of
@@ -65,7 +65,7 @@ def warnings(scenario: "UncheckedScenario") -> tuple[str, ...]:
 def system_warnings(scenario: "UncheckedSystemScenario") -> tuple[str, ...]:
     """Return a line if the gain of robots that follow the law of velocity is too large for the control period."""
     swarm, largest = scenario.swarm, max(scenario.swarm.gains.k)
-    by_velocity = swarm.force_law == "velocity" or any(agent.kind != "double_integrator" for agent in scenario.agents)
+    by_velocity = swarm.force_law == "velocity" or not all(Kind.of(agent.kind).by_force for agent in scenario.agents)
     if not by_velocity or largest * scenario.period < 2.0:
         return ()
     limit = _rounded_down(2.0 / scenario.period)
@@ -99,7 +99,7 @@ def _generated(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
     try:
         _ = scenario.agents
     except InputError as error:
-        yield Finding.of(("swarm", "generate"), *parts_of(error))
+        yield Finding.of(("swarm", "generate"), error.problem, error.remedy)
 
 
 def _system(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
@@ -238,8 +238,7 @@ def _constructed(scenario: "UncheckedScenario") -> Iterator[Finding]:
             yield Finding.of((*location, *parts), error.problem, error.remedy)
             return
         except InputError as error:
-            problem, remedy = parts_of(error)
-            yield Finding.of(location, problem, remedy or "see the documentation of its package")
+            yield Finding.of(location, error.problem, error.remedy or "see the documentation of its package")
             return
 
 
@@ -252,7 +251,7 @@ def _total_mass(agents: Iterable["Agent"]) -> float:
 
 
 def _underdamped(scenario: "UncheckedScenario") -> Iterator[str]:
-    if all(agent.kind != "double_integrator" for agent in scenario.initial_agents):
+    if not any(Kind.of(agent.kind).by_force for agent in scenario.initial_agents):
         return
     kp, kd = scenario.swarm.gains.kp[1], scenario.swarm.gains.kd[1]
     initial = math.fsum(agent.mass * agent.position**2 for agent in scenario.initial_agents)

@@ -9,10 +9,10 @@ import yaml
 from swarmabs_config import configure
 from swarmabs_core.declaration import tree_of
 from swarmabs_core.errors import InputError
+from swarmabs_core.events import EventCode, code_of
 from swarmabs_core.faults import FAULTS, Fault, JoinFault, MembershipFault, SettingFault
-from swarmabs_core.membership import UNPLANNED, Change
+from swarmabs_core.membership import UNPLANNED, Change, ChangeKind
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_core.steering import ENDS
 
 from .loader import parse_scenario
 
@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 
 _SETTINGS = {kind: each for kind, each in FAULTS.items() if issubclass(each, SettingFault)}
 _ENDING = {kind: each for kind, each in FAULTS.items() if issubclass(each, MembershipFault)}
-_ENDS = {kind.value: kind for kind in ENDS.values()}
+_ENDS = {
+    EventCode.KILLED: ChangeKind.KILL,
+    EventCode.FROZEN: ChangeKind.FREEZE,
+    EventCode.REMOVED: ChangeKind.REMOVE,
+}
 
 
 def as_planned(
@@ -59,17 +63,19 @@ def as_planned(
     ended = {change.agent_id: change for change in ends}
     absent = {change.agent_id for change in configure.schedule(scenario) if change.step == UNPLANNED}
     for event in events:
-        if event.kind == EventKind.STEERING:
-            if event.detail not in settings:
-                raise InputError(
-                    f"{source}: this version does not know the setting {event.detail!r:.80}, which was changed at step "
-                    f"{event.step}; update swarmabs"
-                )
-            settings[event.detail][event.step] = event.value
+        code = code_of(event)
+        if code is EventCode.STEERING:
+            raise InputError(
+                f"{source}: this version does not know the setting {event.detail!r:.80}, which was changed at step "
+                f"{event.step}",
+                "update swarmabs",
+            )
+        if code in (EventCode.REFERENCE, EventCode.DISTURBANCE):
+            settings[code.text][event.step] = event.value
         elif event.kind == EventKind.JOINED and event.agent_id in absent:
             joined[event.agent_id] = event.step
-        elif event.kind in (EventKind.DEAD, EventKind.LEFT) and event.detail in _ENDS:
-            ended[event.agent_id] = Change(event.step - 1, event.agent_id, _ENDS[event.detail])
+        elif code in _ENDS:
+            ended[event.agent_id] = Change(event.step - 1, event.agent_id, _ENDS[code])
     faults = _planned(scenario, settings, joined, ended)
     if faults is None and not overrides:
         return scenario

@@ -12,6 +12,7 @@ from swarmabs_core.behaviours.base import (
 )
 from swarmabs_core.behaviours.reception import Reception, Transmission
 from swarmabs_core.errors import InStep
+from swarmabs_core.events import EventCode
 from swarmabs_core.faults import RobotFaults
 from swarmabs_core.membership import UNPLANNED, ChangeKind
 from swarmabs_core.messages import (
@@ -21,7 +22,6 @@ from swarmabs_core.messages import (
     Action,
     AnyBroadcast,
     AnyRobotState,
-    EventKind,
     Message,
     Messages,
     Mode,
@@ -31,7 +31,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.robot_controller import COMMAND_LIMITED, RESET, STOPPED, WITHIN_LIMITS
+from swarmabs_core.robot_controller import RESET, STOPPED
 from swarmabs_core.settings import LifeSpan
 
 if TYPE_CHECKING:
@@ -207,34 +207,34 @@ class Agent:
         outcome = self._body.decide(heard, asked_to, self._step)
         if outcome.held:  # it stays active, so that the sums of the next step allow for it
             self._broadcast_step, self._status = NEVER, Status.ACTIVE
-            events = () if self._held else (self._event(EventKind.HELD, 0.0, outcome.problem),)
+            events = () if self._held else (self._event(EventCode.HELD, detail=outcome.problem),)
             self._held = True
             return events
         if outcome.problem:
             self._broadcast_step = NEVER
             before, self._status, self._held = self._status, Status.SAFE_STOP, False
             changed = before is not Status.SAFE_STOP
-            return (self._event(EventKind.SAFE_STOP, 0.0, outcome.problem),) if changed else ()
+            return (self._event(EventCode.SAFE_STOP, detail=outcome.problem),) if changed else ()
         self._broadcast_step = heard.step
         recovered = self._held or self._status is not Status.ACTIVE
         self._status, self._held = Status.ACTIVE, False
-        events = (self._event(EventKind.RECOVERED, 0.0, ""),) if recovered else ()
+        events = (self._event(EventCode.RECOVERED),) if recovered else ()
         return (*events, *self._note_limit(outcome.beyond))
 
     def _note_limit(self, beyond: float | None) -> Messages:
         """Report that a limit begins to act on the command, and that it has not acted for a while."""
         if beyond is not None:
             before, self._limited_at = self._limited_at, self._step
-            return () if before is not None else (self._event(EventKind.LIMIT_HIT, beyond, COMMAND_LIMITED),)
+            return () if before is not None else (self._event(EventCode.COMMAND_LIMITED, beyond),)
         if self._limited_at is None or (self._step - self._limited_at) * self._config.period_ns < UNLIMITED_NS:
             return ()
         self._limited_at = None
-        return (self._event(EventKind.RECOVERED, 0.0, WITHIN_LIMITS),)
+        return (self._event(EventCode.WITHIN_LIMITS),)
 
-    def _event(self, kind: EventKind, value: float, detail: str) -> SwarmEvent:
+    def _event(self, code: EventCode, value: float = 0.0, detail: str = "") -> SwarmEvent:
         """Return an event that holds from the next published state on."""
         step = self._step + 1
-        return SwarmEvent(step * self._config.period_ns, step, self._config.agent_id, kind, value, detail)
+        return code.event(step * self._config.period_ns, step, value, robot=self._config.agent_id, detail=detail)
 
 
 class AgentGroup:

@@ -11,7 +11,6 @@ from swarmabs_core.messages import (
     Message,
     Messages,
     RobotState,
-    RobotStatus,
     Status,
     Topic,
     coordinates_of,
@@ -116,7 +115,7 @@ def packed_broadcasts(family: Family, heard: Callable[[Topic], Message]) -> AnyB
 def at_rest(state: AnyRobotState) -> AnyRobotState:
     """Return the state of a robot that stands where it was."""
     if isinstance(state, RobotState):
-        return state._replace(velocities=(0.0,) * len(state.velocities), status=RobotStatus.SAFE_STOP)
+        return state._replace(velocities=(0.0,) * len(state.velocities), status=Status.SAFE_STOP)
     return state._replace(velocity=0.0, status=Status.SAFE_STOP)
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours.base import UnexpectedMessageError, is_new, packed_broadcasts, refuse_other_system
 from swarmabs_core.errors import InputError, InStep
+from swarmabs_core.events import EventCode
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
     NEVER,
@@ -17,15 +18,13 @@ from swarmabs_core.messages import (
     TOPIC_OF,
     Action,
     AnyParentState,
-    EventKind,
     Message,
     Messages,
     RecordingProgress,
     StandingState,
-    SwarmEvent,
     Topic,
 )
-from swarmabs_core.steering import REFERENCE, StepSchedule, change_of
+from swarmabs_core.steering import StepSchedule, change_of
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Steering
@@ -64,7 +63,7 @@ class Controller:
         self._parts: dict[Topic, Message] = {}
         self._generator: DesiredStates = desired or config.desired_states()
         if config.offsets and self._generator.no_offset:
-            raise InputError(f"parameter offsets: {self._generator.no_offset}; omit the parameter")
+            raise InputError(f"parameter offsets: {self._generator.no_offset}", "omit the parameter")
         self._offsets = StepSchedule(config.offsets)
         self._step = 0
         self._parent: AnyParentState | None = None
@@ -157,7 +156,7 @@ class Controller:
             events, desired = self._generator.advance(stamp, parent, offset=self._offsets.at(step))
         self._step += 1
         if (offset := self._offsets.changing(step)) is not None:
-            events = (SwarmEvent(stamp, step, 0, EventKind.STEERING, offset, REFERENCE), *events)
+            events = (EventCode.REFERENCE.event(stamp, step, offset), *events)
         if self._packed:
             self._parts[self._family.desired] = desired
         return (*events, desired)

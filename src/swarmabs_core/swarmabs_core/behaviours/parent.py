@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours.base import Gathering, StepAheadError, UnexpectedMessageError, refuse_other_system
 from swarmabs_core.errors import InStep, RunError
+from swarmabs_core.events import EventCode
 from swarmabs_core.faults import failed_drives, true_state
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
@@ -13,7 +14,6 @@ from swarmabs_core.messages import (
     ROBOT_STATES,
     Action,
     AnyRobotState,
-    EventKind,
     Message,
     Messages,
     Steering,
@@ -22,7 +22,7 @@ from swarmabs_core.messages import (
     coordinates_of,
 )
 from swarmabs_core.ranges import RangeMonitor
-from swarmabs_core.steering import DISTURBANCE, StepSchedule, change_of
+from swarmabs_core.steering import StepSchedule, change_of
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
@@ -138,7 +138,7 @@ class Parent:
         states = self._gathering.take()
         events: Messages = ()
         if (disturbance := self._disturbances.changing(step)) is not None:
-            events = (SwarmEvent(stamp, step, 0, EventKind.STEERING, disturbance, DISTURBANCE),)
+            events = (EventCode.DISTURBANCE.event(stamp, step, disturbance),)
         with InStep(step):
             moved = self._move(step, stamp, states)
         return (*events, *moved, self._motion.state(step))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmabs_core.events import EventCode
 from swarmabs_core.faults import RobotFaults
 from swarmabs_core.messages import (
     ROBOT_STATES,
     AnyBroadcast,
-    EventKind,
     Message,
     Messages,
     Mode,
@@ -87,5 +87,5 @@ class Transmission:
         """Return events for the faults that start or end with a state; with the first state, for all that act."""
         found = faults.announced(state.step, first=not self._begun)
         self._begun = True
-        kind = EventKind.FAULT_INJECTED
-        return [SwarmEvent(state.stamp, state.step, state.agent_id, kind, value, text) for value, text in found]
+        tell = EventCode.FAULT_INJECTED.event
+        return [tell(state.stamp, state.step, value, robot=state.agent_id, detail=text) for value, text in found]

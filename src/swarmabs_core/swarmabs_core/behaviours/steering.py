@@ -117,7 +117,7 @@ class SteeringController:
         if self._over:
             raise InputError(OVER)
         if len(self._waiting) >= MOST_WAITING:
-            raise InputError(f"{MOST_WAITING} requests are already waiting; try again later")
+            raise InputError(f"{MOST_WAITING} requests are already waiting", "try again later")
         problem = self._problem(request, self._step + 1)
         if problem:
             raise InputError(problem)

@@ -11,6 +11,7 @@ from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
 from swarmabs_core.drive import ideal_drive
+from swarmabs_core.events import EventCode
 from swarmabs_core.faults import Falsification
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import Change
@@ -18,7 +19,6 @@ from swarmabs_core.messages import (
     PLANE_FAMILY,
     PLANE_STATE,
     AgentState,
-    EventKind,
     Family,
     Kind,
     Messages,
@@ -112,7 +112,8 @@ class ControllerConfig:
     division: int = same(Run, "division")
     offsets: tuple[StepChange, ...] = setting(
         (),
-        "offsets of the law's reference, rad, each 'STEP VALUE' from a step on, such as '500 0.1'",
+        "offsets of the law's reference, {unit}, each 'STEP VALUE' from a step on, such as '500 0.1'",
+        unit="rad",
         make=StepChange.parse,
     )
     law: ParentLaw = part(ParentLaw, name="")
@@ -145,7 +146,8 @@ class PlaneConfig:
     )
     torques: tuple[StepChange, ...] = setting(
         (),
-        "constant torques that disturb the plane, N m, each 'STEP VALUE' from a step on, such as '500 0.1'",
+        "constant torques that disturb the plane, {unit}, each 'STEP VALUE' from a step on, such as '500 0.1'",
+        unit="N m",
         make=StepChange.parse,
     )
 
@@ -287,8 +289,8 @@ class PlaneMotion:
     def _hit(self, time: float, rate: float, step: int, stamp: int) -> SwarmEvent:
         """Return the event of an impact on an end stop."""
         angle = copysign(self._config.plane.end_stop, rate)
-        detail = f"end stop hit at {time:.6g} s with {rate:.4g} rad/s"
-        return SwarmEvent(stamp, step, 0, EventKind.LIMIT_HIT, angle, detail)
+        how = f" at {time:.6g} s with {rate:.4g} rad/s"
+        return EventCode.END_STOP_HIT.event(stamp, step, angle, how=how)
 
     def _path(self, before: AgentState, after: AgentState | None) -> RobotPath:
         """Return the path of a robot over the last period."""

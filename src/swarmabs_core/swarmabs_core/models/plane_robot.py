@@ -10,11 +10,21 @@ from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.drive import Lag
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import InjectedFault
-from swarmabs_core.messages import PLANE_FAMILY, PLANE_STATE, AgentState, Family, Kind, PlaneState, Topic
+from swarmabs_core.messages import (
+    PLANE_FAMILY,
+    PLANE_KINDS,
+    PLANE_STATE,
+    AgentState,
+    Family,
+    Kind,
+    PlaneState,
+    Topic,
+    word,
+)
 from swarmabs_core.model import FOLLOWS, Outcome
 from swarmabs_core.parameters import Settings
 from swarmabs_core.plant import Plane
-from swarmabs_core.robot_controller import HELD, Decision, Limits, RobotController
+from swarmabs_core.robot_controller import Decision, Limits, RobotController
 from swarmabs_core.sensing import RobotSensor
 from swarmabs_core.settings import LifeSpan, Run
 from swarmabs_core.swarm_law import LAWS, PAPER, Robot, SwarmGains
@@ -30,16 +40,16 @@ class RobotConfig:
 
     agent_id: int = setting(1, "id of the robot, 1 to 65535", minimum=1, maximum=65535)
     kind: Kind = setting(
-        Kind.SINGLE_INTEGRATOR,
+        PLANE_KINDS[0],
         "dynamics of the robot",
-        choices=tuple(kind.name.lower() for kind in Kind),
-        make=lambda name: Kind[name.upper()],
+        choices=tuple(map(word, PLANE_KINDS)),
+        make=Kind.of,
         say=lambda kind: kind.name.lower(),
     )
-    mass: float = setting(0.5, "mass, kg", above=0.0)
-    damping: float = setting(0.0, "viscous damping c of its motion, N s/m; may be 0", minimum=0.0)
-    position: float = setting(0.0, "initial position on the plane, 0 at the axis, m")
-    velocity: float = setting(0.0, "initial velocity, m/s")
+    mass: float = setting(0.5, "mass", unit="kg", above=0.0)
+    damping: float = setting(0.0, "viscous damping c of its motion, {unit}; may be 0", unit="N s/m", minimum=0.0)
+    position: float = setting(0.0, "initial position on the plane, 0 at the axis", unit="m")
+    velocity: float = setting(0.0, "initial velocity", unit="m/s")
     gravity: float = same(Plane, "gravity")
     plane_length: float = same(Plane, "length")
     gains: SwarmGains = part(SwarmGains)
@@ -55,10 +65,10 @@ class RobotConfig:
         InputError
             If a single integrator has damping or an initial velocity.
         """
-        if self.kind is Kind.SINGLE_INTEGRATOR:
+        if not self.kind.by_force:
             for name, value in (("damping", self.damping), ("velocity", self.velocity)):
                 if value:
-                    raise InputError(f"parameter {name}: not applicable to a single integrator; omit it")
+                    raise InputError(f"parameter {name}: not applicable to a single integrator", "omit it")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +121,7 @@ class PlaneRobot:
         self._lag = Lag.of(config.kind, config.actuator_lag, period, config.mass, config.damping)
         self._actual = 0.0  # output of a drive with lag
         self.watched: Topic | None = None
-        if config.feels_gravity and config.kind is Kind.DOUBLE_INTEGRATOR:
+        if config.feels_gravity and config.kind.by_force:
             self.watched = PLANE_STATE
 
     def state(self, step: int, broadcast_step: int, status: int) -> AgentState:
@@ -150,7 +160,7 @@ class PlaneRobot:
             decision = self._controller.decide(position, velocity, heard)
         self._command = decision.command
         if decision.problem:
-            return Outcome(decision.problem, held=decision.problem == HELD)
+            return Outcome(decision.problem, held=decision.held)
         return FOLLOWS if decision.command == decision.wanted else Outcome(beyond=decision.wanted)
 
     def move(self, watched: PlaneState | None) -> None:

@@ -8,21 +8,21 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING, ClassVar, cast
 
 from swarmabs_core.declaration import choice, part, same, setting
-from swarmabs_core.events import NO_FOLLOWER
+from swarmabs_core.events import EventCode
 from swarmabs_core.faults import Falsification, InjectedFault
 from swarmabs_core.membership import Change
 from swarmabs_core.messages import (
     SYSTEM_FAMILY,
     Family,
+    Kind,
     Messages,
     ParentState,
-    RobotKind,
     RobotState,
-    RobotStatus,
     StandingState,
     Status,
     SwarmEvent,
     SystemDescription,
+    word,
 )
 from swarmabs_core.model import Outcome
 from swarmabs_core.models.plane import ControllerConfig, PlaneConfig
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from swarmabs_core.systems.interface import Quantity, Vector
     from swarmabs_core.systems.swarm import Add
 
-HELD = f"{NO_FOLLOWER} (the Gram matrix vanishes)"
+HELD = EventCode.NO_FOLLOWER.text.format(why=" (the Gram matrix vanishes)")
 """`SwarmEvent.detail` where a robot brakes because the law is not defined."""
 
 
@@ -192,7 +192,7 @@ class SystemMotion:
         """Return the state of a robot one period later, without a command."""
         state = cast("RobotState", state)
         period, none = self._config.period_ns / 1e9, (0.0,) * len(state.coordinates)
-        law = RobotLaw(self._config.named, RobotKind(state.kind), state.constants, SystemGains(), period)
+        law = RobotLaw(self._config.named, Kind(state.kind), state.constants, SystemGains(), period)
         q, velocity = law.advance(state.coordinates, state.velocities, none)
         return state._replace(coordinates=q, velocities=velocity, command=none)
 
@@ -210,11 +210,11 @@ class SystemAgentConfig(OfSystem):
     """Configuration of a robot on any parent system."""
 
     agent_id: int = same(AgentConfig, "agent_id")
-    kind: RobotKind = setting(
-        RobotKind.SINGLE_INTEGRATOR,
+    kind: Kind = setting(
+        Kind.SINGLE_INTEGRATOR,
         "dynamics of the robot",
-        choices=tuple(kind.name.lower() for kind in RobotKind),
-        make=lambda name: RobotKind[name.upper()],
+        choices=tuple(map(word, Kind)),
+        make=Kind.of,
         say=lambda kind: kind.name.lower(),
     )
     coordinates: tuple[float, ...] = setting((0.0,), "initial coordinates")
@@ -276,7 +276,7 @@ class SystemRobot:
         """Return the state at a step, with the step of the broadcasts that led to it."""
         config, velocity = self._config, self._velocity
         if self._limited and status == Status.ACTIVE:
-            status, velocity = RobotStatus.LIMITED, self._law.held_rate(self._q, self._command)
+            status, velocity = Status.LIMITED, self._law.held_rate(self._q, self._command)
         return RobotState(
             step * config.period_ns,
             step,
@@ -321,7 +321,7 @@ class SystemRobot:
         # A double integrator stays in the Gram matrix: its velocity is not limited. So does a robot that the others
         # need to control all rows: what it cannot do is then missing in all of these, and not only in the last.
         inside = not self._limited
-        self._limited = self._config.kind is not RobotKind.DOUBLE_INTEGRATOR and self._law.dispensable(
+        self._limited = not self._config.kind.by_force and self._law.dispensable(
             self._q, heard.auxiliary.gram, inside=inside
         )
         return Outcome(beyond=next(u for u, held in zip(wanted, self._command, strict=True) if u != held))

@@ -7,7 +7,8 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 from swarmabs_core.declaration import choice, part, same, setting
-from swarmabs_core.messages import NEVER, AgentState, EventKind, Status, SwarmEvent
+from swarmabs_core.events import EventCode
+from swarmabs_core.messages import NEVER, AgentState, Status, SwarmEvent
 from swarmabs_core.models.plane_robot import RobotConfig
 from swarmabs_core.parameters import Settings
 from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
@@ -16,7 +17,7 @@ from swarmabs_core.realtime.drives import DRIVES, SIMULATED, Reporting
 from swarmabs_core.realtime.envelope import LaneEnvelope
 from swarmabs_core.realtime.leadership import Pair
 from swarmabs_core.realtime.validation import Bounds, Refusals
-from swarmabs_core.robot_controller import COMMAND_LIMITED, HELD, RESET, STOPPED, Decision, RobotController
+from swarmabs_core.robot_controller import HELD, RESET, STOPPED, Decision, RobotController
 from swarmabs_core.swarm_law import Robot
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 LEAVING_PERIODS = 10
 """Number of periods for which a leaving robot publishes its last status."""
-LANE_LIMITED = "command limited by the end of the lane"
-"""`SwarmEvent.detail` where the lane limits a robot's command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +38,8 @@ class RealtimeAgentConfig(RobotConfig):
     swarm_mass: float = same(Bounds, "swarm_mass")
     deceleration: float = setting(
         inf,
-        "limit of the braking deceleration of a single integrator's base, m/s^2",
+        "limit of the braking deceleration of a single integrator's base",
+        unit="m/s^2",
         name="limits.deceleration",
         above=0.0,
         unset=0.0,
@@ -48,7 +48,7 @@ class RealtimeAgentConfig(RobotConfig):
     broadcast_age_limit: float = same(Realtime, "broadcast_age_limit")
     paired: bool = same(Pair, "paired")
     measurement_age_limit: float = setting(
-        0.1, "age of a robot's motion measurement above which it stops, s", above=0.0
+        0.1, "age of a robot's motion measurement above which it stops", unit="s", above=0.0
     )
     clock_tolerance: float = same(Realtime, "clock_tolerance")
     drive: str = choice(DRIVES.find, DRIVES.built_in, SIMULATED.name, "drive of the robot")
@@ -80,14 +80,14 @@ class RealtimeLaw:
         self.controller = RobotController(robot, config.law, config.law_settings, config.limits, config.plane_length)
         self._envelope = LaneEnvelope(self.controller, period, config.lane_limit, config.deceleration)
 
-    def decide(self, position: float, velocity: float, heard: Broadcast) -> tuple[Decision, str]:
+    def decide(self, position: float, velocity: float, heard: Broadcast) -> tuple[Decision, EventCode | None]:
         """Return the decision at a position (m) with a velocity (m/s), and which limit applied, if any."""
         decision = self.controller.decide(position, velocity, heard)
         if decision.problem:
-            return decision, ""
+            return decision, None
         kept = self._envelope.apply(position, velocity, decision.command)
-        limited = LANE_LIMITED if kept != decision.command else COMMAND_LIMITED
-        return decision._replace(command=kept), limited if kept != decision.wanted else ""
+        limited = EventCode.LANE_LIMITED if kept != decision.command else EventCode.COMMAND_LIMITED
+        return decision._replace(command=kept), limited if kept != decision.wanted else None
 
     def brake(self, velocity: float) -> float:
         """Return the command that stops the robot from a velocity (m/s)."""
@@ -113,7 +113,7 @@ class RealtimeAgent:
         self._status = Status.SAFE_STOP
         self._problem = "not started yet"
         self._held = False
-        self._limited = ""
+        self._limited: EventCode | None = None
         self._leaving: int | None = None
 
     def tuned(self, config: RealtimeAgentConfig) -> Callable[[], None]:
@@ -157,14 +157,14 @@ class RealtimeAgent:
             return ()
         self._rest()
         self._leaving = LEAVING_PERIODS
-        return (self._event(now, EventKind.LEFT, 0.0, "asked to leave"),)
+        return (self._event(now, EventCode.ASKED_TO_LEAVE),)
 
     def join(self, now: int) -> Messages:
         """Take part again after `leave`."""
         if self._leaving is None:
             return ()
         self._leaving = None
-        return (self._event(now, EventKind.JOINED, 0.0, "asked to join"),)
+        return (self._event(now, EventCode.ASKED_TO_JOIN),)
 
     def halt(self) -> None:
         """Bring the body to a safe state, because ticks are suspended."""
@@ -194,7 +194,7 @@ class RealtimeAgent:
             return Health(level, f"safe stop: {self._problem}", values)
         if self._held:
             return Health(Level.WARN, f"keeps still: {HELD}", values)
-        return Health(Level.OK, f"follows the broadcasts{', ' + self._limited if self._limited else ''}", values)
+        return Health(Level.OK, f"follows the broadcasts{', ' + self._limited.text if self._limited else ''}", values)
 
     def _fresh(self, now: int) -> bool:
         m = self._measurement
@@ -228,7 +228,7 @@ class RealtimeAgent:
         if problem or m is None or broadcasts is None:
             return self._stop(now, problem)
         decision, limited = self._law.decide(m.position, m.velocity, broadcasts)
-        if decision.problem == HELD:
+        if decision.held:
             return self._hold(now, decision.command)
         if decision.problem:
             return self._stop(now, decision.problem)
@@ -245,19 +245,19 @@ class RealtimeAgent:
         """Brake to rest; return an event when braking starts or its reason changes."""
         m = self._measurement
         self._act(self._law.brake(m.velocity) if m is not None and self._fresh(now) else 0.0, NEVER, now)
-        before, self._status, self._held, self._limited = self._status, Status.SAFE_STOP, False, ""
+        before, self._status, self._held, self._limited = self._status, Status.SAFE_STOP, False, None
         changed, self._problem = problem != self._problem, problem
         if before is Status.SAFE_STOP and not changed:
             return ()
-        return (self._event(now, EventKind.SAFE_STOP, 0.0, problem),)
+        return (self._event(now, EventCode.SAFE_STOP, detail=problem),)
 
     def _hold(self, now: int, command: float) -> Messages:
         """Keep still with status ACTIVE: S3 vanishes until enough robots that had stopped report it again."""
         self._act(command, NEVER, now)
-        before, self._limited = self._held, ""
+        before, self._limited = self._held, None
         events = self._active(now, followed=False)
         self._held = True
-        return events if before else (*events, self._event(now, EventKind.HELD, 0.0, HELD))
+        return events if before else (*events, self._event(now, EventCode.HELD, detail=HELD))
 
     def _active(self, now: int, *, followed: bool) -> Messages:
         recovered = followed and (self._status is not Status.ACTIVE or self._held)
@@ -265,16 +265,16 @@ class RealtimeAgent:
         if not followed:
             return ()
         self._held = False
-        return (self._event(now, EventKind.RECOVERED, 0.0, ""),) if recovered else ()
+        return (self._event(now, EventCode.RECOVERED),) if recovered else ()
 
     def _act(self, command: float, broadcast_step: int, now: int) -> None:
         self._command, self._broadcast_step = command, broadcast_step
         self._drive.write(command, now)
 
-    def _note_limits(self, now: int, wanted: float, limited: str) -> Messages:
+    def _note_limits(self, now: int, wanted: float, limited: EventCode | None) -> Messages:
         before, self._limited = self._limited, limited
-        if limited and limited != before:
-            return (self._event(now, EventKind.LIMIT_HIT, wanted, limited),)
+        if limited and limited is not before:
+            return (self._event(now, limited, wanted),)
         return ()
 
     def _repeat_last_state(self, step: int) -> Messages:
@@ -286,10 +286,10 @@ class RealtimeAgent:
     def _rest(self) -> None:
         self._drive.stop()
         self._command, self._broadcast_step = 0.0, NEVER
-        self._status, self._held, self._limited = Status.SAFE_STOP, False, ""
+        self._status, self._held, self._limited = Status.SAFE_STOP, False, None
         self._problem = "deactivated"
 
-    def _event(self, now: int, kind: EventKind, value: float, detail: str) -> SwarmEvent:
+    def _event(self, now: int, code: EventCode, value: float = 0.0, detail: str = "") -> SwarmEvent:
         """Return an event that holds from the next published state on."""
         step = max(0, self._config.schedule.step(now) + 1)
-        return SwarmEvent(now, step, self._config.agent_id, kind, value, detail)
+        return code.event(now, step, value, robot=self._config.agent_id, detail=detail)

@@ -78,21 +78,24 @@ class Realtime:
     """Settings for runs in real time, where the clock determines the steps: on robots, and with `run --realtime`."""
 
     broadcast_age_limit: float = setting(
-        0.1, "age of the newest complete broadcasts above which a robot stops, s", above=0.0
+        0.1, "age of the newest complete broadcasts above which a robot stops", unit="s", above=0.0
     )
     state_age_limit: float = setting(
-        0.1, "age of a robot's state above which the robot is assumed to be at rest, s", above=0.0
+        0.1, "age of a robot's state above which the robot is assumed to be at rest", unit="s", above=0.0
     )
     plane_age_limit: float = setting(
-        0.1, "age of the plane's state above which the parent controller publishes nothing, s", above=0.0
+        0.1, "age of the plane's state above which the parent controller publishes nothing", unit="s", above=0.0
     )
     clock_tolerance: float = setting(
-        0.02, "how far in the future a message may be by the receiver's clock, s", minimum=0.0
+        0.02, "how far in the future a message may be by the receiver's clock", unit="s", minimum=0.0
     )
     takeover_after: float = setting(
-        0.04, "silence of a coordinator after which its standby takes over, s; only in fleets with standbys", above=0.0
+        0.04,
+        "silence of a coordinator after which its standby takes over, {unit}; only in fleets with standbys",
+        unit="s",
+        above=0.0,
     )
-    lane_margin: float = setting(0.02, "distance that a robot keeps from the ends of the plane, m", minimum=0.0)
+    lane_margin: float = setting(0.02, "distance that a robot keeps from the ends of the plane", unit="m", minimum=0.0)
     start: str = setting(
         "wait",
         "robots that must be heard before the swarm moves: wait: all; quorum: the number `quorum`; proceed: two",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_core.events import NO_BROADCASTS
+from swarmabs_core.events import EventCode
 from swarmabs_core.messages import (
     BROADCASTS,
     DESIRED_ABSTRACT_STATE,
@@ -199,7 +199,7 @@ class BroadcastInbox:
         if self._doubts(self.followed, step):
             return "the broadcasts contradict each other"
         if newest is None:
-            return NO_BROADCASTS
+            return EventCode.NO_BROADCASTS.text
         if step - newest.step > self._age:
             return "the broadcasts are outdated"
         if newest.desired.mode != Mode.RUN or newest.step <= self._latch.reset_step:

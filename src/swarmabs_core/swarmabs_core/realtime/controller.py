@@ -9,9 +9,9 @@ from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
 from swarmabs_core.errors import RunError
+from swarmabs_core.events import EventCode
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import (
-    CONTROLLER_NODE,
     NEVER,
     PLANE_STATE,
     STANDING,
@@ -19,7 +19,6 @@ from swarmabs_core.messages import (
     AbstractState,
     Basis,
     DesiredAbstractState,
-    EventKind,
     Message,
     Messages,
     Mode,
@@ -104,7 +103,7 @@ class RealtimeController:
         self._last_published = -1
         self._blind = False
         leadership = config.pair.leadership(config.schedule, config.clock_tolerance)
-        self._voice = Voice(CONTROLLER_NODE, leadership, config.pair.rank)
+        self._voice = Voice(EventCode.CONTROLLER_LEADS, leadership, config.pair.rank)
         self._restart()
 
     def _restart(self) -> None:
@@ -177,7 +176,7 @@ class RealtimeController:
         doubt, was_blind = self._doubt(step), self._blind
         self._blind = bool(doubt)
         if doubt and not was_blind and self._plane is not None:
-            stalled = self._event(now, EventKind.STALLED, 0.0, doubt)
+            stalled = self._event(now, EventCode.STALLED, 0.0, doubt)
             return (*events, *self._voice.say((stalled,), now, step, able=False))
         return events
 
@@ -360,7 +359,7 @@ class RealtimeController:
         return self._changed(now), self._keep_still(now, step - self._fast)
 
     def _changed(self, now: int) -> SwarmEvent:
-        return self._event(now, EventKind.MODE_CHANGED, float(self._mode.now), self._mode.why)
+        return self._event(now, EventCode.MODE_CHANGED, float(self._mode.now), self._mode.why)
 
     def _end_reset(self, now: int, step: int) -> Messages:
         leadership = self._voice.leadership
@@ -370,6 +369,6 @@ class RealtimeController:
         self._mode.run()
         return (self._changed(now),)
 
-    def _event(self, now: int, kind: EventKind, value: float, detail: str) -> SwarmEvent:
+    def _event(self, now: int, code: EventCode, value: float, detail: str) -> SwarmEvent:
         step = max(0, self._config.schedule.step(now))
-        return SwarmEvent(now, step, 0, kind, value, detail)
+        return code.event(now, step, value, detail=detail)

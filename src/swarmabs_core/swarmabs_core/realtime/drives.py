@@ -114,7 +114,7 @@ SIMULATED = DriveType("simulated", (), lambda _, body: SimulatedDrive(body))
 def _topic(settings: Settings, body: Body) -> Drive:
     made = made_of(TopicSettings, settings)
     if body.connect is None:
-        raise InputError("drive topic: needs a ROS node to connect to; select another drive")
+        raise InputError("drive topic: needs a ROS node to connect to", "select another drive")
     return body.connect(made, body)
 
 

@@ -36,9 +36,11 @@ class TiltSensor:
     topic: str = setting("", f"topic of sensor_msgs/Imu; '': {MEASURED['imu']}", names="topic")
     frame: str = setting("imu_link", "required frame_id; '': any", names="frame")
     axis: str = setting("-y", "axis of the IMU about which the robot's nose rises", choices=AXES)
-    offset: float = setting(0.0, "angle of the nose, positive upwards, where the IMU reads 0, rad")
-    max_rate: float = setting(5.0, "largest plausible tilt rate, rad/s", above=0.0)
-    max_jump: float = setting(0.05, "difference of two readings allowed in addition to max_rate, rad", minimum=0.0)
+    offset: float = setting(0.0, "angle of the nose, positive upwards, where the IMU reads 0", unit="rad")
+    max_rate: float = setting(5.0, "largest plausible tilt rate", unit="rad/s", above=0.0)
+    max_jump: float = setting(
+        0.05, "difference of two readings allowed in addition to max_rate", unit="rad", minimum=0.0
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,20 +67,24 @@ class TopicSettings:
     stamp: str = setting("header", "time of a reading: its header stamp, or its arrival", choices=STAMPS)
     frame: str = setting("odom", "required frame_id of odometry; '': any", names="frame")
     axis: str = setting("+x", "axis of that frame along which positions increase", choices=AXES)
-    offset: float = setting(0.0, "position where the sensor reads 0, m")
+    offset: float = setting(0.0, "position where the sensor reads 0", unit="m")
     heading_tolerance: float = setting(
-        0.5, "largest angle between the body's x axis and the lane, rad", above=0.0, maximum=1.5
+        0.5, "largest angle between the body's x axis and the lane", unit="rad", above=0.0, maximum=1.5
     )
     joint: Joint = part(Joint, "the joint, with source: joint_state or command: joint")
     reversed: bool = setting(
         default=False, description="with joint_state: whether the body faces the negative direction of the lane"
     )
-    bandwidth: float = setting(100.0, "bandwidth of the differentiation of a joint without velocity, rad/s", above=0.0)
-    max_speed: float = setting(2.0, "largest plausible speed, m/s", above=0.0)
-    max_jump: float = setting(0.01, "difference of two readings allowed in addition to max_speed, m", minimum=0.0)
-    clock_tolerance: float = setting(0.02, "how far in the future a reading may be, s", minimum=0.0)
+    bandwidth: float = setting(
+        100.0, "bandwidth of the differentiation of a joint without velocity", unit="rad/s", above=0.0
+    )
+    max_speed: float = setting(2.0, "largest plausible speed", unit="m/s", above=0.0)
+    max_jump: float = setting(
+        0.01, "difference of two readings allowed in addition to max_speed", unit="m", minimum=0.0
+    )
+    clock_tolerance: float = setting(0.02, "how far in the future a reading may be", unit="s", minimum=0.0)
     age_limit: float = setting(
-        0.1, "age of readings above which a double integrator gets no force command, s", above=0.0
+        0.1, "age of readings above which a double integrator gets no force command", unit="s", above=0.0
     )
     gravity: str = setting(
         "imu", "source of the weight of a double integrator along the plane", choices=("imu", "none")
@@ -109,7 +115,7 @@ class TopicSettings:
             problem = "the orientation in the odometry already states which way the body faces"
             raise SettingError("reversed", problem, "omit it")
 
-    def resolved(self, *, single_integrator: bool) -> TopicSettings:
+    def resolved(self, *, by_force: bool) -> TopicSettings:
         """Return the settings with the command type for the robot's kind, and with the names of all topics.
 
         Raises
@@ -119,17 +125,17 @@ class TopicSettings:
         """
         command = self.command
         if command == "auto":
-            command = "twist" if single_integrator else "force"
-        if command == "twist" and not single_integrator:
+            command = "force" if by_force else "twist"
+        if command == "twist" and by_force:
             raise InputError(
-                "drive.command: a twist is a velocity, but a double integrator is driven by force; use force or joint"
+                "drive.command: a twist is a velocity, but a double integrator is driven by force", "use force or joint"
             )
         return replace(
             self,
             topic=self.topic or MEASURED[self.source],
             command=command,
             command_topic=self.command_topic or COMMANDED[command],
-            gravity="none" if single_integrator else self.gravity,
+            gravity=self.gravity if by_force else "none",
             imu=replace(self.imu, topic=self.imu.topic or MEASURED["imu"]),
         )
 
@@ -149,19 +155,21 @@ class PlaneInstrument:
     stamp: str = setting("header", "time of a reading: its header stamp, or its arrival", choices=STAMPS)
     joint: str = setting("plane_tilt", "joint of the encoder", names="frame")
     scale: float = setting(
-        1.0, "rotation of the plane per unit of the encoder, rad, not 0; negative: it counts backwards"
+        1.0, "rotation of the plane per unit of the encoder, {unit}, not 0; negative: it counts backwards", unit="rad"
     )
     frame: str = setting("imu_link", "required frame_id of the IMU; '': any", names="frame")
     axis: str = setting("-y", "axis of the IMU about which the plane's angle is positive", choices=AXES)
-    offset: float = setting(0.0, "angle of the plane where the sensor reads 0, rad")
+    offset: float = setting(0.0, "angle of the plane where the sensor reads 0", unit="rad")
     differentiate: bool = setting(
         default=False, description="whether the angle is differentiated even if the encoder measures velocity"
     )
-    bandwidth: float = setting(100.0, "bandwidth of the differentiation of the angle, rad/s", above=0.0)
-    age_limit: float = setting(0.05, "age of a reading above which the sensor is silent, s", above=0.0)
-    angle_limit: float = setting(STEEPEST, "largest plausible angle, rad", above=0.0, maximum=STEEPEST)
-    max_rate: float = setting(10.0, "largest plausible angular velocity, rad/s", above=0.0)
-    max_jump: float = setting(0.05, "difference of two readings allowed in addition to max_rate, rad", minimum=0.0)
+    bandwidth: float = setting(100.0, "bandwidth of the differentiation of the angle", unit="rad/s", above=0.0)
+    age_limit: float = setting(0.05, "age of a reading above which the sensor is silent", unit="s", above=0.0)
+    angle_limit: float = setting(STEEPEST, "largest plausible angle", unit="rad", above=0.0, maximum=STEEPEST)
+    max_rate: float = setting(10.0, "largest plausible angular velocity", unit="rad/s", above=0.0)
+    max_jump: float = setting(
+        0.05, "difference of two readings allowed in addition to max_rate", unit="rad", minimum=0.0
+    )
 
     def __post_init__(self) -> None:
         """Reject a scale of 0.

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from swarmabs_core.declaration import same, setting
-from swarmabs_core.messages import EventKind, Message, Messages, SwarmEvent
+from swarmabs_core.events import EventCode
+from swarmabs_core.messages import Message, Messages, SwarmEvent
 from swarmabs_core.pair_role import STANDBY_SUFFIX, PairRole, role_values
 from swarmabs_core.realtime.base import MOST_BACK, Realtime
 
@@ -198,7 +199,7 @@ class Leadership:
 
 
 class Voice:
-    """Passes on what one of a pair says while it leads, and tells that it has begun to; `name` is that of its primary.
+    """Passes on what one of a pair says while it leads, and tells that it has begun to, by events with a code.
 
     Events from the time in which neither spoke are published by the one that then leads.
 
@@ -209,10 +210,11 @@ class Voice:
         at its start. It is also set after `SETTLES` times as many steps, for then perhaps there is nothing to hear.
     """
 
-    def __init__(self, name: str, leadership: Leadership, rank: str) -> None:
+    def __init__(self, begun: EventCode, leadership: Leadership, rank: str) -> None:
         self.leadership = leadership
         self._single = rank == SINGLE
-        self._name = name + STANDBY_SUFFIX if rank == STANDBY else name
+        self._begun = begun
+        self._suffix = STANDBY_SUFFIX if rank == STANDBY else ""
         self._kept: deque[Message] = deque(maxlen=_MOST_KEPT)
         self._leads = False
         self.settled = self._single
@@ -234,8 +236,8 @@ class Voice:
             return ()
         if led:
             return messages
-        detail = f"{self._name}: {self.leadership.why}"
-        kept = (SwarmEvent(now, max(0, step), 0, EventKind.LEADING, 0.0, detail), *self._kept)
+        why = f"{self._suffix}: {self.leadership.why}"
+        kept = (self._begun.event(now, max(0, step), why=why), *self._kept)
         self._kept.clear()
         return (*kept, *messages)
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from swarmabs_core.abstraction import Weight, divided_load, observed
 from swarmabs_core.behaviours.base import at_rest
 from swarmabs_core.declaration import part, same
+from swarmabs_core.events import EventCode
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
     NEVER,
-    OBSERVER_NODE,
     AbstractState,
     AgentState,
     AuxiliaryState,
@@ -36,9 +36,6 @@ from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, MutableMapping
-
-CARRIED_AWAY = "carried away"
-"""`Removal.detail` of an operator."""
 
 
 class Role(Enum):
@@ -164,7 +161,7 @@ class RealtimeObserver:
         self._started = False
         self._under_way_since: int | None = None
         leadership = config.pair.leadership(config.schedule, config.clock_tolerance)
-        self._voice = Voice(OBSERVER_NODE, leadership, config.pair.rank)
+        self._voice = Voice(EventCode.OBSERVER_LEADS, leadership, config.pair.rank)
 
     def tuned(self, config: RealtimeObserverConfig) -> Callable[[], None]:
         """Return a callable that installs the gain of a configuration between two steps."""

@@ -7,18 +7,17 @@ from math import copysign
 from typing import TYPE_CHECKING
 
 from swarmabs_core.declaration import part, same
+from swarmabs_core.events import EventCode
 from swarmabs_core.messages import (
     NEVER,
     AgentState,
     Basis,
-    EventKind,
     Kind,
     Message,
     Messages,
     PlaneState,
     Source,
     Status,
-    SwarmEvent,
     coordinates_of,
 )
 from swarmabs_core.plant import (
@@ -242,6 +241,5 @@ class RealtimePlane:
         speed = self._motion.impact
         if speed is None:
             return ()
-        detail = f"end stop hit with {speed:.4g} rad/s"
         stop = copysign(self._config.end_stop, speed)
-        return (SwarmEvent(now, step, 0, EventKind.LIMIT_HIT, stop, detail),)
+        return (EventCode.END_STOP_HIT.event(now, step, stop, how=f" with {speed:.4g} rad/s"),)

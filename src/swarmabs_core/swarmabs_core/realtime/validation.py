@@ -11,21 +11,20 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from swarmabs_core.declaration import setting
+from swarmabs_core.events import EventCode
 from swarmabs_core.messages import (
     AGENT_STATE,
+    PLANE_KINDS,
+    PLANE_STATUSES,
     AbstractState,
     AgentState,
     AuxiliaryState,
     DesiredAbstractState,
-    EventKind,
-    Kind,
     Message,
     Messages,
     Mode,
     PlaneState,
     StandingState,
-    Status,
-    SwarmEvent,
 )
 from swarmabs_core.realtime.base import Health, Level
 
@@ -56,7 +55,7 @@ FASTEST_TURN = 100.0
 """Largest credible angular velocity of the plane, rad/s: from one end stop to the other within three periods."""
 _NUMERIC = (AbstractState, AuxiliaryState, DesiredAbstractState, AgentState, PlaneState)
 """Messages that consist of numbers."""
-_KINDS, _STATUSES, _MODES = frozenset(Kind), frozenset(Status), frozenset(Mode)
+_KINDS, _STATUSES, _MODES = frozenset(PLANE_KINDS), frozenset(PLANE_STATUSES), frozenset(Mode)
 
 
 class Origin(NamedTuple):
@@ -464,7 +463,8 @@ class Refusals:
             self._since[kind] = count
             return ()
         self._reported[kind], self._since[kind] = now, 0
-        return (SwarmEvent(now, max(0, step), self._agent_id, EventKind.REFUSED, float(count), self.latest),)
+        code = EventCode.REFUSED_BY_ROBOT if self._agent_id else EventCode.REFUSED
+        return (code.event(now, max(0, step), float(count), robot=self._agent_id, detail=self.latest),)
 
     def values(self) -> tuple[tuple[str, str], ...]:
         """Return the values for a health status."""

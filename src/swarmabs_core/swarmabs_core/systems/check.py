@@ -8,12 +8,13 @@ from functools import partial
 from math import inf, isfinite, nan
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from swarmabs_core.errors import InputError, joined, one_line, parts_of
-from swarmabs_core.messages import NEVER, RobotKind, RobotState, RobotStatus, word
+from swarmabs_core.errors import InputError, one_line
+from swarmabs_core.messages import NEVER, Kind, RobotState, Status, word
 from swarmabs_core.registry import PluginError
 from swarmabs_core.sensing import ParentSensor
 from swarmabs_core.systems.desired import Requests
 from swarmabs_core.systems.interface import TABLES, Constant, Need, Quantity, Tracked
+from swarmabs_core.systems.kinds import MODELS
 from swarmabs_core.systems.law import Gram, by_row, motion
 from swarmabs_core.systems.swarm import observed, total
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from swarmabs_core.systems.interface import NamedSystem, Vector
     from swarmabs_core.systems.law import SystemGains
 
-_POSITIVE = {"double_integrator": "mass", "first_order_lag": "time_constant"}  # the constant that a kind needs
 _PLAIN = (bool, int, float, str, tuple, list)
 _STEP, _AGREEMENT = 1e-5, 1e-5  # step of differences in units of the coordinates, and the deviation that they allow
 NEAR = 1e-3
@@ -82,12 +82,12 @@ def generated(system: NamedSystem, number: int, count: int, constants: Mapping[s
     """
     made: Any = system.made
     if not hasattr(made, "generated"):
-        raise InputError(f"{system.type} has no method generated; give ranges of coordinates")
+        raise InputError(f"{system.type} has no method generated", "give ranges of coordinates")
     given, what = constants_of(system, constants), f"generated() of robot {number}"
     try:
         return _numbers(what, len(made.robot), lambda: made.generated(number, count, given))
     except _FaultyError as error:
-        raise InputError(joined(f"parent system {system.type!r}: {error}", error.remedy)) from error
+        raise InputError(f"parent system {system.type!r}: {error}", error.remedy) from error
 
 
 def constants_of(system: NamedSystem, given: Mapping[str, float]) -> Vector:
@@ -101,7 +101,7 @@ def initial_states(system: NamedSystem, robots: Sequence[Any]) -> list[RobotStat
     rest = (0.0,) * len(system.made.robot)
     states = []
     for robot in robots:
-        head = 0, 0, system.hash, NEVER, robot.id, RobotKind[robot.kind.upper()], RobotStatus.ACTIVE
+        head = 0, 0, system.hash, NEVER, robot.id, Kind.of(robot.kind), Status.ACTIVE
         given = robot.coordinates, robot.velocities or rest, rest, constants_of(system, robot.constants)
         states.append(RobotState(*head, *given))
     return states
@@ -148,8 +148,7 @@ def _called(what: str, call: Callable[[], Any], *, pure: bool = True) -> Any:
     except PluginError:
         raise
     except InputError as error:
-        problem, remedy = parts_of(error)
-        raise _FaultyError(problem, *filter(None, [remedy])) from error
+        raise _FaultyError(error.problem, *filter(None, [error.remedy])) from error
     except Exception as error:
         raise _FaultyError(f"{what} raises {one_line(error)}") from error
     if isinstance(found, _PLAIN) and repr(found) != repr(again):  # equal numbers have equal representations
@@ -241,7 +240,7 @@ def _of_lists(made: Any, requests: Requests, sensor: ParentSensor) -> Iterator[P
 def _of_robot(system: NamedSystem, index: int, robot: Any) -> Iterator[Problem]:
     """Yield what is wrong with a robot of the scenario."""
     made, where, kind = system.made, ("swarm", "agents", index), robot.kind
-    names, size, needed = [row.name for row in made.constants], len(made.robot), _POSITIVE.get(robot.kind, "")
+    names, size, needed = [row.name for row in made.constants], len(made.robot), MODELS[Kind.of(robot.kind)].constant
     for name in robot.constants.keys() - set(names):
         near = get_close_matches(name, names, n=1)
         remedy = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"
@@ -262,7 +261,7 @@ def _of_robot(system: NamedSystem, index: int, robot: Any) -> Iterator[Problem]:
         if not one.low <= x <= one.high:
             text = f"{x!r} {one.unit} is out of the range of {one.name}"
             yield (*where, "coordinates"), text, f"give a number from {one.low!r} to {one.high!r}"
-    if kind != "double_integrator" and any(robot.velocities):
+    if not Kind.of(kind).by_force and any(robot.velocities):
         yield (*where, "velocities"), f"not applicable to robots of kind {kind}", "omit them"
 
 
@@ -367,7 +366,7 @@ def _contribution(made: Any, robot: RobotState) -> Vector:
     _positive(f"weight() {of}", lambda: made.weight(constants))
     _numbers(f"own_motion() {of}", d, lambda: made.own_motion(q, constants))
     if hasattr(made, "limits"):
-        kind = word(RobotKind(robot.kind))
+        kind = word(Kind(robot.kind))
         bounds = _called(what := f"limits() {of}", lambda: made.limits(constants, kind))
         if _called(what, lambda: [a <= b for a, b in zip(*bounds, strict=True)]) != [True] * d:
             raise _FaultyError(f"{what} is {_shown(bounds)}; it must be two tuples of {d}, low <= high")

@@ -17,7 +17,7 @@ import numpy as np
 from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.errors import one_line
 from swarmabs_core.systems.interface import NamedSystem
-from swarmabs_core.systems.law import RobotDynamics
+from swarmabs_core.systems.kinds import RobotDynamics
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

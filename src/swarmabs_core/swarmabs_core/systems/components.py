@@ -5,14 +5,12 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from swarmabs_core.messages import Field, ParentState, RobotKind, fields_of
+from swarmabs_core.messages import Field, ParentState, fields_of
 from swarmabs_core.systems.interface import Quantity
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from swarmabs_core.messages import Message
-    from swarmabs_core.systems.interface import ParentSystem, SystemTables
+    from swarmabs_core.systems.interface import SystemTables
 
 _TABLES = {
     "state": ("parent", 0),
@@ -56,17 +54,6 @@ def components(system: SystemTables, message: type[Message]) -> dict[str, tuple[
     return found
 
 
-def labelled(labels: Mapping[str, str], system: SystemTables | ParentSystem) -> dict[str, str]:
-    """Return the labels of figures of a run on the plane, such as ``rms error, rad``, for another parent system."""
-    units, robots = {row.name: row.unit for row in system.parent}, {row.unit for row in system.robot}
-    shown = (system.tracked or system.parent)[0].name
-    reach = f"coordinate|, {robots.pop()}" if len(robots) == 1 else "coordinate|"
-    found = {
-        name: text.replace("position|, m", reach).replace("|angle|", f"|{shown}|") for name, text in labels.items()
-    }
-    return {name: text.replace(", rad", f", {units[shown]}") for name, text in found.items()}
-
-
 def derived(unit: str, times: int = 1) -> str:
     """Return the unit of a derivative by time, such as ``N m/s`` for ``N m`` and ``m/s^2`` for ``m/s``."""
     if not times:
@@ -74,10 +61,3 @@ def derived(unit: str, times: int = 1) -> str:
     base, power = re.fullmatch(r"(.*?)(?:/s(?:\^(\d+))?)?", unit).groups()  # type: ignore[union-attr]  # always matches
     times += 0 if base == unit else int(power or 1)
     return f"{base}/s" if times == 1 else f"{base}/s^{times}"
-
-
-def command_unit(kind: RobotKind, unit: str) -> str:
-    """Return the unit of a robot's command along a coordinate in `unit`, such as ``N`` of a force along ``m``."""
-    if kind is RobotKind.DOUBLE_INTEGRATOR:
-        return "N" if unit == "m" else f"kg {derived(unit, 2)}"
-    return derived(unit) if kind is RobotKind.SINGLE_INTEGRATOR else unit

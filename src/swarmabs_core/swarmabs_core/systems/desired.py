@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 from swarmabs_core.declaration import setting
 from swarmabs_core.desired_state import BANDWIDTH, GROWTH, TRANSITION, CommandFilter
 from swarmabs_core.errors import RunError
-from swarmabs_core.messages import EventKind, Messages, Mode, SwarmDesired, SwarmEvent
+from swarmabs_core.events import EventCode
+from swarmabs_core.messages import Messages, Mode, SwarmDesired
 from swarmabs_core.systems.interface import Standing
 from swarmabs_core.systems.law import Remainder, by_row
 
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from swarmabs_core.systems.interface import NamedSystem, Need, ParentSystem, Vector
     from swarmabs_core.systems.law import SystemGains
 
-NEED_LIMITED = "{} limited"
-"""`SwarmEvent.detail` where the limit of a need begins to act."""
 _SHORT = 0.1
 """Time, in control periods, over which the completion is differentiated; exact where it has degree 2."""
 
@@ -36,7 +35,7 @@ class Requests:
     """How the needs of a controller become requests: limited to ranges, and filtered."""
 
     bandwidth: float = setting(
-        BANDWIDTH, "corner frequency of the critically damped filter of the needs, rad/s", above=0.0
+        BANDWIDTH, "corner frequency of the critically damped filter of the needs", unit="rad/s", above=0.0
     )
     low: tuple[float, ...] = setting(
         (), "lowest needs, within the ranges of the system; none: those of the system", item=0.0
@@ -219,8 +218,7 @@ class SystemDesiredState:
         for n, need in enumerate(self._needs):
             before, self._clipped[n] = self._clipped[n], raw[n] != command[n]
             if self._clipped[n] and not before:
-                detail = NEED_LIMITED.format(need.name)
-                events.append(SwarmEvent(stamp, step, 0, EventKind.LIMIT_HIT, raw[n], detail))
+                events.append(EventCode.NEED_LIMITED.event(stamp, step, raw[n], need=need.name))
         return tuple(events)
 
 

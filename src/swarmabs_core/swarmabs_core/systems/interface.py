@@ -49,6 +49,11 @@ class Quantity(NamedTuple):
     low: float = -inf
     high: float = inf
 
+    @property
+    def label(self) -> str:
+        """Name and unit, such as ``position, m``."""
+        return ", ".join(filter(None, (self.name, self.unit)))
+
 
 class Constant(NamedTuple):
     """A constant of each robot: name, SI unit, and default; without one, every robot needs a value.

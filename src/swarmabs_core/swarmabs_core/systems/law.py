@@ -19,18 +19,17 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from math import exp, expm1, inf, sqrt
-from typing import TYPE_CHECKING, NamedTuple
+from math import inf, sqrt
+from typing import TYPE_CHECKING
 
+from swarmabs_core.abstraction import damped
 from swarmabs_core.declaration import setting
-from swarmabs_core.drive import DoubleIntegratorDrive
-from swarmabs_core.messages import RobotKind, word
+from swarmabs_core.messages import Kind, word
 from swarmabs_core.summation import added
+from swarmabs_core.systems.kinds import MODELS, RobotDynamics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-
-    from typing_extensions import Self
 
     from swarmabs_core.messages import SwarmAbstract, SwarmBroadcast, SwarmDesired
     from swarmabs_core.systems.interface import Matrix, NamedSystem, ParentSystem, Quantity, Vector
@@ -39,17 +38,18 @@ SINGULAR = 1e-12
 """Smallest pivot of a Gram matrix with which a run may start, in units of its largest diagonal entry, both scaled."""
 LEAST_PIVOT = 1e-8
 """Pivot in the same units below which the row of the abstract state is no longer fully controlled."""
-_LEAST = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class SystemGains:
     """Gains of the robots' laws on any parent system: one number, or one for each row of the abstract state."""
 
-    k: tuple[float, ...] = setting((5.0,), "K of single integrators and lags, 1/s, one or by row", above=0.0)
-    kp: tuple[float, ...] = setting((16.0,), "Kp of double integrators, 1/s^2, one or by row", above=0.0)
-    kd: tuple[float, ...] = setting((8.0,), "Kd of double integrators, 1/s, one or by row", above=0.0)
-    sigma: float = setting(1.0, "damping of motion that the abstract state does not see, 1/s", above=0.0)
+    k: tuple[float, ...] = setting(
+        (5.0,), "K of single integrators and lags, {unit}, one or by row", unit="1/s", above=0.0
+    )
+    kp: tuple[float, ...] = setting((16.0,), "Kp of double integrators, {unit}, one or by row", unit="1/s^2", above=0.0)
+    kd: tuple[float, ...] = setting((8.0,), "Kd of double integrators, {unit}, one or by row", unit="1/s", above=0.0)
+    sigma: float = setting(1.0, "damping of motion that the abstract state does not see", unit="1/s", above=0.0)
 
 
 class Gram:
@@ -96,7 +96,7 @@ class Gram:
                 row.append((scaled[i][j] - explained) / self._damped[j] if self._damped[j] else 0.0)
             pivot = scaled[i][i] - sum(row[n] * row[n] * self._damped[n] for n in range(i))
             self.pivots.append(pivot)
-            self._damped.append(pivot if pivot > edge else edge * edge / max(pivot, _LEAST * edge) if edge else 0.0)
+            self._damped.append(pivot if pivot > edge else damped(pivot, edge) if edge else 0.0)
             self._factors.append(row)
         self.uncontrolled = [i for i, pivot in enumerate(self.pivots) if not pivot > SINGULAR * self._largest]
 
@@ -170,50 +170,6 @@ def by_row(gain: Sequence[float], size: int) -> tuple[float, ...]:
     return tuple(gain) if len(gain) == size else (gain[0],) * size
 
 
-class RobotDynamics(NamedTuple):
-    """The numbers of a robot that do not change: its constants, and how it moves over a control period.
-
-    Attributes
-    ----------
-    constants : tuple of float
-        In the order of the system.
-    weight : float
-        Weight W of its motion.
-    mass, damping : float
-        Of a double integrator, kg and N s/m.
-    gain : float
-        Of a double integrator, force per mean acceleration, kg; of a lag, step of the command per mean velocity, s.
-    time_constant, decay : float
-        Of a lag, s, and the share of its gap that remains after a period.
-    drive : DoubleIntegratorDrive
-        Of a double integrator.
-    """
-
-    constants: Vector
-    weight: float
-    mass: float = 1.0
-    damping: float = 0.0
-    gain: float = 1.0
-    time_constant: float = 1.0
-    decay: float = 0.0
-    drive: DoubleIntegratorDrive = DoubleIntegratorDrive(1.0, 0.0, 0.0, 0.0)
-
-    @classmethod
-    def of(cls, system: NamedSystem, kind: RobotKind, constants: Vector, period: float) -> Self:
-        """Return those of a robot of a kind, for a control period, s."""
-        weight = system.made.weight(constants)
-        if kind is RobotKind.SINGLE_INTEGRATOR:
-            return cls(constants, weight)
-        if kind is RobotKind.FIRST_ORDER_LAG:
-            time_constant = system.constant(constants, "time_constant", 1.0)
-            ratio = -period / time_constant
-            return cls(constants, weight, gain=period / -expm1(ratio), time_constant=time_constant, decay=exp(ratio))
-        mass, damping = system.constant(constants, "mass", 1.0), system.constant(constants, "damping")
-        z = damping * period / mass
-        gain = mass * (z / -expm1(-z) if z else 1.0)
-        return cls(constants, weight, mass, damping, gain, drive=DoubleIntegratorDrive.of(period, mass, damping))
-
-
 class RobotLaw:
     """The law of one robot, its motion over a control period (s), and the effort bound of the swarm.
 
@@ -231,7 +187,7 @@ class RobotLaw:
     def __init__(
         self,
         system: NamedSystem,
-        kind: RobotKind,
+        kind: Kind,
         constants: Vector,
         gains: SystemGains,
         period: float,
@@ -243,7 +199,8 @@ class RobotLaw:
         size = len(self.system.abstract)
         self._k, self._kp, self._kd = (by_row(gain, size) for gain in (gains.k, gains.kp, gains.kd))
         self._sigma, self._second_order, self._effort = gains.sigma, second_order, effort
-        self.dynamics = RobotDynamics.of(system, kind, constants, period)
+        self._model = MODELS[kind]
+        self.dynamics = self._model.dynamics(system, constants, period)
 
     def on(self, system: ParentSystem, dynamics: RobotDynamics) -> RobotLaw:
         """Return the same law for another robot of the kind, given by its numbers, on an equal system."""
@@ -265,7 +222,7 @@ class RobotLaw:
         gram = Gram(lower, self.system.abstract)
         if gram.empty:
             return None
-        force = self._kind is RobotKind.DOUBLE_INTEGRATOR
+        force = self._kind.by_force
         second_order = force and self._second_order
         if second_order:
             right = self._acceleration(abstract, desired, auxiliary.curvature)
@@ -327,20 +284,11 @@ class RobotLaw:
 
     def command(self, q: Vector, velocity: Vector, rate: Vector) -> Vector:
         """Return the command (d,) that, held for a period, gives the rate of the law."""
-        if self._kind is RobotKind.SINGLE_INTEGRATOR:
-            return rate
-        own = self.dynamics
-        if self._kind is RobotKind.FIRST_ORDER_LAG:
-            return tuple(x + own.gain * v for x, v in zip(q, rate, strict=True))
-        return tuple(own.damping * v + own.gain * a for v, a in zip(velocity, rate, strict=True))
+        return self._model.command(self.dynamics, q, velocity, rate)
 
     def brake(self, q: Vector, velocity: Vector, time: float) -> Vector:
         """Return the command (d,) that brings the robot to rest, a double integrator with a time constant (s)."""
-        if self._kind is RobotKind.FIRST_ORDER_LAG:
-            return q
-        if self._kind is RobotKind.SINGLE_INTEGRATOR:
-            return (0.0,) * len(q)
-        return tuple(-self.dynamics.mass * v / time for v in velocity)
+        return self._model.brake(self.dynamics, q, velocity, time)
 
     def limited(self, command: Vector) -> Vector:
         """Return a command (d,) within the limits of the robot, if the system declares limits."""
@@ -352,15 +300,7 @@ class RobotLaw:
 
     def advance(self, q: Vector, velocity: Vector, command: Vector) -> tuple[Vector, Vector]:
         """Return coordinates and velocities, (d,) each, one period later under a command (d,)."""
-        period = self._period
-        if self._kind is RobotKind.SINGLE_INTEGRATOR:
-            return tuple(x + u * period for x, u in zip(q, command, strict=True)), command
-        if self._kind is RobotKind.FIRST_ORDER_LAG:
-            decay = self.dynamics.decay
-            after = tuple(u + (x - u) * decay for x, u in zip(q, command, strict=True))
-            return after, tuple((u - x) / self.dynamics.time_constant for x, u in zip(after, command, strict=True))
-        moved = [self.dynamics.drive.advance(x, v, u) for x, v, u in zip(q, velocity, command, strict=True)]
-        return tuple(x for x, _ in moved), tuple(v for _, v in moved)
+        return self._model.advance(self.dynamics, q, velocity, command, self._period)
 
     def held_rate(self, q: Vector, command: Vector) -> Vector:
         """Return the mean velocities (d,) of a single integrator or a lag in the next period under a command (d,)."""

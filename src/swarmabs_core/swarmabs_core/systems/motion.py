@@ -6,9 +6,10 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from swarmabs_core.errors import RunError, one_line
-from swarmabs_core.messages import RobotKind
-from swarmabs_core.plant import substeps
+from swarmabs_core.messages import Kind
+from swarmabs_core.plant import bends, substeps
 from swarmabs_core.summation import exact_sum
+from swarmabs_core.systems.kinds import MODELS, STRAIGHT
 from swarmabs_core.systems.swarm import along, total
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ class ParentMotion:
 
     def __init__(self, system: NamedSystem, period: float, add: Add = exact_sum) -> None:
         self._system, self._period, self._add = system.made, period, add
-        self._constant = system.constant
+        self._named = system
         self._count = substeps(period, self._system.substep)
 
     def advance(
@@ -83,33 +84,16 @@ class ParentMotion:
         pairs = tuple(robots)
         start = total((made.contribution(a.coordinates, a.constants) for a, _ in pairs), size, add)
         end = total((made.contribution(b.coordinates, b.constants) for _, b in pairs), size, add)
-        slopes = [self._slopes(a, b) for a, b in pairs]
+        slopes = [MODELS.get(b.kind, STRAIGHT).slopes(self._named, a, b, self._period) for a, b in pairs]
         moving = list(zip(pairs, slopes, strict=True))
         d0 = total((along(made.jacobian(a.coordinates, a.constants), v) for (a, _), (v, _) in moving), size, add)
         d1 = total((along(made.jacobian(b.coordinates, b.constants), v) for (_, b), (_, v) in moving), size, add)
-        found = []
-        for a, b, u, v in zip(start, end, d0, d1, strict=True):
-            rise = b - a
-            found.append((a, u, 3.0 * rise - 2.0 * u - v, u + v - 2.0 * rise))
-        return found
-
-    def _slopes(self, start: RobotState, end: RobotState) -> tuple[Vector, Vector]:
-        """Return the velocities of a robot at both ends of a period, times the period."""
-        period = self._period
-        if end.kind == RobotKind.DOUBLE_INTEGRATOR:
-            return tuple(v * period for v in start.velocities), tuple(v * period for v in end.velocities)
-        before, after = start.coordinates, end.coordinates
-        if end.kind == RobotKind.FIRST_ORDER_LAG:
-            gain = period / self._constant(end.constants, "time_constant", 1.0)
-            first, last = (tuple(gain * (u - x) for u, x in zip(end.command, q, strict=True)) for q in (before, after))
-            return first, last
-        moved = tuple(b - a for a, b in zip(before, after, strict=True))
-        return moved, moved
+        return [(a, u, *bends(u, v, b - a)) for a, b, u, v in zip(start, end, d0, d1, strict=True)]
 
 
 def standing(state: RobotState) -> RobotState:
     """Return the state at the end of a period in which a robot does not move."""
-    return state._replace(kind=RobotKind.SINGLE_INTEGRATOR)
+    return state._replace(kind=Kind.SINGLE_INTEGRATOR)
 
 
 def _moved(x: Vector, h: float, slope: Vector) -> Vector:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmabs_core.messages import RobotStatus, StandingState, SwarmAbstract, SwarmAuxiliary
+from swarmabs_core.messages import StandingState, Status, SwarmAbstract, SwarmAuxiliary
 from swarmabs_core.summation import added, exact_sum
 from swarmabs_core.systems.law import gram_of
 
@@ -66,7 +66,7 @@ def observed(
         rate = along(jacobian, velocity)
         values.append(made.contribution(q, constants))
         rates.append(rate)
-        if robot.status == RobotStatus.ACTIVE:
+        if robot.status == Status.ACTIVE:
             grams.append(gram_of(jacobian, made.weight(constants)))
             drifts.append(along(jacobian, made.own_motion(q, constants)))
         else:
@@ -96,7 +96,7 @@ def divided(system: NamedSystem, stamp: int, step: int, robots: Sequence[RobotSt
     made = system.made
     parts: tuple[list[RobotState], list[RobotState]] = [], []
     for robot in robots:
-        parts[robot.status in (RobotStatus.ACTIVE, RobotStatus.LIMITED)].append(robot)
+        parts[robot.status in (Status.ACTIVE, Status.LIMITED)].append(robot)
     size = len(made.abstract)
     standing, moving = (total((made.contribution(r.coordinates, r.constants) for r in part), size) for part in parts)
     still, active = (total((r.constants for r in part), len(made.constants)) for part in parts)

@@ -21,7 +21,6 @@ from scipy.linalg import expm
 from swarmabs_core.controllers import Arise, StateFeedback
 from swarmabs_core.desired_state import BANDWIDTH
 from swarmabs_core.drive import DoubleIntegratorDrive
-from swarmabs_core.messages import Kind
 from swarmabs_core.theory.report import Condition, Form
 
 if TYPE_CHECKING:
@@ -241,7 +240,7 @@ def _added_damping(setting: Setting) -> Condition:
     limits = [
         (largest_period(added_damping_loop(robot.mass, robot.damping, ksd)), robot.agent_id)
         for robot in setting.robots
-        if robot.kind is Kind.DOUBLE_INTEGRATOR
+        if robot.kind.by_force
     ]
     least, slowest = min(limits)
     return Condition(

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.linalg import schur, solve_discrete_lyapunov
 
 from swarmabs_core.errors import RunError, one_line
-from swarmabs_core.messages import NEVER, ParentState, RobotKind, RobotState, RobotStatus, SwarmBroadcast
+from swarmabs_core.messages import NEVER, ParentState, RobotState, Status, SwarmBroadcast
 from swarmabs_core.systems.check import NEAR, approach
 from swarmabs_core.systems.desired import Requests, SystemDesiredState
 from swarmabs_core.systems.law import SINGULAR, RobotLaw, by_row
@@ -62,7 +62,7 @@ class SystemSetting:
     @cached_property
     def states(self) -> list[RobotState]:
         """The robots at step 0."""
-        return [robot.body().state(0, NEVER, RobotStatus.ACTIVE) for robot in self.robots]
+        return [robot.body().state(0, NEVER, Status.ACTIVE) for robot in self.robots]
 
 
 class ClosedLoop:
@@ -80,7 +80,7 @@ class ClosedLoop:
             for r in setting.robots
         ]
         self._motion = ParentMotion(one.named, self._ns / 1e9)
-        self._forces = [n for n, each in enumerate(setting.robots) if each.kind is RobotKind.DOUBLE_INTEGRATOR]
+        self._forces = [n for n, each in enumerate(setting.robots) if each.kind.by_force]
         goal = dict(zip((row.name for row in made.tracked), made.reference(0.0), strict=True))
         x = [goal.get(row.name, value) for row, value in zip(made.parent, made.initial, strict=True)]
         near = tuple(value + 1e-3 * row.scale for value, row in zip(x, made.parent, strict=True))
@@ -225,12 +225,12 @@ def _linearised(setting: SystemSetting) -> Iterator[Condition]:
     seen = [abs(root) for root in roots.tolist() if _is_seen(root.real, root.imag)]
     form = Form("spectral radius of one step at rest < 1", max(seen, default=0.0), 1.0, "<")
     yield Condition("loop", None, form, {"numbers": len(roots), "unseen": len(roots) - len(seen)})
-    if all(robot.kind is not RobotKind.DOUBLE_INTEGRATOR for robot in setting.robots):
+    if not any(robot.kind.by_force for robot in setting.robots):
         yield from _margins(setting, loop, state, slope)
 
 
 def _loops(setting: SystemSetting) -> Iterator[tuple[str, Loop, str]]:
-    gains, forces = setting.robots[0].gains, {robot.kind is RobotKind.DOUBLE_INTEGRATOR for robot in setting.robots}
+    gains, forces = setting.robots[0].gains, {robot.kind.by_force for robot in setting.robots}
     second_order = True in forces and setting.robots[0].force_law != "velocity"
     if False in forces or not second_order:
         yield "first order", single_integrator_loop(max(gains.k)), "e[k+1] = e[k] - K h e[k-n], largest K"

@@ -32,7 +32,8 @@ PARAMETERS = (
     Parameter(
         "step_seconds",
         0.0,
-        "shortest wall time of a step, s; 0: as fast as possible",
+        "shortest wall time of a step, {unit}; 0: as fast as possible",
+        unit="s",
         minimum=0.0,
         maximum=SLOWEST_STEP,
     ),

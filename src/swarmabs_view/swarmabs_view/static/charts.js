@@ -1,6 +1,7 @@
 // Curves over time, drawn by uPlot (third_party/uplot).
 import { minus, roles, systemCharts, titled } from "./description.js";
-import { KIND_COLOURS, colours, eventColour, short } from "./drawing.js";
+import { colours, eventColour, short } from "./drawing.js";
+import { KINDS } from "./kinds.js";
 
 const HEIGHT = 155;
 const SPACE = 20; // px between two labels on the left, at least
@@ -129,7 +130,7 @@ export class Charts {
     const { labels, bands } = this.positions;
     const kinds = new Map(this.robots.map((robot) => [`robot ${robot.id}`, robot.kind]));
     const side = (index) => SIDES[Math.floor(index / PERCENTILES)];
-    const lines = labels.map((label, index) => ({ label, colour: bands ? side(index) : KIND_COLOURS[kinds.get(label)], dash: DASHES[label.split(": ")[1]] }));
+    const lines = labels.map((label, index) => ({ label, colour: bands ? side(index) : KINDS[kinds.get(label)]?.colour, dash: DASHES[label.split(": ")[1]] }));
     const what = this.system ? titled(roles(this.system).robot[this.coordinate]) : "positions, m";
     const title = bands ? `${what}: by side of the start, median, 50 and 90 %, extremes` : what;
     const areas = SIDES.flatMap((fill, one) => BANDS.map(([high, low, opacity]) => [high + one * PERCENTILES, low + one * PERCENTILES, fill, opacity]));

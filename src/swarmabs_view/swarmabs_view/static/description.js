@@ -1,14 +1,11 @@
 // What the page shows of a parent system other than the plane, by the description in the message "system".
 
+import { KINDS } from "./kinds.js";
+
 const COLOURS = ["angle", "error", "torque", "inertia", "di", "si"];
 const DASH = [8, 5];
 const MARGIN = 0.002; // around the abstract state, in scales of a row, at least
 const FIELDS = { coordinates: "", velocities: "rate of ", command: "command " };
-const COMMANDS = {
-  single_integrator: (unit) => `${unit}/s`,
-  double_integrator: (unit) => (unit === "m" ? "N" : `kg ${unit}/s²`),
-  first_order_lag: (unit) => unit,
-};
 
 const words = (name) => name.replaceAll("_", " ");
 export const united = (text, unit) => [text, unit.replaceAll("^2", "²").replaceAll("^3", "³")].filter((one) => one && one !== "1").join(", ");
@@ -70,7 +67,7 @@ export function systemNumbers(system) {
 // The columns of the table of robots: constants of a robot, and fields of its state.
 export function systemColumns({ robots, system }) {
   const { robot: coordinates, constant } = roles(system);
-  const units = (unit) => [...new Set(robots.map(({ kind }) => COMMANDS[kind](unit)))].join(" or ");
+  const units = (unit) => [...new Set(robots.map(({ kind }) => KINDS[kind].command(unit)))].join(" or ");
   const of = { coordinates: (unit) => unit, velocities: (unit) => `${unit}/s`, command: units };
   return {
     constants: constant.map((one, index) => [titled(one), (_, robot) => system.constants[robot]?.[index] ?? null]),

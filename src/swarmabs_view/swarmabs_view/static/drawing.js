@@ -10,7 +10,6 @@ const TITLE = 26; // px of it for the title, ticks and gaps
 const BOTTOM = 34;
 const TOP = 10;
 const RIGHT = 12;
-export const KIND_COLOURS = { single_integrator: "si", double_integrator: "di", first_order_lag: "inertia" };
 let found = null;
 window.addEventListener("themechange", () => {
   found = null;

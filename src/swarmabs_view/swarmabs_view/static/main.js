@@ -4,6 +4,7 @@ import { Charts } from "./charts.js";
 import { Connection, VERSION } from "./connection.js";
 import { Controls } from "./controls.js";
 import { capital } from "./description.js";
+import { KINDS, PLANE_KINDS, legend } from "./kinds.js";
 import { SteeringPanel } from "./steering.js";
 import { SystemView } from "./system.js";
 import { Coordinators, Events, More, Numbers, Processes, Robots } from "./tables.js";
@@ -28,6 +29,7 @@ const controls = new Controls((message) => connection.send(message));
 const steering = new SteeringPanel((message) => connection.send(message));
 const charts = new Charts((time) => controls.seekTime(time));
 new More();
+document.querySelector("#plane-panel .legend").prepend(...legend());
 
 function take(message) {
   if (message.type === "hello") {
@@ -103,8 +105,8 @@ function describe() {
   element("zoom").hidden = Boolean(system);
   const crowded = plane.crowded(hello);
   const shown = { each: !crowded, crowd: crowded, sets: !system, limited: system };
-  for (const kind of ["single_integrator", "double_integrator", "first_order_lag"]) {
-    shown[kind] = system ? all.some((robot) => robot.kind === kind) : kind !== "first_order_lag";
+  for (const kind of Object.keys(KINDS)) {
+    shown[kind] = system ? all.some((robot) => robot.kind === kind) : PLANE_KINDS.includes(kind);
   }
   for (const [group, visible] of Object.entries(shown)) {
     document.querySelectorAll(`.legend li.${group}`).forEach((item) => {

@@ -1,8 +1,8 @@
 // The tilting plane in oblique view, with one lane per robot.
-import { KIND_COLOURS, colours, prepared, short, ticks } from "./drawing.js";
+import { colours, prepared, short, ticks } from "./drawing.js";
+import { KINDS, outline } from "./kinds.js";
 import { STATUS } from "./tables.js";
 
-const FULL = 2 * Math.PI;
 const CROWD = 60; // above this number of robots, draw their density
 const BINS = 48;
 const NEAR = 5; // px around a robot within which the pointer selects it
@@ -169,7 +169,7 @@ export class PlaneView {
         return;
       }
       const bin = Math.min(Math.max(Math.floor(((position + half) / (2 * half)) * BINS), 0), BINS - 1);
-      const kind = robot.kind === "single_integrator" ? "si" : "di";
+      const kind = KINDS[robot.kind].colour;
       bins[bin][status === "active" ? kind : "other"] += 1;
     });
     const most = Math.max(1, ...bins.map((bin) => bin.si + bin.di + bin.other));
@@ -235,17 +235,9 @@ export class PlaneView {
 
   robot(context, x, y, size, kind, status, colour) {
     context.beginPath();
-    if (kind === "single_integrator") {
-      context.arc(x, y, size, 0, FULL);
-    } else if (kind === "first_order_lag") {
-      const far = 1.25 * size; // a diamond of the same area
-      [[-far, 0], [0, -far], [far, 0], [0, far], [-far, 0]].forEach(([dx, dy]) => context.lineTo(x + dx, y + dy));
-    } else {
-      const side = size * Math.sqrt(Math.PI); // a square of the same area
-      context.rect(x - side / 2, y - side / 2, side, side);
-    }
+    outline(context, kind, x, y, size);
     if (status === "active" || status === "limited") {
-      context.fillStyle = colour[KIND_COLOURS[kind]];
+      context.fillStyle = colour[KINDS[kind].colour];
       context.fill();
       context.lineWidth = status === "limited" ? 4 : 1;
       context.strokeStyle = status === "limited" ? colour.error : colour.ink;

@@ -1,12 +1,12 @@
 // Numbers, robots, events and processes as text. Data from outside is always set as text, never as markup.
 import { difference, systemColumns, systemNumbers } from "./description.js";
 import { short } from "./drawing.js";
+import { KINDS } from "./kinds.js";
 
 const ROBOTS_INTERVAL = 250; // ms
 const FEW = 24; // largest number of robots whose table is open initially
 const MOST_EVENTS = 1000;
 const LONGEST_DETAIL = 200; // characters
-const KINDS = { single_integrator: "velocity (SI)", double_integrator: "force (DI)", first_order_lag: "lag" };
 export const STATUS = { active: "active", safe_stop: "safe stop", left: "left", dead: "dead", silent: "silent", limited: "limited" };
 const BAD = new Set(["stopped", "zombie", "dead", "gone", "tracing-stop"]);
 
@@ -133,7 +133,7 @@ export class Robots {
     this.rows = hello.robots.map((robot, index) => {
       const row = this.body.insertRow();
       cell(row, "th").textContent = String(robot.id);
-      cell(row).textContent = KINDS[robot.kind];
+      cell(row).textContent = KINDS[robot.kind].words;
       for (const [, of] of constants) {
         const constant = document.createElement("data");
         show(constant, of(robot, index));
@@ -172,25 +172,13 @@ export class Robots {
   }
 }
 
-// The unit of an event's value, where it is known, by what reached its limit or was set.
+// The unit of an event's value, where it is known, with a space before it.
 function unit(event, kinds) {
-  const begins = (text) => event.detail.startsWith(text);
   if (!kinds) {
     return ""; // of another parent system
   }
-  if (event.kind === "STEERING") {
-    return { reference: " rad", disturbance: " N m" }[event.detail] ?? "";
-  }
-  if (event.kind !== "LIMIT_HIT") {
-    return { JOINED: " m", LEFT: " m", DEAD: " m", STALLED: " s" }[event.kind] ?? "";
-  }
-  if (!event.agent) {
-    return begins("torque limited") ? " N m" : begins("end stop") ? " rad" : "";
-  }
-  if (/(out of|back in) range/.test(event.detail) || begins("off the plane")) {
-    return " m";
-  }
-  return begins("command limited") ? { single_integrator: " m/s", double_integrator: " N" }[kinds.get(event.agent)] ?? "" : "";
+  const name = event.unit === "command" ? KINDS[kinds.get(event.agent)]?.command("m") : event.unit;
+  return name ? ` ${name}` : "";
 }
 
 // The value of an event, if it has one: 0 is a value only where a setting returns to it.

@@ -176,7 +176,7 @@ class Scene:
     @classmethod
     def of(cls, scenario: Scenario) -> Scene:
         """Return the scene of a scenario whose robots are listed."""
-        robots = [(agent.id, int(Kind[agent.kind.upper()]), agent.mass) for agent in scenario.agents]
+        robots = [(agent.id, int(Kind.of(agent.kind)), agent.mass) for agent in scenario.agents]
         return cls(scenario.plane.length, robots, scenario.manifold.torque_max)
 
     def frame(self, swarm: SwarmState) -> Frame | None:

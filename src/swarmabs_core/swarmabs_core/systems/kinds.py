@@ -1,0 +1,180 @@
+"""The kinds of robots on any parent system: how each moves under a command, and what its command is.
+
+A further kind is a class here and a constant `Kind`; laws, motion, checks and units follow.
+"""
+
+from __future__ import annotations
+
+from math import exp, expm1
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmabs_core.drive import DoubleIntegratorDrive
+from swarmabs_core.messages import Kind
+from swarmabs_core.systems.components import derived
+
+if TYPE_CHECKING:
+    from swarmabs_core.messages import RobotState
+    from swarmabs_core.systems.interface import NamedSystem, Vector
+
+
+class RobotDynamics(NamedTuple):
+    """The numbers of a robot that do not change: its constants, and how it moves over a control period.
+
+    Attributes
+    ----------
+    constants : tuple of float
+        In the order of the system.
+    weight : float
+        Weight W of its motion.
+    mass, damping : float
+        Of a double integrator, kg and N s/m.
+    gain : float
+        Of a double integrator, force per mean acceleration, kg; of a lag, step of the command per mean velocity, s.
+    time_constant, decay : float
+        Of a lag, s, and the share of its gap that remains after a period.
+    drive : DoubleIntegratorDrive
+        Of a double integrator.
+    """
+
+    constants: Vector
+    weight: float
+    mass: float = 1.0
+    damping: float = 0.0
+    gain: float = 1.0
+    time_constant: float = 1.0
+    decay: float = 0.0
+    drive: DoubleIntegratorDrive = DoubleIntegratorDrive(1.0, 0.0, 0.0, 0.0)
+
+
+class RobotModel:
+    """The motion of robots of a kind, without state: this one is the single integrator, q' = u."""
+
+    constant = ""
+    """The constant of a robot that must be positive."""
+
+    def dynamics(self, system: NamedSystem, constants: Vector, period: float) -> RobotDynamics:
+        """Return the numbers of a robot for a control period, s."""
+        del period
+        return RobotDynamics(constants, system.made.weight(constants))
+
+    def command(self, own: RobotDynamics, q: Vector, velocity: Vector, rate: Vector) -> Vector:
+        """Return the command (d,) that, held for a period, gives the rate of the law at coordinates and velocities."""
+        del own, q, velocity
+        return rate
+
+    def brake(self, own: RobotDynamics, q: Vector, velocity: Vector, time: float) -> Vector:
+        """Return the command (d,) that brings a robot to rest, a double integrator with a time constant (s)."""
+        del own, velocity, time
+        return (0.0,) * len(q)
+
+    def advance(
+        self, own: RobotDynamics, q: Vector, velocity: Vector, command: Vector, period: float
+    ) -> tuple[Vector, Vector]:
+        """Return coordinates and velocities, (d,) each, one period (s) later under a command (d,)."""
+        del own, velocity
+        return tuple(x + u * period for x, u in zip(q, command, strict=True)), command
+
+    def slopes(self, system: NamedSystem, start: RobotState, end: RobotState, period: float) -> tuple[Vector, Vector]:
+        """Return the velocities of a robot at both ends of a period (s), times the period."""
+        del system, period
+        moved = tuple(b - a for a, b in zip(start.coordinates, end.coordinates, strict=True))
+        return moved, moved
+
+    def command_unit(self, unit: str) -> str:
+        """Return the unit of a command along a coordinate in `unit`."""
+        return derived(unit)
+
+
+class DoubleIntegrator(RobotModel):
+    """m q'' = u - c q': the command is a force."""
+
+    constant = "mass"
+
+    def dynamics(self, system: NamedSystem, constants: Vector, period: float) -> RobotDynamics:
+        """Return the numbers of a robot for a control period, s."""
+        mass, damping = system.constant(constants, "mass", 1.0), system.constant(constants, "damping")
+        z = damping * period / mass
+        gain = mass * (z / -expm1(-z) if z else 1.0)
+        drive = DoubleIntegratorDrive.of(period, mass, damping)
+        return RobotDynamics(constants, system.made.weight(constants), mass, damping, gain, drive=drive)
+
+    def command(self, own: RobotDynamics, q: Vector, velocity: Vector, rate: Vector) -> Vector:
+        """Return the force (d,) that, held for a period, gives the mean acceleration of the law."""
+        del q
+        return tuple(own.damping * v + own.gain * a for v, a in zip(velocity, rate, strict=True))
+
+    def brake(self, own: RobotDynamics, q: Vector, velocity: Vector, time: float) -> Vector:
+        """Return the force (d,) that brings a robot to rest with a time constant (s)."""
+        del q
+        return tuple(-own.mass * v / time for v in velocity)
+
+    def advance(
+        self, own: RobotDynamics, q: Vector, velocity: Vector, command: Vector, period: float
+    ) -> tuple[Vector, Vector]:
+        """Return coordinates and velocities, (d,) each, one period later under a force (d,)."""
+        del period
+        moved = [own.drive.advance(x, v, u) for x, v, u in zip(q, velocity, command, strict=True)]
+        return tuple(x for x, _ in moved), tuple(v for _, v in moved)
+
+    def slopes(self, system: NamedSystem, start: RobotState, end: RobotState, period: float) -> tuple[Vector, Vector]:
+        """Return the velocities of a robot at both ends of a period (s), times the period."""
+        del system
+        return tuple(v * period for v in start.velocities), tuple(v * period for v in end.velocities)
+
+    def command_unit(self, unit: str) -> str:
+        """Return the unit of a force along a coordinate in `unit`."""
+        return "N" if unit == "m" else f"kg {derived(unit, 2)}"
+
+
+class FirstOrderLag(RobotModel):
+    """T q' = u - q: the command is the value that the coordinates approach."""
+
+    constant = "time_constant"
+
+    def dynamics(self, system: NamedSystem, constants: Vector, period: float) -> RobotDynamics:
+        """Return the numbers of a robot for a control period, s."""
+        time_constant = system.constant(constants, "time_constant", 1.0)
+        ratio = -period / time_constant
+        gain, weight = period / -expm1(ratio), system.made.weight(constants)
+        return RobotDynamics(constants, weight, gain=gain, time_constant=time_constant, decay=exp(ratio))
+
+    def command(self, own: RobotDynamics, q: Vector, velocity: Vector, rate: Vector) -> Vector:
+        """Return the value (d,) that, held for a period, gives the mean velocity of the law."""
+        del velocity
+        return tuple(x + own.gain * v for x, v in zip(q, rate, strict=True))
+
+    def brake(self, own: RobotDynamics, q: Vector, velocity: Vector, time: float) -> Vector:
+        """Return the coordinates (d,), at which the robot stays."""
+        del own, velocity, time
+        return q
+
+    def advance(
+        self, own: RobotDynamics, q: Vector, velocity: Vector, command: Vector, period: float
+    ) -> tuple[Vector, Vector]:
+        """Return coordinates and velocities, (d,) each, one period later under a command (d,)."""
+        del velocity, period
+        after = tuple(u + (x - u) * own.decay for x, u in zip(q, command, strict=True))
+        return after, tuple((u - x) / own.time_constant for x, u in zip(after, command, strict=True))
+
+    def slopes(self, system: NamedSystem, start: RobotState, end: RobotState, period: float) -> tuple[Vector, Vector]:
+        """Return the velocities of a robot at both ends of a period (s), times the period."""
+        gain = period / system.constant(end.constants, "time_constant", 1.0)
+        first, last = (
+            tuple(gain * (u - x) for u, x in zip(end.command, q, strict=True))
+            for q in (start.coordinates, end.coordinates)
+        )
+        return first, last
+
+    def command_unit(self, unit: str) -> str:
+        """Return the unit of the value that a coordinate in `unit` approaches."""
+        return unit
+
+
+STRAIGHT = RobotModel()
+"""That of single integrators, and of robots of which a recording tells an unknown kind."""
+MODELS: dict[int, RobotModel] = {
+    Kind.SINGLE_INTEGRATOR: STRAIGHT,
+    Kind.DOUBLE_INTEGRATOR: DoubleIntegrator(),
+    Kind.FIRST_ORDER_LAG: FirstOrderLag(),
+}
+"""The model of each kind."""
