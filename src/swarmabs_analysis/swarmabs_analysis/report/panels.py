@@ -40,8 +40,9 @@ from swarmabs_bag.colours import (
 )
 from swarmabs_bag.figures import TOLERANCE
 from swarmabs_core.abstraction import least_s3
-from swarmabs_core.events import said_event
+from swarmabs_core.events import named, said_event
 from swarmabs_core.messages import EventKind, Kind, RobotKind, said
+from swarmabs_core.steering import DISTURBANCE
 from swarmabs_core.systems.components import command_unit
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_analysis.report.record import Recorded
+    from swarmabs_core.messages import SwarmEvent
     from swarmabs_core.systems import Quantity, SystemTables
 
     Floats = NDArray[np.float64]
@@ -244,7 +246,7 @@ def _zooms(recorded: Recorded) -> Iterator[Panel]:
         if event.kind in ZOOMED and 0.0 < at < last:
             begin = at if at > begin + AFTER else begin
             who = f"robot {event.agent_id} " if event.agent_id else ""
-            moments.setdefault(begin, []).append(f"{at:g} s: {who}{said_event(event)}")
+            moments.setdefault(begin, []).append(f"{at:g} s: {who}{said_event(event)}{_set(recorded, event)}")
 
     def largest(moment: float) -> float:
         found = error[(time >= moment) & (time <= moment + AFTER)]
@@ -262,6 +264,14 @@ def _zooms(recorded: Recorded) -> Iterator[Panel]:
         )
         draw = zoom(recorded, max(0.0, moment - BEFORE), min(last, moment + AFTER))
         yield Panel(f"zoom-{number}", "zooms", f"Around {first}", draw, about, height=2.6)
+
+
+def _set(recorded: Recorded, event: SwarmEvent) -> str:
+    """Return the new value of the setting that an event changes, with its unit."""
+    if not named(event):
+        return ""
+    unit = recorded.disturbance_unit if event.detail == DISTURBANCE else recorded.reference_unit
+    return f" {quantity(event.value, unit)}"
 
 
 def _robots(recorded: Recorded) -> Iterator[Panel]:

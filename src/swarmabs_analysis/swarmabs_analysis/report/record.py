@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,8 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import realtime_figures
 from swarmabs_bag.recorded_swarm import recorded_swarm
 from swarmabs_config import configure
-from swarmabs_core.messages import EVENTS, STANDING
+from swarmabs_core.messages import EVENTS, STANDING, EventKind
+from swarmabs_core.steering import DISTURBANCE
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.general_theorems import clearance
 
@@ -51,6 +52,14 @@ class Margins:
     rows: NDArray[np.int64]
     actual: Floats
     desired: Floats
+
+
+class Setting(NamedTuple):
+    """A value that someone set during a run, and the time for which it held, s."""
+
+    begin: float
+    end: float
+    value: float
 
 
 @dataclass(frozen=True)
@@ -114,6 +123,27 @@ class Recorded:
         agents = self.arrays.agents
         found: Floats = agents.position[..., None] if self.system is None else agents.coordinates
         return found
+
+    def settings(self, name: str) -> list[Setting]:
+        """Return the values of a setting of the whole run (`DISTURBANCE` or `REFERENCE`) that was changed in it."""
+        events = [event for event in self.swarm.events if event.kind == EventKind.STEERING and event.detail == name]
+        times = [*map(self.swarm.time_of, events), float(self.arrays.time[-1])]
+        return [Setting(begin, end, event.value) for event, begin, end in zip(events, times, times[1:], strict=False)]
+
+    @property
+    def disturbances(self) -> list[Setting]:
+        """The constant disturbances, without the times in which there was none."""
+        return [setting for setting in self.settings(DISTURBANCE) if setting.value]
+
+    @property
+    def disturbance_unit(self) -> str:
+        """Unit of disturbances; empty for another parent system, which says nothing of it."""
+        return "N m" if self.system is None else ""
+
+    @property
+    def reference_unit(self) -> str:
+        """Unit of the reference; empty if several quantities follow one."""
+        return self.tracking.unit if len(self.tracking.followed) == 1 else ""
 
     @property
     def steps(self) -> int:
