@@ -404,7 +404,7 @@ def test_disturbances_are_shaded_and_steps_of_the_reference_marked_with_their_na
     for key in ("plane", "positions", "torque", "margin-end", "sums"):
         axes = drawn(run, key)[0]
         assert shaded(axes) == [pytest.approx((5.0, 6.0)), pytest.approx((7.0, 15.0))]
-        assert [line for line in axes.lines if list(line.get_xdata()) == [10.0, 10.0]]
+        assert [line for line in axes.lines if np.asarray(line.get_xdata()).tolist() == [10.0, 10.0]]
         assert key == "sums" or {"disturbance", "reference step"} <= set(entries(axes))
     shown = {panel.heading: panel.key for panel in panels(read_recorded(run)) if panel.section == "zooms"}
     assert list(shown) == ["Around the start", "Around 5 s: disturbance 0.1 N m", "Around 10 s: reference 0.05 rad"]
