@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from contextlib import ExitStack, contextmanager
 from functools import cache, partial
@@ -31,7 +32,7 @@ from swarmabs_core.systems import Quantity
 from swarmabs_core.systems.components import MAIN_FIELDS, REFERENCE, components
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from swarmabs_bag.reader import BagReader
@@ -54,6 +55,11 @@ class Column(NamedTuple):
     type: str
     unit: str
     meaning: str = ""
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """Unit and meaning, as far as it has them, for Parquet."""
+        return {name: text for name, text in (("unit", self.unit), ("meaning", self.meaning)) if text}
 
 
 class BagTable(NamedTuple):
@@ -234,7 +240,7 @@ def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
             column.name,
             pa.dictionary(pa.int32(), pa.string()) if column.type == WORD else pa.type_for_alias(column.type),
             nullable=column.name in nullable,
-            metadata={name: text for name, text in (("unit", column.unit), ("meaning", column.meaning)) if text},
+            metadata=column.metadata,
         )
         for column in table.columns
     )
@@ -263,7 +269,13 @@ def _may_be_missing(field: Field | type[Message]) -> bool:
 
 def write_columns(path: Path, tables: Sequence[BagTable] = TABLES) -> None:
     """Write the description of the columns of tables."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["table", "column", "type", "unit", "meaning"])
-        writer.writerows([table.name, *column] for table in tables for column in table.columns)
+    path.write_text(described_columns([(table.name, table.columns) for table in tables]), encoding="utf-8", newline="")
+
+
+def described_columns(tables: Iterable[tuple[str, Iterable[Column]]]) -> str:
+    """Return the description of the columns of tables, given by name, as CSV."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(["table", "column", "type", "unit", "meaning"])
+    writer.writerows([name, *column] for name, columns in tables for column in columns)
+    return file.getvalue()

@@ -17,11 +17,11 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
+from swarmabs_analysis.sweep.table import METRICS, metrics_of, unit_of
 from swarmabs_bag.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
 from swarmabs_bag.figures import TOLERANCE
 from swarmabs_config.scenario import SystemScenario, parse_scenario
 from swarmabs_config.theory_setting import setting
-from swarmabs_core.systems.components import labelled
 from swarmabs_core.theory.state_feedback import Estimate, estimate
 
 if TYPE_CHECKING:
@@ -38,34 +38,6 @@ if TYPE_CHECKING:
 
 NAME = "region"
 ANGLE, ANGULAR_VELOCITY = "plane.angle", "plane.angular_velocity"
-UNITS = {
-    "angle": "rad",
-    "angular_velocity": "rad/s",
-    "mass": "kg",
-    "damping": "N s/m",
-    "position": "m",
-    "inertia": "kg m²",
-    "length": "m",
-    "torque_max": "N m",
-    "duration": "s",
-    "step": "s",
-    "force": "N",
-    "velocity": "m/s",
-    "amplitude": "N m",
-    "angular_frequency": "rad/s",
-    "steps": "steps",
-}
-"""Units of parameters by the last part of their path."""
-METRICS = {
-    "settled_at": "settled at, s",
-    "final_error": "final error, rad",
-    "rms_error": "RMS error, rad",
-    "max_abs_position": "largest |position|, m",
-    "max_abs_angle": "largest |angle|, rad",
-    "messages": "messages",
-    "initial_error_squared": "|z|² at the start",
-}
-"""Results that can be drawn, with their units."""
 MAP = "viridis"
 # The greys and the red differ in lightness, and from every colour of the map.
 LOOKS = {
@@ -201,10 +173,8 @@ def _draw(study: Study, rows: Rows, subject: _Subject) -> Figure:
     scale = _scale(cases.result)
     show = _curve if len(subject.axes) == 1 else _fields if cases.gridded else _markers
     labels = [_label(scenario, path) for path in subject.axes]
-    labelled_metrics, looks = METRICS, {name: label for name, (_, label) in LOOKS.items()}
-    if isinstance(scenario, SystemScenario):
-        labelled_metrics, looks = labelled(METRICS, scenario.named.made), LABELS
-    metric = labelled_metrics.get(subject.metric or "", "")
+    looks = LABELS if isinstance(scenario, SystemScenario) else {name: label for name, (_, label) in LOOKS.items()}
+    metric = metrics_of(scenario).get(subject.metric or "", "")
     for number, (axes, (title, chosen)) in enumerate(zip(panels, parts, strict=True)):
         show(axes, cases.where(chosen), scale)
         axes.set_title(title, fontsize="medium")
@@ -260,7 +230,7 @@ def _parts(study: Study, scenario: Scenario, path: str) -> list[tuple[str, NDArr
 
 def _label(scenario: Scenario, path: str, value: str = "") -> str:
     """Return the name of a parameter, with the id of its robot, and its value or unit."""
-    unit = "" if path.startswith("system.") else UNITS.get(path.rsplit(".", maxsplit=1)[-1], "")
+    unit = unit_of(path)
     robot, listed = re.match(r"swarm\.agents\.(\d+)\.", path), scenario.swarm.agents
     name = f"{path} (robot {listed[int(robot[1])].id})" if robot and listed else path
     return f"{name}\n{value} {unit}".rstrip() if value else f"{name}, {unit}".removesuffix(", ")

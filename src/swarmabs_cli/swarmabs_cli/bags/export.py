@@ -32,12 +32,13 @@ def export(
     csv and parquet hold one table per topic with one row per message; numpy and mat hold the arrays of a run by step
     and robot.
     """
-    endings: dict[str, ArrayFormat] = {suffix: name for name, suffix in SUFFIXES.items()}
-    chosen: ArrayFormat | TableFormat = file_format or endings.get(output.suffix, "csv")
+    arrays: dict[str, ArrayFormat] = {suffix: name for name, suffix in SUFFIXES.items()}
+    if file_format is None:
+        file_format = arrays.get(output.suffix) or "csv"
     files = (
-        (export_arrays(bag, output, chosen, namespace=namespace),)
-        if chosen == "numpy" or chosen == "mat"  # noqa: PLR1714 - tells the type checker which formats remain
-        else export_tables(bag, output, chosen, namespace=namespace)
+        export_tables(bag, output, file_format, namespace=namespace)
+        if file_format in ("csv", "parquet")
+        else (export_arrays(bag, output, file_format, namespace=namespace),)
     )
     print_files(files, as_json=as_json)
     return 0
