@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from swarmabs_analysis.figures.responses import SUBSCRIPTS, same_limits
-from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, ROBOTS, SOLID
+from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, ROBOT_DASHES, SOLID
 from swarmabs_analysis.report.percentile_bands import density, draw_bands
 from swarmabs_bag.colours import ABSENT, ERROR, FAILED, KINDS, PLANE, REFERENCE, SAFE_STOP, TORQUE
 from swarmabs_core.messages import EventKind, RobotKind, said
@@ -169,7 +169,7 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
             recorded.arrays.time,
             values[:, column],
             color=KINDS[kind],
-            linestyle=ROBOTS[column % len(ROBOTS)][1] if count <= NAMED else SOLID,
+            linestyle=ROBOT_DASHES[column % len(ROBOT_DASHES)] if count <= NAMED else SOLID,
             linewidth=1.1 if count <= NAMED else 0.4,
             label=f"{symbol}{str(number).translate(SUBSCRIPTS)}",
         )

@@ -35,10 +35,11 @@ def export(
     arrays: dict[str, ArrayFormat] = {suffix: name for name, suffix in SUFFIXES.items()}
     if file_format is None:
         file_format = arrays.get(output.suffix) or "csv"
-    files = (
-        export_tables(bag, output, file_format, namespace=namespace)
-        if file_format in ("csv", "parquet")
-        else (export_arrays(bag, output, file_format, namespace=namespace),)
-    )
+    files: tuple[Path, ...]
+    match file_format:
+        case "csv" | "parquet":
+            files = export_tables(bag, output, file_format, namespace=namespace)
+        case _:
+            files = (export_arrays(bag, output, file_format, namespace=namespace),)
     print_files(files, as_json=as_json)
     return 0
