@@ -182,9 +182,8 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
 
 def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
     """Return a function that draws what is tracked, and positions or first coordinates, in a span of time, s."""
-    time, system = recorded.arrays.time, recorded.system
-    name, unit = ("θ", "rad") if system is None else recorded.tracking[2:]
-    (symbol, metre, *_), *_ = (("p", "m"),) if system is None else system.robot
+    time, (name, unit, *_) = recorded.arrays.time, recorded.subject.tracked
+    symbol, metre, *_ = recorded.subject.robot[0]
     inside = (time >= begin) & (time <= end)
 
     def draw(figure: FigureBase) -> None:

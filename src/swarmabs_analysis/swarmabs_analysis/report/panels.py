@@ -256,9 +256,7 @@ def _zooms(recorded: Recorded) -> Iterator[Panel]:
         first, *others = moments[moment]
         further = joined(*others[:MOST_NAMED], f"{len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else "")
         about = joined(
-            "angle with its dashed reference, and positions"
-            if recorded.system is None
-            else "what is tracked with its dashed reference, and the first coordinate of the robots",
+            recorded.subject.zoomed,
             f"largest error {quantity(largest(moment), recorded.tracking.unit)}",
             f"then {further}" if further else "",
         )
@@ -270,7 +268,7 @@ def _set(recorded: Recorded, event: SwarmEvent) -> str:
     """Return the new value of the setting that an event changes, with its unit."""
     if not named(event):
         return ""
-    unit = recorded.disturbance_unit if event.detail == DISTURBANCE else recorded.reference_unit
+    unit = recorded.subject.disturbance_unit if event.detail == DISTURBANCE else recorded.reference_unit
     return f" {quantity(event.value, unit)}"
 
 
@@ -392,16 +390,13 @@ def _membership(recorded: Recorded) -> Panel:
     follows = swarm.on_plane & ~stopped & ~dead & ~silent
     kinds = agents.kind.max(axis=0, initial=0)
     looks = {
-        **{
-            f"{said(kind)} follows": (follows & (kinds == kind), KINDS[kind])
-            for kind in (Kind if recorded.system is None else RobotKind)
-        },
-        **({} if recorded.system is None else {"at a limit": (swarm.have_status("limited"), ERROR)}),
+        **{f"{said(kind)} follows": (follows & (kinds == kind), KINDS[kind]) for kind in recorded.subject.kinds},
+        **({"at a limit": (swarm.have_status("limited"), ERROR)} if recorded.subject.limits else {}),
         "safe stop": (stopped, SAFE_STOP),
         "dead": (dead, FAILED),
         "silent": (silent & ~dead, ABSENT),
     }
-    there, where = swarm.on_plane.sum(axis=1), "plane" if recorded.system is None else "parent system"
+    there, where = swarm.on_plane.sum(axis=1), recorded.subject.parent
     about = joined(
         f"robots on the {where}: initially {there[0]}, finally {there[-1]}" if len(there) else "",
         f"robots that report: initially {reporting[0].sum()}, finally {reporting[-1].sum()}" if len(there) else "",
