@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.reader import BagReader
     from swarmabs_core.messages import Message
-    from swarmabs_core.systems import SystemTables
 
     AddRow = Callable[[Sequence[Any]], object]
 
@@ -80,22 +79,35 @@ WORD = "word"
 """Type of columns of constants: text, in Parquet dictionary-encoded."""
 
 
-def _table(name: str, topic: Topic, system: SystemTables | None = None) -> BagTable:
+class _Vectors(NamedTuple):
+    """The topics of a parent system, name of its own table, what its reference is called, and vectors of a message."""
+
+    topics: tuple[Topic, ...]
+    parent: str
+    reference: str
+    of: Callable[[type[Message]], Mapping[str, Sequence[Quantity]]]
+
+
+def _reference_of_plane(message: type[Message]) -> Mapping[str, Sequence[Quantity]]:
+    return {REFERENCE: (Quantity("", "rad"),)} if message is PlaneState else {}
+
+
+_PLANE = _Vectors(PLANE_FAMILY.main, "plane", "desired angle", _reference_of_plane)
+
+
+def _table(name: str, topic: Topic, vectors_of: _Vectors) -> BagTable:
     """Return a topic as a table: step, time, robot, the fields of the message in order, and the stamp last."""
     declared = {field: each for field, each in fields_of(topic.message).items() if field != "system"}
-    parts = {} if system is None else components(system, topic.message)
-    if topic.message is PlaneState:
-        parts[REFERENCE] = (Quantity(REFERENCE, "rad"),)
+    parts = vectors_of.of(topic.message)
     columns = {"time": _TIME} | {field: _column(field, each) for field, each in declared.items() if field not in parts}
     vectors = {}
     for field, several in parts.items():
         for index, (quantity, unit, *_) in enumerate(several):
-            key = quantity if field in MAIN_FIELDS or system is None else f"{field}_{quantity}"
+            key = quantity if field in MAIN_FIELDS else "_".join(filter(None, (field, quantity)))
             while key in columns or key in declared:
                 key = f"{field}_{key}"
-            what = "desired angle" if system is None else "wanted value"
-            what = f"{what} with its offsets; missing if unknown" if field == REFERENCE else f"{field}[{index}]"
-            columns[key] = Column(key, "float64", unit, what)
+            goal = f"{vectors_of.reference} with its offsets; missing if unknown"
+            columns[key] = Column(key, "float64", unit, goal if field == REFERENCE else f"{field}[{index}]")
             vectors[key] = field, index
     stamp = columns.pop("stamp")
     first = [columns.pop(key) for key in ("step", "time", "agent_id") if key in columns]
@@ -112,13 +124,12 @@ def _column(name: str, field: Field | type[Message]) -> Column:
     return Column(name, field.ros_type, field.unit, field.meaning + none)
 
 
-def _tables(system: SystemTables | None = None) -> tuple[BagTable, ...]:
-    family, parent = (PLANE_FAMILY, "plane") if system is None else (SYSTEM_FAMILY, "parent")
-    topics = zip(("agents", parent, "abstract", "auxiliary", "desired"), family.main, strict=True)
-    return (*(_table(name, topic, system) for name, topic in topics), _table("events", EVENTS))
+def _tables(vectors: _Vectors) -> tuple[BagTable, ...]:
+    topics = zip(("agents", vectors.parent, "abstract", "auxiliary", "desired"), vectors.topics, strict=True)
+    return (*(_table(name, topic, vectors) for name, topic in topics), _table("events", EVENTS, vectors))
 
 
-TABLES = _tables()
+TABLES = _tables(_PLANE)
 """All tables of a swarm on the plane, in the order of a bag."""
 
 
@@ -128,7 +139,9 @@ def tables_of(bag: BagReader) -> tuple[BagTable, ...]:
     On another parent system than the plane, a column is named after its quantity, such as ``roll``; if the field is not
     the quantity itself, or the name is taken, after field and quantity, such as ``rate_torque``.
     """
-    return TABLES if bag.family is PLANE_FAMILY else _tables(description_of(bag))
+    if bag.family is PLANE_FAMILY:
+        return TABLES
+    return _tables(_Vectors(SYSTEM_FAMILY.main, "parent", "wanted value", partial(components, description_of(bag))))
 
 
 def _row_of(table: BagTable, period: int | None, reference: Callable[[int], Any]) -> Callable[[Message], Sequence[Any]]:
