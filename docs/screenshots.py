@@ -69,9 +69,9 @@ def keep(page: Page, file: Path, *, whole: bool = False) -> None:
 
 
 def report(browser: Browser, runs: Path, file: Path) -> None:
-    """Write the first part of the report of a run that loses a robot."""
-    loss = "faults=[{at: 8, kind: kill, agent: 2}]"
-    for words in (("simulate", "pd_het_4", "--set", loss, "-o", "reported"), ("report", "reported")):
+    """Write the first part of the report of a run that is disturbed and loses a robot."""
+    faults = "faults=[{at: 8, kind: kill, agent: 2}, {at: 15, until: 20, kind: disturbance, torque: 0.05}]"
+    for words in (("simulate", "pd_het_4", "--set", faults, "-o", "reported"), ("report", "reported")):
         subprocess.run([*SWARM, *words], cwd=runs, check=True, capture_output=True)
     page = browser.new_page(viewport={"width": 1180, "height": 1500}, color_scheme="light")
     page.goto((runs / "reported" / "report.html").as_uri())

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from swarmabs_analysis.figures.style import ROBOTS
+from swarmabs_analysis.figures.style import ROBOT_DASHES
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.colours import PLANE
 
@@ -35,12 +35,12 @@ def draw(folder: Path, angle: Axes, tilts: Axes, errors: Axes) -> None:
     angle.axhspan(-20.0, 20.0, color="#dddddd", label="within 20 mrad")
     angle.plot(time, 1000.0 * upper.angle[shown], color=PLANE, label="upper plane")
     angle.set_title(f"lower references with {coupling['bandwidth']:g} rad/s", fontsize=10)
-    for column, (robot, (colour, dashes)) in enumerate(zip(upper.agents.ids, ROBOTS, strict=False)):
+    for column, (robot, dashes) in enumerate(zip(upper.agents.ids, ROBOT_DASHES, strict=False)):
         plane = load_arrays(folder / f"lower_{robot}", namespace=f"/lower_{robot}")
         reference = upper.agents.command[:, column] / coupling["ratio"]
         label = f"lower plane {robot}"
-        tilts.plot(time, 1000.0 * plane.angle[shown], color=colour, linestyle=dashes, label=label)
-        errors.plot(time, 1000.0 * (reference - plane.angle)[shown], color=colour, linestyle=dashes, label=label)
+        tilts.plot(time, 1000.0 * plane.angle[shown], color=PLANE, linestyle=dashes, label=label)
+        errors.plot(time, 1000.0 * (reference - plane.angle)[shown], color=PLANE, linestyle=dashes, label=label)
     errors.set(xlabel="time, s", xlim=(-0.05, SHOWN), xticks=np.arange(0.0, SHOWN + 1.0, 2.0))
 
 

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
+from scipy.io import loadmat
 from tests.frozen.command import swarm, swarm_process
 from tests.swarmabs_analysis.report.conftest import Page
 from tests.swarmabs_analysis.report.test_report import assert_self_contained
@@ -367,6 +368,12 @@ def test_tables_have_a_column_for_each_quantity(sheet: Path, tmp_path: Path) -> 
         np.testing.assert_array_equal(arrays["abstract_inertia_xy"], read.column("/swarm/abstract", "value")[:, 4])
         np.testing.assert_array_equal(arrays["parent_reference_al"], [al for al, _ in goals])
         assert set(json.loads(str(arrays["units"]))) == set(arrays.files) - {"units", "words", "summary"}
+        mat = loadmat(export_arrays(sheet, tmp_path / "run.mat", "mat"), simplify_cells=True)
+        assert {name for name in mat if not name.startswith("__")} == set(arrays.files)
+        units = json.loads(str(arrays["units"]))
+        assert {name: unit if len(unit) else "" for name, unit in mat["units"].items()} == units
+    values = read.column("/parent/state", "state")
+    np.testing.assert_array_equal([mat[f"parent_{name}"] for name in ("al", "be", "al_rate", "be_rate")], values.T)
 
 
 def test_a_name_that_is_taken_is_preceded_by_its_field(beam: Path, tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ ABSENT = "#888888"
 """A robot that is silent or has left."""
 
 ROBOTS = (DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR, TORQUE, INERTIA)
-"""The first four robots, where each has its own colour instead of that of its kind."""
+"""The first four robots in Foxglove's layout, which cannot tell the kinds of robots."""
 KINDS: Mapping[int, str] = {
     Kind.SINGLE_INTEGRATOR: SINGLE_INTEGRATOR,
     Kind.DOUBLE_INTEGRATOR: DOUBLE_INTEGRATOR,

@@ -48,7 +48,7 @@ def print_tables(*tables: RenderableType) -> None:
     console, shown = Console(highlight=False), Group(*tables)
     if not console.is_terminal:
         console.width = console.measure(shown, options=console.options.update(max_width=_WIDEST)).maximum
-    console.print(shown)
+    console.print(shown, crop=False)
 
 
 def print_warnings(warnings: Iterable[object]) -> None:

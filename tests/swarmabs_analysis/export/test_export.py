@@ -14,17 +14,19 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
+from scipy.io import loadmat
 from tests.frozen.command import swarm
 from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_bag.conftest import SCENARIO
 from tests.swarmabs_bag.sample_run import make_run, make_step, write_bag
 
 from swarmabs_analysis.comparison import compare_bags
-from swarmabs_analysis.export import TABLES, export_arrays, export_tables
+from swarmabs_analysis.export import SUFFIXES, TABLES, export_arrays, export_tables
+from swarmabs_analysis.export.matlab import write_mat
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.errors import BagTooLargeError, DamagedBagError
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.messages import TOPIC_OF, EventKind, PlaneState, SwarmEvent
+from swarmabs_core.messages import TOPIC_OF, AgentState, EventKind, PlaneState, SwarmEvent
 
 PERIOD = 10_000_000
 NEVER = 2**64 - 1
@@ -127,6 +129,64 @@ def test_numpy_has_every_array_of_the_run(bag: Path, tmp_path: Path) -> None:
             assert (found.tobytes(), found.shape) == (array.tobytes(), array.shape)
 
 
+def doubles(file: Path) -> dict[str, tuple[tuple[int, ...], bytes]]:
+    """Return shape and bytes of each array of float64 in a MAT file, read by the published format."""
+    data = file.read_bytes()
+    assert data[124:128] == b"\x00\x01IM"  # level 5, little-endian
+    found, place = {}, 128
+    while place < len(data):
+        kind, size = struct.unpack_from("<II", data, place)
+        assert kind == 14, "not a matrix"
+        inside, end = place + 8, place + 8 + size
+        parts: list[bytes] = []
+        while inside < end and len(parts) < 4:
+            small = struct.unpack_from("<HH", data, inside)
+            length, head = (small[1], 4) if small[1] else (struct.unpack_from("<I", data, inside + 4)[0], 8)
+            parts.append(data[inside + head : inside + head + length])
+            inside += 8 if head == 4 else 8 + -(-length // 8) * 8
+        if parts[0][0] == 6:  # double
+            shape = struct.unpack(f"<{len(parts[1]) // 4}i", parts[1])
+            found[parts[2].decode()] = (shape, parts[3])
+        place = end
+    return found
+
+
+def test_matlab_files_have_every_bit_texts_as_cells_and_no_time_of_writing(bag: Path, tmp_path: Path) -> None:
+    file = export_arrays(bag, tmp_path / "run.mat", "mat")
+    assert file.read_bytes()[:116] == b"MATLAB 5.0 MAT-file, written by swarmabs".ljust(116)
+    found = doubles(file)
+    angle = [m.angle for m in RUN if isinstance(m, PlaneState)]
+    assert found["angle"] == ((len(angle), 1), struct.pack(f"<{len(angle)}d", *angle))
+    read = loadmat(file, simplify_cells=True)
+    robots = read["agents_ids"].tolist()
+    by_robot = [[m.position for m in RUN if isinstance(m, AgentState) and m.agent_id == robot] for robot in robots]
+    values = [position for robot in by_robot for position in robot]  # a column per robot, stored column by column
+    assert found["agents_position"] == ((len(angle), 3), struct.pack(f"<{len(values)}d", *values))
+    assert read["events_detail"].tolist() == [m.detail for m in RUN if isinstance(m, SwarmEvent)]
+    with np.load(export_arrays(bag, tmp_path / "run.npz")) as arrays:
+        assert {name for name in read if not name.startswith("__")} == set(arrays.files)
+        units = json.loads(str(arrays["units"]))
+        assert {name: unit if len(unit) else "" for name, unit in read["units"].items()} == units
+        summary = json.loads(str(arrays["summary"]))
+        assert {name: None if np.size(value) == 0 else value for name, value in read["summary"].items()} == summary
+    assert read["words"]["agents_kind"] == {"single_integrator": 1, "double_integrator": 2}
+
+
+def test_names_that_matlab_does_not_allow_are_replaced_and_stay_different(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = {"plane.angle": 1.0, "plane_angle": 2.0, "_x": 3.0, "9": 4.0, "n" * 70: 5.0, "n" * 71: 6.0}
+    with (tmp_path / "x.mat").open("wb") as stream:
+        write_mat(stream, {**values, "none": None})
+    read = loadmat(tmp_path / "x.mat", simplify_cells=True)
+    names = ["plane_angle", "plane_angle_2", "x_x", "x9", "n" * 63, f"{'n' * 59}_2"]
+    assert [read[name] for name in names] == list(values.values())
+    assert read["none"].size == 0
+    monkeypatch.setattr("swarmabs_analysis.export.matlab.LARGEST", 16)
+    with (tmp_path / "y.mat").open("wb") as stream, pytest.raises(InputError, match=r"long has .* GB, too much for"):
+        write_mat(stream, {"long": np.zeros(2)})
+
+
 def test_numpy_has_the_events_without_pickle_or_empty_columns(bag: Path, tmp_path: Path) -> None:
     events = [m for m in RUN if isinstance(m, SwarmEvent)]
     assert len({len(event.detail) for event in events}) == len(events) > 1
@@ -203,9 +263,9 @@ def test_texts_that_would_not_fit_into_memory_are_refused(tmp_path: Path, monkey
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
 
-@pytest.mark.parametrize("file_format", ["csv", "parquet", "numpy"])
+@pytest.mark.parametrize("file_format", ["csv", "parquet", "numpy", "mat"])
 def test_nothing_is_overwritten_and_nothing_left_of_a_damaged_bag(bag: Path, tmp_path: Path, file_format: str) -> None:
-    name = "out.npz" if file_format == "numpy" else "out"
+    name = f"out{dict(SUFFIXES).get(file_format, '')}"  # type: ignore[call-overload]
     words = ("export", bag, "--format", file_format, "-o", name)
     assert swarm(words, tmp_path).code == 0
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
@@ -235,6 +295,16 @@ def test_a_full_disk_leaves_nothing_and_without_pyarrow_the_remedy_is_named(
     with pytest.raises(InputError, match=r"Parquet needs the package pyarrow .*; install it, or use --format csv"):
         export_tables(bag, tmp_path / "out", "parquet")
     assert not list(tmp_path.iterdir())
+
+
+def test_the_ending_tells_the_format(bag: Path, tmp_path: Path) -> None:
+    for name, begin in (("run.npz", b"PK"), ("run.mat", b"MATLAB 5.0")):
+        assert swarm(("export", bag, "-o", name), tmp_path).code == 0
+        assert (tmp_path / name).read_bytes().startswith(begin)
+    assert swarm(("export", bag, "-o", "tables"), tmp_path).code == 0
+    assert (tmp_path / "tables" / "plane.csv").is_file()
+    refused = swarm(("export", bag, "--format", "mat", "-o", "run.npz"), tmp_path)
+    assert (refused.code, "does not end in .mat; name a file such as run.mat" in refused.err) == (2, True)
 
 
 def test_what_is_no_bag_or_no_npz_is_refused(bag: Path, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from tests.swarmabs_analysis.figures.conftest import NAMES, ReadBag, record
 
@@ -137,6 +138,27 @@ def test_nine_panels_show_the_bags_and_any_reference(name: str, controller: str,
         assert wanted == pytest.approx([0.7 * math.sin(0.015 * math.pi * t) for t in times], abs=1e-12)
     else:
         assert "reference" not in [line.get_label() for line in plane.lines]
+
+
+def dashes(line: Line2D) -> str:
+    return str(line._dash_pattern)  # type: ignore[attr-defined]  # noqa: SLF001 - nothing public tells it
+
+
+@pytest.mark.parametrize("name", ["PD_res", "ARISE_res"])
+def test_four_robots_have_the_colours_of_their_kinds_and_dashes_of_their_own(name: str, short_runs: Path) -> None:
+    rows, _ = grid(draw(name, short_runs), 3)
+    single, double = SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR
+    expected = ([single] * 4, [double] * 4, [single, single, double, double])
+    for (_, robots, _), colours in zip(rows, expected, strict=True):
+        lines = [line for line in robots.lines if str(line.get_label()).startswith("p")]
+        assert [line.get_color() for line in lines] == colours
+        assert len(set(map(dashes, lines))) == 4
+    legend = rows[0][1].get_legend()
+    assert legend is not None
+    entries = {text.get_text(): line for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)}
+    assert list(entries) == ["p₁", "p₂", "p₃", "p₄", "SI", "DI"]
+    assert (entries["SI"].get_color(), entries["DI"].get_color()) == (single, double)
+    assert [dashes(entries[f"p{number}"]) for number in "₁₂₃₄"] == [dashes(line) for line in rows[0][1].lines[:4]]
 
 
 def test_kinds_have_the_colours_of_all_views(short_runs: Path) -> None:

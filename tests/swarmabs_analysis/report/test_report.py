@@ -11,13 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
+from playwright.sync_api import sync_playwright
 from scipy.ndimage import binary_dilation
 from tests.swarmabs_analysis.figures.conftest import ReadBag, record
 from tests.swarmabs_analysis.report.conftest import SCENARIO, Page, messages, write
 from tests.swarmabs_bag.test_arrays import digest
+from tests.swarmabs_view.conftest import browser_arguments, chromium
 
 from swarmabs_analysis.figures.style import styled
 from swarmabs_analysis.report import Report, make_report
@@ -27,6 +31,7 @@ from swarmabs_analysis.report.record import read_recorded
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.recorded_swarm import column_points
 from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.messages import AgentState, EventKind, Message, PlaneState, SwarmEvent
 from swarmabs_run.simulated_run import simulate_run
@@ -364,3 +369,66 @@ def test_a_zoom_names_all_events_in_it_and_no_legend_leaves_its_picture(tmp_path
             figure.draw_without_rendering()
             legend = figure.axes[0].get_legend()
             assert legend is not None and legend.get_window_extent().x1 <= figure.bbox.x1
+
+
+SETTINGS = (
+    "faults=[{at: 5, until: 6, kind: disturbance, torque: 0.1}, {at: 7, kind: disturbance, torque: -0.2}, "
+    "{at: 10, kind: reference, offset: 0.05}]"
+)
+
+
+def drawn(report_of: Path, key: str) -> list[Axes]:
+    """Return the axes of a panel."""
+    shown = {panel.key: panel for panel in panels(read_recorded(report_of))}
+    with styled():
+        figure = Figure((WIDTH, shown[key].height), layout="constrained")
+        shown[key].draw(figure)
+        figure.draw_without_rendering()
+    return figure.axes
+
+
+def shaded(axes: Axes) -> list[tuple[float, float]]:
+    """Return the intervals that are shaded over the whole height of a panel."""
+    spans = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+    assert all((patch.get_y(), patch.get_height()) == (0.0, 1.0) for patch in spans)
+    return [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in spans]
+
+
+def entries(axes: Axes) -> list[str]:
+    legend = axes.get_legend()
+    return [] if legend is None else [text.get_text() for text in legend.get_texts()]
+
+
+def test_disturbances_are_shaded_and_steps_of_the_reference_marked_with_their_names(tmp_path: Path) -> None:
+    run = record(tmp_path / "run", "pd_het_4", "duration=15", SETTINGS)
+    for key in ("plane", "positions", "torque", "margin-end", "sums"):
+        axes = drawn(run, key)[0]
+        assert shaded(axes) == [pytest.approx((5.0, 6.0)), pytest.approx((7.0, 15.0))]
+        assert [line for line in axes.lines if np.asarray(line.get_xdata()).tolist() == [10.0, 10.0]]
+        assert key == "sums" or {"disturbance", "reference step"} <= set(entries(axes))
+    shown = {panel.heading: panel.key for panel in panels(read_recorded(run)) if panel.section == "zooms"}
+    assert list(shown) == ["Around the start", "Around 5 s: disturbance 0.1 N m", "Around 10 s: reference 0.05 rad"]
+    upper, _ = drawn(run, shown["Around the start"])
+    assert len(entries(upper)) == 4
+    upper, _ = drawn(run, shown["Around 10 s: reference 0.05 rad"])
+    assert entries(upper)[4:] == ["disturbance", "reference step"]
+    quiet = record(tmp_path / "quiet", "pd_het_4")
+    assert shaded(drawn(quiet, "plane")[0]) == [] and entries(drawn(quiet, "plane")[0]) == ["θ", "reference θ"]
+
+
+@pytest.mark.system
+@pytest.mark.timeout(240)
+def test_on_paper_pages_are_full_and_contain_the_whole_scenario(report: Report, tmp_path: Path) -> None:
+    (tmp_path / "report.html").write_text(report.html, encoding="utf-8")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium(), args=browser_arguments())
+        page = browser.new_page()
+        page.goto((tmp_path / "report.html").as_uri())
+        assert len(re.findall(rb"/Type\s*/Page\b", page.pdf(prefer_css_page_size=True))) <= 5
+        page.emulate_media(media="print")
+        scenario = page.locator("#scenario pre")
+        assert scenario.inner_text() == dump_scenario(read_recorded(report.bag).scenario.resolved()).rstrip("\n")
+        assert scenario.evaluate("pre => pre.scrollHeight - pre.clientHeight") == 0
+        whole = "figures => figures.every(figure => getComputedStyle(figure).breakInside === 'avoid')"
+        assert page.locator("figure").evaluate_all(whole)
+        browser.close()

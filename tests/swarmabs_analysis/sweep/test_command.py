@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 from csv import DictReader
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from scipy.io import loadmat
 from tests.frozen.command import Finished, swarm
 from tests.processes import until
 from tests.swarmabs_analysis.sweep.conftest import Start, finished, summary, workers
@@ -88,7 +90,10 @@ def test_only_summary_and_results_together_are_complete(tmp_path: Path) -> None:
     assert folder.complete() == {"status": "ok", "cases": 3}
 
 
-FILES = {"region.png", "region.svg", "results.csv", "results.parquet", "scenario.yaml", "summary.json", "sweep.yaml"}
+FILES = {
+    *("columns.csv", "region.png", "region.svg", "results.csv", "results.mat", "results.parquet"),
+    *("scenario.yaml", "summary.json", "sweep.yaml"),
+}
 CASES = 36
 
 
@@ -149,6 +154,25 @@ def test_a_sweep_has_a_row_for_each_case_as_simulate_runs_it(here: type[Here], s
     for line, expected in zip(lines, texts, strict=True):
         for name, cell in line.items():
             assert (cell if isinstance(expected[name], str) else json.loads(cell)) == expected[name]
+    with (tmp_path / "s" / "columns.csv").open(encoding="utf-8", newline="") as file:
+        described = {line["column"]: (line["type"], line["unit"]) for line in DictReader(file)}
+    assert list(described) == list(table[0])
+    units = {"settled_at": "s", **dict.fromkeys(("final_error", "rms_error", "max_abs_angle", "plane.angle"), "rad")}
+    units |= {"max_abs_position": "m", "plane.angular_velocity": "rad/s", "swarm.agents.0.mass": "kg"}
+    assert {name: unit for name, (_, unit) in described.items() if unit} == units
+    schema = pq.read_schema(tmp_path / "s" / "results.parquet")
+    assert {field.name: field.metadata.get(b"unit", b"").decode() for field in schema} == {
+        name: unit for name, (_, unit) in described.items()
+    }
+    mat = loadmat(tmp_path / "s" / "results.mat", simplify_cells=True)
+    columns = {name.replace(".", "_"): [row[name] for row in table] for name in table[0]}
+    assert set(mat["results"]) == set(mat["units"]) == set(columns)
+    for name, values in columns.items():
+        found = [None if np.size(cell) == 0 or cell != cell else cell for cell in mat["results"][name]]  # noqa: PLR0124
+        assert found == values
+    assert (mat["units"]["plane_angle"], mat["units"]["rms_error"]) == ("rad", "rad")
+    whole = loadmat(tmp_path / "s" / "results.mat")["results"]
+    assert {whole[name][0, 0].shape for name in columns} == {(CASES, 1)}  # as struct2table needs them
     row = table[9]
     swept = {name: value for name, value in row.items() if "." in name}
     settings = [f"--set={name}={value!r}" for name, value in {**swept, "seed": row["seed"]}.items()]

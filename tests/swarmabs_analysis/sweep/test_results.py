@@ -20,8 +20,8 @@ from tests.swarmabs_core.helpers import digest
 from swarmabs_analysis.sweep import evaluate as module
 from swarmabs_analysis.sweep.evaluate import LONGEST_REASON, OUTCOMES, Task, evaluate, lost
 from swarmabs_analysis.sweep.picture import LOOKS, MARKERS, pictures
-from swarmabs_analysis.sweep.run import parquet, results_table
 from swarmabs_analysis.sweep.study import Study, Sweep, load_sweep
+from swarmabs_analysis.sweep.table import parquet, results_table
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_run.simulation import Simulation, simulate

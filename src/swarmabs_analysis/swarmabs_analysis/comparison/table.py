@@ -54,8 +54,11 @@ class ResponsiveTable(Table):
 
 
 def render(comparison: Comparison) -> RenderableType:
-    """Return the comparison as tables: both bags, verdict, deviations, then the differences other than messages."""
-    parts: list[RenderableType] = [_sides(comparison), _verdict(comparison)]
+    """Return the comparison as tables: both bags, verdict, deviations, then the differences other than messages.
+
+    Print it without cropping, so that a terminal that is too narrow for a digest continues it on its next line.
+    """
+    parts: list[RenderableType] = [_sides(comparison), _digests(comparison), _verdict(comparison)]
     if not comparison.messages.equal:
         parts += [_topics(comparison.messages.topics), _fields(comparison.messages.topics, comparison.system)]
     for name, differences in (("scenario", comparison.scenario), ("provenance", comparison.provenance)):
@@ -82,13 +85,19 @@ def _sides(comparison: Comparison) -> Table:
     return table
 
 
+def _digests(comparison: Comparison) -> Text:
+    """Return both digests, a line each: beside each other they would be torn, and could not be copied."""
+    sides = {"A": comparison.a, "B": comparison.b}
+    lines = [f"digest {name}  {side.digest or '-'}\n" for name, side in sides.items()]
+    return Text("".join(lines), no_wrap=True, overflow="ignore")
+
+
 def _facts(comparison: Comparison) -> Iterator[tuple[str, str, str]]:
     a, b = comparison.a, comparison.b
     yield "file", a.file, b.file
     yield "damaged", a.problem or "", b.problem or ""
     yield "ended early", a.aborted or "", b.aborted or ""
     yield "no scenario", a.scenario_problem or "", b.scenario_problem or ""
-    yield "digest", a.digest or "-", b.digest or "-"
     yield "steps", _steps(a), _steps(b)
     yield "period, s", _number(a.period), _number(b.period)
     yield "robots", str(a.robots), str(b.robots)

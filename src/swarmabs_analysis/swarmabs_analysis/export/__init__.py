@@ -1,6 +1,6 @@
-"""Export of bags to CSV, Parquet and numpy, for notebooks and other programs."""
+"""Export of bags to CSV, Parquet, numpy and MATLAB, for notebooks and other programs."""
 
-from swarmabs_analysis.export.arrays import export_arrays
+from swarmabs_analysis.export.arrays import SUFFIXES, ArrayFormat, export_arrays
 from swarmabs_analysis.export.tables import TABLES, TableFormat, export_tables
 
-__all__ = ["TABLES", "TableFormat", "export_arrays", "export_tables"]
+__all__ = ["SUFFIXES", "TABLES", "ArrayFormat", "TableFormat", "export_arrays", "export_tables"]

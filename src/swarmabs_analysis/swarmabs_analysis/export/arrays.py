@@ -1,13 +1,14 @@
-"""A bag as a file of numpy arrays."""
+"""A bag as a file of arrays, for numpy or MATLAB."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from swarmabs_analysis.export.matlab import write_mat
 from swarmabs_analysis.export.tables import WORD, tables_of
 from swarmabs_bag.arrays import arrays_since, available_memory, load_messages
 from swarmabs_bag.attached import event_time
@@ -19,7 +20,7 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS, Field, SwarmEvent, fields_of, word
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -29,14 +30,22 @@ if TYPE_CHECKING:
     from swarmabs_core.arrays import SystemArrays
 
 
-def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None) -> Path:
-    """Write the arrays of a bag (`load_arrays`), its events and summary to a new ``.npz`` file, complete or not at all.
+ArrayFormat = Literal["numpy", "mat"]
+SUFFIXES: dict[ArrayFormat, str] = {"numpy": ".npz", "mat": ".mat"}
+"""Endings of the files of arrays."""
+
+
+def export_arrays(
+    path: Path | str, file: Path, array_format: ArrayFormat = "numpy", *, namespace: str | None = None
+) -> Path:
+    """Write the arrays of a bag (`load_arrays`), its events and summary to a new file, complete or not at all.
 
     Names are those of `RunArrays` and of the fields, joined by underscores, such as ``agents_position`` of shape (n+1,
     N); the fields of the E events, in the order of the bag, are ``events_step``, ``events_detail`` and so on of shape
-    (E,), strings as fixed-width unicode. On another parent system than the plane, they are named by table and column,
-    such as ``parent_roll`` and ``agents_position``. ``units``, ``words`` (the names of the values in arrays of
-    constants such as ``agents_kind``) and ``summary`` are JSON texts. Nothing is pickled.
+    (E,). On another parent system than the plane, they are named by table and column,
+    such as ``parent_roll`` and ``agents_position``. There are also ``units``, ``words`` (the names of the values in
+    arrays of constants such as ``agents_kind``) and ``summary``: in a ``.npz`` file as JSON texts, in a ``.mat`` file
+    as structs. Strings are fixed-width unicode in numpy, cells in MATLAB. Nothing is pickled.
 
     Raises
     ------
@@ -45,8 +54,9 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
     RunError
         If the bag is damaged, or the file cannot be written.
     """
-    if file.suffix != ".npz":
-        raise InputError(f"{file} does not end in .npz; name a file such as {file.with_suffix('.npz')} with -o")
+    suffix = SUFFIXES[array_format]
+    if file.suffix != suffix:
+        raise InputError(f"{file} does not end in {suffix}; name a file such as {file.with_suffix(suffix)} with -o")
     if file.exists():
         raise InputError(f"{file} exists; name another file with -o, or remove it")
     bag = open_bag(path, namespace=namespace)
@@ -56,14 +66,23 @@ def export_arrays(path: Path | str, file: Path, *, namespace: str | None = None)
     arrays: dict[str, NDArray[Any]] = {**dict(_named(run, tables)), **_events(bag, messages.events, start)}
     units = {name: unit for name, unit in _units(tables).items() if name in arrays}
     described = {"units": units, "words": _words(tables), "summary": run.summary()}
-    texts = {name: np.array(json.dumps(content)) for name, content in described.items()}
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(file) as stream:
-            np.savez(stream, **texts, **arrays)  # type: ignore[arg-type]
+            (_write_npz if array_format == "numpy" else _write_mat)(stream, {**described, **arrays})
     except OSError as error:
         raise RunError(f"cannot write {file}: {error.strerror or error}; name another file with -o") from error
     return file
+
+
+def _write_npz(stream: IO[bytes], content: Mapping[str, Any]) -> None:
+    texts = {name: np.array(json.dumps(value)) for name, value in content.items() if isinstance(value, dict)}
+    np.savez(stream, **{**content, **texts})
+
+
+def _write_mat(stream: IO[bytes], content: Mapping[str, Any]) -> None:
+    words = {array: {name: value for value, name in names.items()} for array, names in content["words"].items()}
+    write_mat(stream, {**content, "words": words})  # the fields of a struct are names
 
 
 def _named(run: RunArrays | SystemArrays, tables: Sequence[BagTable]) -> Iterator[tuple[str, NDArray[Any]]]:

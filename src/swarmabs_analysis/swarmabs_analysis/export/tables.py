@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from contextlib import ExitStack, contextmanager
 from functools import cache, partial
@@ -31,12 +32,11 @@ from swarmabs_core.systems import Quantity
 from swarmabs_core.systems.components import MAIN_FIELDS, REFERENCE, components
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from swarmabs_bag.reader import BagReader
     from swarmabs_core.messages import Message
-    from swarmabs_core.systems import SystemTables
 
     AddRow = Callable[[Sequence[Any]], object]
 
@@ -54,6 +54,11 @@ class Column(NamedTuple):
     type: str
     unit: str
     meaning: str = ""
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """Unit and meaning, as far as it has them, for Parquet."""
+        return {name: text for name, text in (("unit", self.unit), ("meaning", self.meaning)) if text}
 
 
 class BagTable(NamedTuple):
@@ -74,22 +79,35 @@ WORD = "word"
 """Type of columns of constants: text, in Parquet dictionary-encoded."""
 
 
-def _table(name: str, topic: Topic, system: SystemTables | None = None) -> BagTable:
+class _Vectors(NamedTuple):
+    """The topics of a parent system, name of its own table, what its reference is called, and vectors of a message."""
+
+    topics: tuple[Topic, ...]
+    parent: str
+    reference: str
+    of: Callable[[type[Message]], Mapping[str, Sequence[Quantity]]]
+
+
+def _reference_of_plane(message: type[Message]) -> Mapping[str, Sequence[Quantity]]:
+    return {REFERENCE: (Quantity("", "rad"),)} if message is PlaneState else {}
+
+
+_PLANE = _Vectors(PLANE_FAMILY.main, "plane", "desired angle", _reference_of_plane)
+
+
+def _table(name: str, topic: Topic, vectors_of: _Vectors) -> BagTable:
     """Return a topic as a table: step, time, robot, the fields of the message in order, and the stamp last."""
     declared = {field: each for field, each in fields_of(topic.message).items() if field != "system"}
-    parts = {} if system is None else components(system, topic.message)
-    if topic.message is PlaneState:
-        parts[REFERENCE] = (Quantity(REFERENCE, "rad"),)
+    parts = vectors_of.of(topic.message)
     columns = {"time": _TIME} | {field: _column(field, each) for field, each in declared.items() if field not in parts}
     vectors = {}
     for field, several in parts.items():
         for index, (quantity, unit, *_) in enumerate(several):
-            key = quantity if field in MAIN_FIELDS or system is None else f"{field}_{quantity}"
+            key = quantity if field in MAIN_FIELDS else "_".join(filter(None, (field, quantity)))
             while key in columns or key in declared:
                 key = f"{field}_{key}"
-            what = "desired angle" if system is None else "wanted value"
-            what = f"{what} with its offsets; missing if unknown" if field == REFERENCE else f"{field}[{index}]"
-            columns[key] = Column(key, "float64", unit, what)
+            goal = f"{vectors_of.reference} with its offsets; missing if unknown"
+            columns[key] = Column(key, "float64", unit, goal if field == REFERENCE else f"{field}[{index}]")
             vectors[key] = field, index
     stamp = columns.pop("stamp")
     first = [columns.pop(key) for key in ("step", "time", "agent_id") if key in columns]
@@ -106,13 +124,12 @@ def _column(name: str, field: Field | type[Message]) -> Column:
     return Column(name, field.ros_type, field.unit, field.meaning + none)
 
 
-def _tables(system: SystemTables | None = None) -> tuple[BagTable, ...]:
-    family, parent = (PLANE_FAMILY, "plane") if system is None else (SYSTEM_FAMILY, "parent")
-    topics = zip(("agents", parent, "abstract", "auxiliary", "desired"), family.main, strict=True)
-    return (*(_table(name, topic, system) for name, topic in topics), _table("events", EVENTS))
+def _tables(vectors: _Vectors) -> tuple[BagTable, ...]:
+    topics = zip(("agents", vectors.parent, "abstract", "auxiliary", "desired"), vectors.topics, strict=True)
+    return (*(_table(name, topic, vectors) for name, topic in topics), _table("events", EVENTS, vectors))
 
 
-TABLES = _tables()
+TABLES = _tables(_PLANE)
 """All tables of a swarm on the plane, in the order of a bag."""
 
 
@@ -122,7 +139,9 @@ def tables_of(bag: BagReader) -> tuple[BagTable, ...]:
     On another parent system than the plane, a column is named after its quantity, such as ``roll``; if the field is not
     the quantity itself, or the name is taken, after field and quantity, such as ``rate_torque``.
     """
-    return TABLES if bag.family is PLANE_FAMILY else _tables(description_of(bag))
+    if bag.family is PLANE_FAMILY:
+        return TABLES
+    return _tables(_Vectors(SYSTEM_FAMILY.main, "parent", "wanted value", partial(components, description_of(bag))))
 
 
 def _row_of(table: BagTable, period: int | None, reference: Callable[[int], Any]) -> Callable[[Message], Sequence[Any]]:
@@ -234,7 +253,7 @@ def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
             column.name,
             pa.dictionary(pa.int32(), pa.string()) if column.type == WORD else pa.type_for_alias(column.type),
             nullable=column.name in nullable,
-            metadata={name: text for name, text in (("unit", column.unit), ("meaning", column.meaning)) if text},
+            metadata=column.metadata,
         )
         for column in table.columns
     )
@@ -263,7 +282,13 @@ def _may_be_missing(field: Field | type[Message]) -> bool:
 
 def write_columns(path: Path, tables: Sequence[BagTable] = TABLES) -> None:
     """Write the description of the columns of tables."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["table", "column", "type", "unit", "meaning"])
-        writer.writerows([table.name, *column] for table in tables for column in table.columns)
+    path.write_text(described_columns([(table.name, table.columns) for table in tables]), encoding="utf-8", newline="")
+
+
+def described_columns(tables: Iterable[tuple[str, Iterable[Column]]]) -> str:
+    """Return the description of the columns of tables, given by name, as CSV."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(["table", "column", "type", "unit", "meaning"])
+    writer.writerows([name, *column] for name, columns in tables for column in columns)
+    return file.getvalue()

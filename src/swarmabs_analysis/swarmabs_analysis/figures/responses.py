@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from swarmabs_analysis.figures.style import BLACK, BLUE, DASHED, DOTTED, GREY, LIGHT, PAGE, ROBOTS, VERMILION
+from swarmabs_analysis.figures.style import BLACK, BLUE, DASHED, DOTTED, GREY, LIGHT, PAGE, ROBOT_DASHES, VERMILION
 from swarmabs_bag.colours import KINDS as KIND_COLOURS
 from swarmabs_config import configure
 from swarmabs_core.messages import Kind
@@ -54,7 +55,9 @@ def draw_three_swarms(runs: Sequence[RecordedRun]) -> Figure:
     for axes, name in zip(left, SWARMS, strict=True):
         axes.annotate(name, (0, 0.5), (-44, 0), "axes fraction", "offset points", rotation=90, ha="right", va="center")
     above(left[0], "plane", _named(*parents[0]))
-    above(middle[0], "robots", _named(middle[0]))
+    names = zip(_named(middle[0]), cycle(ROBOT_DASHES), strict=False)
+    robots = [Line2D([], [], color=BLACK, linestyle=dashes, label=line.get_label()) for line, dashes in names]
+    above(middle[0], "robots", [*robots, *kinds(runs[-1])], columns=6)
     above(right[0], "error of the abstract state", _named(*errors[0]))
     end = max(float(run.arrays.time[-1]) for run in runs)
     for axes in panels.flat:
@@ -96,24 +99,20 @@ def parent_state(axes: Axes, run: RecordedRun) -> Pair:
 
 
 def each_robot(axes: Axes, run: RecordedRun, values: Floats, symbol: str) -> None:
-    """Draw a quantity of a few robots, shape (n+1, N), as lines labelled with its symbol and the robots' ids."""
-    for column, number in enumerate(run.arrays.agents.ids.tolist()):
-        colour, dashes = ROBOTS[column % len(ROBOTS)]
-        axes.plot(
-            run.arrays.time,
-            values[:, column],
-            color=colour,
-            linestyle=dashes,
-            label=f"{symbol}{str(number).translate(SUBSCRIPTS)}",
-        )
+    """Draw a quantity of a few robots, shape (n+1, N), in colours of kinds and dashes of robots, with their names."""
+    lines = robots_by_kind(axes, run, values)
+    for line, dashes, number in zip(lines, cycle(ROBOT_DASHES), run.arrays.agents.ids.tolist(), strict=False):
+        line.set(linewidth=1.1, linestyle=dashes, label=f"{symbol}{str(number).translate(SUBSCRIPTS)}")
 
 
-def robots_by_kind(axes: Axes, run: RecordedRun, values: Floats) -> None:
-    """Draw a quantity of many robots, shape (n+1, N), as thin lines coloured by kind."""
+def robots_by_kind(axes: Axes, run: RecordedRun, values: Floats) -> list[Line2D]:
+    """Draw a quantity of many robots, shape (n+1, N), as thin lines coloured by kind, and return the lines."""
     agents = run.arrays.agents
+    lines = []
     for column in range(len(agents.ids)):
         colour = KIND_COLOURS[Kind(max(agents.kind[:, column].tolist()))]
-        axes.plot(run.arrays.time, values[:, column], color=colour, linewidth=0.4)
+        lines += axes.plot(run.arrays.time, values[:, column], color=colour, linewidth=0.4)
+    return lines
 
 
 def abstract_error(axes: Axes, run: RecordedRun, colours: tuple[str, str] = (BLUE, VERMILION)) -> Pair:
@@ -157,10 +156,10 @@ def time_axis(axes: Axes, end: float) -> None:
     axes.axvline(STRETCHED, color=GREY, linewidth=0.6, zorder=-1.0)
 
 
-def above(axes: Axes, heading: str, lines: Sequence[Line2D]) -> None:
+def above(axes: Axes, heading: str, lines: Sequence[Line2D], columns: int = 4) -> None:
     """Put a heading and the legend above a panel."""
     axes.set_title(heading, pad=15.0)
-    legend = axes.legend(handles=lines, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, borderaxespad=0.2)
+    legend = axes.legend(handles=lines, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, borderaxespad=0.2)
     legend.set_in_layout(False)
 
 

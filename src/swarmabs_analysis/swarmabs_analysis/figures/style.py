@@ -32,8 +32,13 @@ ORANGE, SKY, GREEN, YELLOW = colours.DOUBLE_INTEGRATOR, colours.SINGLE_INTEGRATO
 BLUE, VERMILION, PURPLE = colours.PLANE, colours.ERROR, colours.INERTIA
 
 SOLID, DASHED, DOTTED = "-", (0, (4, 1.5)), (0, (1, 1.5))
-ROBOTS = tuple(zip(colours.ROBOTS, (SOLID, (0, (6, 1.2)), (0, (3, 1.2)), (0, (1, 1))), strict=True))
-"""Colour and dashes of the first, second, third and fourth robot."""
+ROBOT_DASHES: tuple[Literal["-"] | tuple[float, Sequence[float]], ...] = (
+    "-",
+    (0, (6, 1.2)),
+    (0, (3, 1.2)),
+    (0, (1, 1)),
+)
+"""Dashes of the first, second, third and fourth robot; the colour is that of its kind."""
 
 _SHEET = Path(__file__).with_name("paper.mplstyle")
 _METADATA: dict[Format, dict[str, None]] = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}

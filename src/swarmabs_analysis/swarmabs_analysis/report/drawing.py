@@ -11,10 +11,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from swarmabs_analysis.figures.responses import SUBSCRIPTS, same_limits
-from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, ROBOTS, SOLID
+from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, ROBOT_DASHES, SOLID
 from swarmabs_analysis.report.percentile_bands import density, draw_bands
-from swarmabs_bag.colours import ABSENT, FAILED, KINDS, PLANE, REFERENCE, SAFE_STOP, TORQUE
+from swarmabs_bag.colours import ABSENT, ERROR, FAILED, KINDS, PLANE, REFERENCE, SAFE_STOP, TORQUE
 from swarmabs_core.messages import EventKind, Kind, said
+from swarmabs_core.steering import REFERENCE as REFERENCE_OFFSET
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 if TYPE_CHECKING:
@@ -42,6 +43,9 @@ _FEW_MARKS, _MOST_MARKS = 12, 200
 _LEGEND = 66
 """Characters in a row of a legend; the sample of a line counts as eight."""
 _FINE, _COARSE = 241, 21
+_SHADE = 0.2
+"""Opacity of the shading of a disturbance."""
+_OFFSET: Mapping[str, Any] = {"color": REFERENCE, "linewidth": 0.7, "linestyle": DASHED, "zorder": 0.6}
 _EVENT_COLOURS: Mapping[int, str] = {
     EventKind.DEAD: FAILED,
     EventKind.LEFT: ABSENT,
@@ -165,7 +169,7 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
             recorded.arrays.time,
             values[:, column],
             color=KINDS[kind],
-            linestyle=ROBOTS[column % len(ROBOTS)][1] if count <= NAMED else SOLID,
+            linestyle=ROBOT_DASHES[column % len(ROBOT_DASHES)] if count <= NAMED else SOLID,
             linewidth=1.1 if count <= NAMED else 0.4,
             label=f"{symbol}{str(number).translate(SUBSCRIPTS)}",
         )
@@ -176,9 +180,8 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
 
 def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
     """Return a function that draws what is tracked, and positions or first coordinates, in a span of time, s."""
-    time, system = recorded.arrays.time, recorded.system
-    name, unit = ("θ", "rad") if system is None else (recorded.tracking.name, recorded.tracking.unit)
-    (symbol, metre, *_), *_ = (("p", "m"),) if system is None else system.robot
+    time, (name, unit, *_) = recorded.arrays.time, recorded.subject.tracked
+    symbol, metre, *_ = recorded.subject.robot[0]
     inside = (time >= begin) & (time <= end)
 
     def draw(figure: FigureBase) -> None:
@@ -188,9 +191,10 @@ def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
         upper.set_ylabel(f"{name}, {unit}" if len(recorded.tracking.followed) == 1 else unit)
         _linear(lower, float(time[-1]))
         named = _robots(lower, recorded, np.where(inside[:, None], recorded.coordinates[..., 0], np.nan), symbol)
-        if len(recorded.arrays.agents.ids) <= MANY:
-            _legend(upper, named)
         lower.set(xlabel="time, s", ylabel=f"{symbol}, {metre}", xlim=(begin, end))
+        _mark_settings(lower, recorded)
+        few = len(recorded.arrays.agents.ids) <= MANY
+        _legend(upper, [*(named if few else ()), *_mark_settings(upper, recorded)])
         upper.grid(visible=True)
         for axes in (upper, lower):
             for event in recorded.swarm.events:
@@ -241,6 +245,7 @@ def grid_over_time(recorded: Recorded, quantities: Mapping[str, tuple[Floats, st
             axes.plot(recorded.arrays.time, values, color=BLACK)
             axes.set_ylabel(f"{name}, {unit}")
             _linear(axes, float(recorded.arrays.time[-1]))
+            _mark_settings(axes, recorded)
         for axes in grid[-1]:
             axes.set_xlabel("time, s")
 
@@ -318,10 +323,10 @@ def _space(axes: Axes, recorded: Recorded, masses: Sequence[float]) -> None:
 
 
 def finish(axes: Axes, recorded: Recorded, named: Sequence[Line2D | Patch]) -> None:
-    """Add the time axis, the legend and the marks of events to a panel."""
+    """Add the time axis, the legend, disturbances, changes of the reference and the marks of events to a panel."""
     _linear(axes, float(recorded.arrays.time[-1]))
     axes.set_xlabel("time, s")
-    _legend(axes, [one for one in named if not str(one.get_label()).startswith("_")])
+    _legend(axes, [*named, *_mark_settings(axes, recorded)])
     _mark_events(axes, recorded)
 
 
@@ -337,7 +342,8 @@ def _by_decades(axes: Axes, values: Floats) -> None:
         axes.set_yscale("log")
 
 
-def _legend(axes: Axes, named: Sequence[Any]) -> None:
+def _legend(axes: Axes, entries: Sequence[Any]) -> None:
+    named = [one for one in entries if not str(one.get_label()).startswith("_")]
     if named:
         axes.legend(
             handles=named,
@@ -346,6 +352,22 @@ def _legend(axes: Axes, named: Sequence[Any]) -> None:
             ncols=max(1, min(4, _LEGEND // (8 + max(len(str(one.get_label())) for one in named)))),
             borderaxespad=0.2,
         )
+
+
+def _mark_settings(axes: Axes, recorded: Recorded) -> list[Line2D | Patch]:
+    """Shade disturbances and draw a line where the reference is offset; return the entries of the legend.
+
+    Only what is within the limits of the time axis has an entry.
+    """
+    begin, end = axes.get_xlim()
+    disturbed = [one for one in recorded.disturbances if one.begin < end and one.end > begin]
+    offsets = [one for one in recorded.settings(REFERENCE_OFFSET) if begin <= one.begin <= end]
+    for setting in disturbed:
+        axes.axvspan(setting.begin, setting.end, color=ERROR, alpha=_SHADE, linewidth=0.8, zorder=-1.0)
+    for setting in offsets:
+        axes.axvline(setting.begin, **_OFFSET)
+    shaded = [Patch(color=ERROR, alpha=_SHADE, label="disturbance")] if disturbed else []
+    return [*shaded, *([Line2D([], [], label="reference step", **_OFFSET)] if offsets else [])]
 
 
 def _mark_events(axes: Axes, recorded: Recorded) -> None:

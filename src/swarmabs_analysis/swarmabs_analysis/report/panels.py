@@ -40,8 +40,8 @@ from swarmabs_bag.colours import (
 )
 from swarmabs_bag.figures import TOLERANCE
 from swarmabs_core.abstraction import least_s3
-from swarmabs_core.events import said_event
-from swarmabs_core.messages import PLANE_KINDS, EventKind, Kind, said
+from swarmabs_core.events import EventCode, code_of, said_event
+from swarmabs_core.messages import EventKind, Kind, said
 from swarmabs_core.systems.kinds import MODELS
 
 if TYPE_CHECKING:
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_analysis.report.record import Recorded
+    from swarmabs_core.messages import SwarmEvent
     from swarmabs_core.systems import Quantity, SystemTables
 
     Floats = NDArray[np.float64]
@@ -244,7 +245,7 @@ def _zooms(recorded: Recorded) -> Iterator[Panel]:
         if event.kind in ZOOMED and 0.0 < at < last:
             begin = at if at > begin + AFTER else begin
             who = f"robot {event.agent_id} " if event.agent_id else ""
-            moments.setdefault(begin, []).append(f"{at:g} s: {who}{said_event(event)}")
+            moments.setdefault(begin, []).append(f"{at:g} s: {who}{said_event(event)}{_set(recorded, event)}")
 
     def largest(moment: float) -> float:
         found = error[(time >= moment) & (time <= moment + AFTER)]
@@ -254,14 +255,21 @@ def _zooms(recorded: Recorded) -> Iterator[Panel]:
         first, *others = moments[moment]
         further = joined(*others[:MOST_NAMED], f"{len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else "")
         about = joined(
-            "angle with its dashed reference, and positions"
-            if recorded.system is None
-            else "what is tracked with its dashed reference, and the first coordinate of the robots",
+            recorded.subject.zoomed,
             f"largest error {quantity(largest(moment), recorded.tracking.unit)}",
             f"then {further}" if further else "",
         )
         draw = zoom(recorded, max(0.0, moment - BEFORE), min(last, moment + AFTER))
         yield Panel(f"zoom-{number}", "zooms", f"Around {first}", draw, about, height=2.6)
+
+
+def _set(recorded: Recorded, event: SwarmEvent) -> str:
+    """Return the new value of the setting that an event changes, with its unit."""
+    code = code_of(event)
+    if code not in (EventCode.REFERENCE, EventCode.DISTURBANCE):
+        return ""
+    unit = recorded.subject.disturbance_unit if code is EventCode.DISTURBANCE else recorded.reference_unit
+    return f" {quantity(event.value, unit)}"
 
 
 def _robots(recorded: Recorded) -> Iterator[Panel]:
@@ -382,16 +390,13 @@ def _membership(recorded: Recorded) -> Panel:
     follows = swarm.on_plane & ~stopped & ~dead & ~silent
     kinds = agents.kind.max(axis=0, initial=0)
     looks = {
-        **{
-            f"{said(kind)} follows": (follows & (kinds == kind), KINDS[kind])
-            for kind in (PLANE_KINDS if recorded.system is None else Kind)
-        },
-        **({} if recorded.system is None else {"at a limit": (swarm.have_status("limited"), ERROR)}),
+        **{f"{said(kind)} follows": (follows & (kinds == kind), KINDS[kind]) for kind in recorded.subject.kinds},
+        **({"at a limit": (swarm.have_status("limited"), ERROR)} if recorded.subject.limits else {}),
         "safe stop": (stopped, SAFE_STOP),
         "dead": (dead, FAILED),
         "silent": (silent & ~dead, ABSENT),
     }
-    there, where = swarm.on_plane.sum(axis=1), "plane" if recorded.system is None else "parent system"
+    there, where = swarm.on_plane.sum(axis=1), recorded.subject.parent
     about = joined(
         f"robots on the {where}: initially {there[0]}, finally {there[-1]}" if len(there) else "",
         f"robots that report: initially {reporting[0].sum()}, finally {reporting[-1].sum()}" if len(there) else "",

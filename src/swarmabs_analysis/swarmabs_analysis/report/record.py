@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from swarmabs_analysis.figures.runs import RecordedRun
+from swarmabs_analysis.report.subject import Subject, subject_of
 from swarmabs_analysis.step_response import StepResponse, step_response
 from swarmabs_bag.arrays import arrays_since, digest_of, load_messages
 from swarmabs_bag.attached import attached_provenance, is_realtime, supply_scenario
@@ -18,7 +19,8 @@ from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime import realtime_figures
 from swarmabs_bag.recorded_swarm import recorded_swarm
 from swarmabs_config import configure
-from swarmabs_core.messages import EVENTS, STANDING
+from swarmabs_core.messages import EVENTS, STANDING, EventKind
+from swarmabs_core.steering import DISTURBANCE
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.general_theorems import clearance
 
@@ -51,6 +53,14 @@ class Margins:
     rows: NDArray[np.int64]
     actual: Floats
     desired: Floats
+
+
+class Setting(NamedTuple):
+    """A value that someone set during a run, and the time for which it held, s."""
+
+    begin: float
+    end: float
+    value: float
 
 
 @dataclass(frozen=True)
@@ -89,19 +99,22 @@ class Recorded:
     @property
     def system(self) -> SystemTables | None:
         """Names and units of another parent system than the plane."""
-        return getattr(self.swarm, "tables", None)
+        return _tables(self.swarm)
 
     @cached_property
     def tracking(self) -> Tracking:
         """What of the parent's state follows the reference."""
         return tracking_of(self.scenario)
 
+    @cached_property
+    def subject(self) -> Subject:
+        """What to say of the parent system and its robots."""
+        return subject_of(self.system, self.tracking)
+
     @property
     def tracked(self) -> Floats:
         """The numbers of the parent's state that follow the reference, (n+1, T): of the plane the angle, rad."""
-        arrays = self.arrays
-        found: Floats = arrays.angle[:, None] if self.system is None else arrays.parent[:, self.tracking.followed]
-        return found
+        return self.subject.states(self.arrays)[:, self.tracking.followed]
 
     @property
     def wanted(self) -> Floats:
@@ -111,9 +124,23 @@ class Recorded:
     @property
     def coordinates(self) -> Floats:
         """Coordinates of the robots, (n+1, N, d): on the plane the position, m."""
-        agents = self.arrays.agents
-        found: Floats = agents.position[..., None] if self.system is None else agents.coordinates
-        return found
+        return self.subject.coordinates(self.arrays)
+
+    def settings(self, name: str) -> list[Setting]:
+        """Return the values of a setting of the whole run (`DISTURBANCE` or `REFERENCE`) that was changed in it."""
+        events = [event for event in self.swarm.events if event.kind == EventKind.STEERING and event.detail == name]
+        times = [*map(self.swarm.time_of, events), float(self.arrays.time[-1])]
+        return [Setting(begin, end, event.value) for event, begin, end in zip(events, times, times[1:], strict=False)]
+
+    @property
+    def disturbances(self) -> list[Setting]:
+        """The constant disturbances, without the times in which there was none."""
+        return [setting for setting in self.settings(DISTURBANCE) if setting.value]
+
+    @property
+    def reference_unit(self) -> str:
+        """Unit of the reference; empty if several quantities follow one."""
+        return self.tracking.unit if len(self.tracking.followed) == 1 else ""
 
     @property
     def steps(self) -> int:
@@ -205,10 +232,9 @@ class Recorded:
         if not ids:
             return ""
         who = f"Robot {ids[0]} publishes" if len(ids) == 1 else f"Robots {', '.join(map(str, ids))} publish"
-        what = "positions and masses" if self.system is None else "coordinates and constants"
         return (
-            f"{who} a falsified state (an injected fault): {what}, and everything computed from them, "
-            "are the published ones."
+            f"{who} a falsified state (an injected fault): {self.subject.falsified}, and everything computed from "
+            "them, are the published ones."
         )
 
     @property
@@ -249,18 +275,21 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
     )
 
 
+def _tables(swarm: Any) -> SystemTables | None:
+    return getattr(swarm, "tables", None)
+
+
 def _metrics(swarm: Any, arrays: Any) -> dict[str, Any]:
     """Return the figures of the run, by the same arithmetic as during the recording."""
-    scenario = swarm.scenario
-    found, plane = RunFigures(configure.reference(scenario), tracking_of(scenario)), hasattr(arrays, "angle")
-    parent = arrays.angle[:, None] if plane else arrays.parent
-    states = zip(arrays.time.tolist(), arrays.step.tolist(), parent.tolist(), strict=True)
+    scenario, tracking = swarm.scenario, tracking_of(swarm.scenario)
+    found, subject = RunFigures(configure.reference(scenario), tracking), subject_of(_tables(swarm), tracking)
+    states = zip(arrays.time.tolist(), arrays.step.tolist(), subject.states(arrays).tolist(), strict=True)
     for time, step, state in states:
         if not np.isnan(state[0]):
             found.follow(step, round(time * 1e9) / 1e9, tuple(state))
     for event in swarm.events:
         found.strays.hear(event, event.stamp / 1e9)
-    coordinates = np.abs(arrays.agents.position if plane else arrays.agents.coordinates)
+    coordinates = np.abs(subject.coordinates(arrays))
     there = coordinates[arrays.agents.kind > 0]
     if there.size:
         found.reach(float(there.max()))

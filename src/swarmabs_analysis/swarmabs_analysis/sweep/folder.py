@@ -1,7 +1,7 @@
 """The folder of a sweep: a journal of finished cases that becomes one Parquet file at the end.
 
 During the sweep ``cases.jsonl`` gets one line per finished case, in any order. The next start removes a line that a
-crash left incomplete. ``results.parquet``, ``results.csv`` and ``summary.json`` appear complete or not at all.
+crash left incomplete. Tables, pictures and ``summary.json`` appear complete or not at all.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-SWEEP_FILE = "sweep.yaml"
+SWEEP_FILE, RESULTS_FILE = "sweep.yaml", "results.parquet"
 _SYNC_EVERY = 1.0
 """Time whose results a power failure may lose, s; a crash of this process loses none."""
 
@@ -34,7 +34,7 @@ class SweepFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.results, self.table, self.summary = path / "results.parquet", path / "results.csv", path / "summary.json"
+        self.results, self.summary = path / RESULTS_FILE, path / "summary.json"
         self.journal = path / "cases.jsonl"
         """The finished cases of an incomplete sweep."""
         self.rows: dict[int, dict[str, Any]] = {}

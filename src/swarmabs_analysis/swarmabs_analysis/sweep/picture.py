@@ -17,12 +17,11 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
+from swarmabs_analysis.sweep.table import metrics_of, unit_of
 from swarmabs_bag.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
-from swarmabs_bag.figures import PLANE_TRACKING, TOLERANCE, Tracking, tracking_of
-from swarmabs_config.model.declared import unit_at
+from swarmabs_bag.figures import PLANE_TRACKING, TOLERANCE, tracking_of
 from swarmabs_config.scenario import SystemScenario, parse_scenario
 from swarmabs_config.theory_setting import setting
-from swarmabs_core.systems.interface import Quantity
 from swarmabs_core.theory.state_feedback import Estimate, estimate
 
 if TYPE_CHECKING:
@@ -141,18 +140,11 @@ def _subject(study: Study, rows: Rows) -> _Subject:
         panels = None
     upright = [row for row in rows.values() if OUTCOMES.index(row["outcome"]) < _OFF_PLANE]
     known = {name: sum(row.get(name) is not None for row in upright) for name in sweep.results}
-    drawable = _metrics(PLANE_TRACKING)
+    drawable = metrics_of(PLANE_TRACKING)
     metric = next(
         (name for name, count in known.items() if name in drawable and 2 * count >= max(len(upright), 1)), None
     )
     return _Subject(axes, panels, metric)
-
-
-def _metrics(tracking: Tracking) -> dict[str, str]:
-    """Return the results that can be drawn, with their units, by their names."""
-    largest = Quantity(f"max |{tracking.name}|", tracking.unit)
-    labels = {name: figure.label for name, figure in (tracking.figures | {"max_abs_angle": largest}).items()}
-    return labels | {"initial_error_squared": "|z|² at the start"}
 
 
 def _is_number(value: object) -> bool:
@@ -182,9 +174,8 @@ def _draw(study: Study, rows: Rows, subject: _Subject) -> Figure:
     scale = _scale(cases.result)
     show = _curve if len(subject.axes) == 1 else _fields if cases.gridded else _markers
     labels = [_label(scenario, path) for path in subject.axes]
-    of_system = isinstance(scenario, SystemScenario)
-    looks = LABELS if of_system else {name: label for name, (_, label) in LOOKS.items()}
-    metric = _metrics(tracking_of(scenario)).get(subject.metric or "", "")
+    looks = LABELS if isinstance(scenario, SystemScenario) else {name: label for name, (_, label) in LOOKS.items()}
+    metric = metrics_of(tracking_of(scenario)).get(subject.metric or "", "")
     for number, (axes, (title, chosen)) in enumerate(zip(panels, parts, strict=True)):
         show(axes, cases.where(chosen), scale)
         axes.set_title(title, fontsize="medium")
@@ -240,7 +231,7 @@ def _parts(study: Study, scenario: Scenario, path: str) -> list[tuple[str, NDArr
 
 def _label(scenario: Scenario, path: str, value: str = "") -> str:
     """Return the name of a parameter, with the id of its robot, and its value or unit."""
-    unit = unit_at(scenario, path).replace("^2", "²")
+    unit = unit_of(scenario, path)
     robot, listed = re.match(r"swarm\.agents\.(\d+)\.", path), scenario.swarm.agents
     name = f"{path} (robot {listed[int(robot[1])].id})" if robot and listed else path
     return f"{name}\n{value} {unit}".rstrip() if value else f"{name}, {unit}".removesuffix(", ")

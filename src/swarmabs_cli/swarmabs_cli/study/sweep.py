@@ -50,8 +50,8 @@ def sweep(
     """Run many variants of a scenario.
 
     SWEEP.yaml names the scenario and what varies: a grid of parameters, or parameters drawn at random. The folder
-    receives results.parquet and results.csv with one row per case, summary.json and a picture. Continue an interrupted
-    sweep with --resume.
+    receives results.parquet, results.csv and results.mat with one row per case, columns.csv with their units,
+    summary.json and a picture. Continue an interrupted sweep with --resume.
     """
     if resume and output is None:
         raise click.UsageError("--resume needs the folder of the sweep; name it with -o DIR")
