@@ -124,11 +124,13 @@ class Payload:
             places = (self.robot_place(state, (0.0,), end) for end in ends)
             return tuple((x, y - below) for x, y, _ in places)
 
-        ring = line(*((0.9 * cos(n * pi / 18.0), 0.9 * sin(n * pi / 18.0)) for n in range(37)))
+        ring = [(0.9 * cos(n * pi / 18.0), 0.9 * sin(n * pi / 18.0)) for n in range(37)]
         top = line((-0.25, -0.2), (0.25, -0.2), (0.25, 0.2), (-0.25, 0.2), (-0.25, -0.2), below=0.15)
         front = line((-0.25, -0.2), (0.25, -0.2), below=0.15) + line((0.25, -0.2), (-0.25, -0.2), below=0.4)
         side = line((0.25, -0.2), (0.25, 0.2), below=0.15) + line((0.25, 0.2), (0.25, -0.2), below=0.4)
-        return (ring, line((-0.9, 0.0), (0.9, 0.0)), line((0.0, -0.9), (0.0, 0.9)), top, (*front, front[0]), side)
+        load = (top, (*front, front[0]), (*side, side[0]))
+        arms = line((-0.9, 0.0), (0.9, 0.0)), line((0.0, -0.9), (0.0, 0.9))
+        return (*load, *arms, line(*ring[:19]), line(*ring[18:]))  # the ring is not filled
 
 
 @dataclass(frozen=True)
