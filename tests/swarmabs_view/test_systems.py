@@ -257,8 +257,8 @@ def test_the_page_shows_the_numbers_of_a_system_with_names_and_units(page: Page,
     page.get_by_label("Robots by").select_option("y, m")
     expect(page.locator(".u-title").last).to_have_text("y, m")
     legend = page.locator(".legend li").filter(visible=True)
-    kinds = ["with lag", "limited: thick outline", "safe stop: yellow", "dead: crossed", "silent: dashed"]
-    expect(legend).to_have_text([*kinds, "robots that left are not drawn", "actual", "desired"])
+    kinds = ["with lag", "limited", "safe stop", "dead", "silent"]
+    expect(legend).to_have_text([*kinds, "actual", "desired"])
     expect(page.locator("#zoom")).to_be_hidden()
 
 
