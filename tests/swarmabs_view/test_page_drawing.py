@@ -357,6 +357,13 @@ def test_the_layout_for_presenters_fills_a_projector_and_is_remembered(
     )
     assert min(fonts) >= size[1] / 45
     expect(page.get_by_role("button", name="Kill")).to_be_enabled()
+    page.set_viewport_size({"width": 1600, "height": 900})  # texts and the chart follow the window
+    page.wait_for_function(
+        """(chart) => chart.clientHeight > 200 && Math.abs(chart.clientHeight - chart.firstChild.offsetHeight) < 2
+        && window.drawn["chart-angle"].boxes.length""",
+        arg=page.locator("#chart-angle").element_handle(),
+    )
+    drawn(page, "chart-angle")
     page.reload()
     expect(page.locator("#layout")).to_have_text("Full page")
     expect(page.locator("#now-panel")).to_be_hidden()

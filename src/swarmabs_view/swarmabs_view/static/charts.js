@@ -130,7 +130,7 @@ export class Charts {
       plot.over.addEventListener("click", (event) => this.seek(plot.posToVal(event.offsetX, "x")));
       return plot;
     });
-    this.mark(this.time ?? null);
+    queueMicrotask(() => this.resize()); // after uPlot has made titles and legends
   }
 
   // The chart of the positions: a line per robot, or for many robots percentile bands of each side on which they start.
@@ -288,6 +288,7 @@ export class Charts {
   resize() {
     if (unitOf(document.getElementById(POSITIONS)) !== this.unit) {
       this.build();
+      return;
     }
     const filled = document.documentElement.dataset.layout === "presenter"; // the chart fills its panel
     for (const plot of this.plots) {
