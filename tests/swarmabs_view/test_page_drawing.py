@@ -334,7 +334,7 @@ def test_the_layout_for_presenters_fills_a_projector_and_is_remembered(
     page_server.open(curves(0, 50), steered, hash_=f"#steer={'x' * 43}")
     usual = [box[4] - box[2] for box in drawn(page, "plane")["boxes"] if box[0].isdigit()]
     page.keyboard.press("p")
-    expect(page.locator("#layout")).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#layout")).to_have_text("Full page")
     seen = page.locator("main section, .chart").filter(visible=True)
     parts = ["plane-panel", "steering", "curves-panel", "chart-angle", "abstract-panel"]
     assert seen.evaluate_all("(parts) => parts.map((part) => part.id)") == parts

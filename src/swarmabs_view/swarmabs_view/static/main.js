@@ -195,9 +195,7 @@ function shownTheme() {
 }
 
 function shownLayout() {
-  const large = layout.chosen === "presenter";
-  element("layout").setAttribute("aria-pressed", String(large));
-  element("layout").textContent = large ? "Full page" : "Presenter";
+  element("layout").textContent = layout.chosen === "presenter" ? "Full page" : "Presenter";
 }
 
 function nextTheme() {
