@@ -1,6 +1,7 @@
 """Take the screenshots of the view and of a report in docs/images with a browser: python docs/screenshots.py [FOLDER].
 
-It records and serves runs like a user, and needs Chromium and the packages of the tests.
+It records and serves runs like a user, the example `payload` among them, and needs Chromium and the packages of the
+tests.
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 IMAGES = Path(__file__).parent / "images"
+EXAMPLE = Path(__file__).parents[1] / "examples" / "payload"
 SWARM = (sys.executable, "-m", "swarmabs_cli")
-FAULTS = "faults=[{at: 0.6, kind: kill, agent: 2}]"
+FAULTS = "faults=[{at: 0.6, kind: kill, agent: 2}, {at: 3, until: 5, kind: disturbance, torque: 0.1}]"
 LIVE = "100000"
 """Duration of the live run, s; it is stopped earlier."""
 
@@ -58,7 +60,7 @@ def opened(browser: Browser, url: str, size: tuple[int, int], scheme: str) -> Pa
 def seek(page: Page, step: int) -> None:
     """Show a step of a bag."""
     page.locator("#scrub").evaluate("(s, step) => { s.value = step; s.dispatchEvent(new Event('input')); }", step)
-    page.wait_for_selector(f"#step[value='{step}']")
+    page.wait_for_selector(f"#step[value='{step}']", state="attached")
     page.wait_for_timeout(500)
 
 
@@ -66,6 +68,21 @@ def keep(page: Page, file: Path, *, whole: bool = False) -> None:
     """Save the visible part of the page, or all of it, and close it."""
     Image.open(io.BytesIO(page.screenshot(full_page=whole))).convert("RGB").save(file, lossless=True, method=6)
     page.context.close()
+
+
+def own_system(browser: Browser, runs: Path, folder: Path) -> None:
+    """Write the view of a parent system of a package, the example `payload`."""
+    shutil.copytree(EXAMPLE, runs / "payload")  # pip leaves files there
+    target = str(runs / "packages")
+    install = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--target", target]
+    subprocess.run([*install, "./payload"], cwd=runs, check=True)
+    os.environ["PYTHONPATH"] = os.pathsep.join([*filter(None, [os.environ.get("PYTHONPATH")]), target])
+    simulate = [*SWARM, "simulate", str(EXAMPLE / "payload.yaml"), "-o", "flown"]
+    subprocess.run(simulate, cwd=runs, check=True, capture_output=True)
+    with page_of(runs, "view", "flown") as url:
+        page = opened(browser, url, (1280, 720), "light")
+        seek(page, 1100)
+        keep(page, folder / "view_payload.webp")
 
 
 def report(browser: Browser, runs: Path, file: Path) -> None:
@@ -105,6 +122,11 @@ def main() -> int:
             page = opened(browser, url, (390, 844), "light")
             seek(page, 40)
             keep(page, folder / "view_phone.webp")
+            page = opened(browser, url, (1280, 720), "light")
+            page.keyboard.press("p")
+            seek(page, 420)
+            keep(page, folder / "view_presenter.webp")
+        own_system(browser, here, folder)
         with page_of(here, "run", "arise_het_20", "--duration", LIVE, "--view", said="view: ") as url:
             page = opened(browser, url, (1280, 900), "light")
             page.wait_for_selector("#processes tbody tr", timeout=60_000)

@@ -342,8 +342,8 @@ def parent_system() -> str:
             if inspect.isfunction(method) and not name.startswith("_"):
                 words = ", ".join(list(inspect.signature(method).parameters)[1:])
                 rows.append((code(f"{name}({words})") + whose, (method.__doc__ or "").partition("\n")[0]))
-    options = re.findall(r"^    - (``.+?``.*?): (.+)$", text, re.MULTILINE)
-    rows += [(f"{name}, optional", f"{said[0].upper()}{said[1:]}") for name, said in options]
+    options = re.findall(r"^    - (``.+?``.*?): (.+(?:\n      .+)*)$", text, re.MULTILINE)
+    rows += [(f"{name}, optional", " ".join(f"{said[0].upper()}{said[1:]}".split())) for name, said in options]
     return table(("name", "meaning"), ((name.replace("``", "`"), said.replace("``", "`")) for name, said in rows))
 
 

@@ -124,7 +124,11 @@ class Beam(FirstAndSecondMoment):
         return (((-x, -y), (x, y)),)
 
     def robot_place(self, state: Vector, q: Vector, constants: Vector) -> Vector:
-        return q[0] * cosine(state[0]), q[0] * sine(state[0])
+        return q[0] * cosine(state[0]), q[0] * sine(state[0]), state[0]
+
+    def robot_body(self, constants: Vector) -> tuple[tuple[Vector, ...], ...]:
+        w, h = 0.03, 0.02 + 0.01 * constants[0]
+        return (((-w, 0.0), (w, 0.0), (w, h), (-w, h), (-w, 0.0)), ((0.0, 0.0), (0.0, -h)))
 
     def reach(self, abstract: Vector) -> bool:
         return abstract[1] < self.far
@@ -398,7 +402,10 @@ FAULTS: dict[str, dict[str, Any]] = {
     "failed_late": {"failed": lambda _, state: "" if state[0] == 0.15 else {}["x"]},
     "reference_late": {"reference": lambda _, time: (0.0 / (time < 0.05),)},
     "outline": {"outline": lambda *_: ((1.0, 2.0), (2.0, 3.0))},
-    "robot_place": {"robot_place": lambda *_: (0.0, 0.0, 0.0)},
+    "robot_place": {"robot_place": lambda *_: (0.0, 0.0, 0.0, 0.0)},
+    "no_constants": {"constants": (), "robot_body": lambda *_: (((0.0, 0.0), (0.1, 0.0)),)},
+    "robot_body": {"robot_body": lambda *_: ((1.0, 2.0), (2.0, 3.0))},
+    "impure_robot_body": {"robot_body": _in_turn((((0.0, 1.0),),), (((0.0, 2.0),),))},
     "controller_raises": {"controller": lambda *_: {}["x"]},
     "complete_size": {"complete": lambda _, t: t},
     "complete_at_end": {"complete": lambda _, t: (t[0], inf if t[0] > 4.0 else 0.1)},

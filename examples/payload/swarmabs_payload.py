@@ -1,7 +1,7 @@
 """A payload carried by rotors, each a robot that follows its commanded thrust with a lag; see README.md."""
 
 from dataclasses import dataclass
-from math import cos, sin
+from math import cos, pi, sin
 
 from swarmabs_core.declaration import setting
 from swarmabs_core.systems import Constant, Need, Quantity, SystemType, Tracked, Vector
@@ -110,12 +110,27 @@ class Payload:
     def robot_place(self, state: Vector, q: Vector, constants: Vector) -> Vector:
         """Return where a rotor is drawn: seen obliquely from the side, higher with more thrust."""
         x, y = constants[:2]
-        return (x + 0.4 * y, 0.4 * y - x * sin(state[7]) + y * sin(state[6]) + 0.05 * q[0])
+        return (x + 0.4 * y, 0.4 * y - x * sin(state[7]) + y * sin(state[6]) + 0.02 * q[0], -state[7])
+
+    def robot_body(self, constants: Vector) -> tuple[tuple[Vector, ...], ...]:
+        """Return disc and mast of a rotor."""
+        disc = tuple((0.12 * cos(n * pi / 8.0), 0.04 * sin(n * pi / 8.0)) for n in range(17))
+        return (disc, ((0.0, 0.0), (0.0, -0.12)))
 
     def outline(self, state: Vector) -> tuple[tuple[Vector, ...], ...]:
-        """Return the arms."""
-        ends = [self.robot_place(state, (0.0,), end) for end in ((-0.9, 0.0), (0.9, 0.0), (0.0, -0.9), (0.0, 0.9))]
-        return ((ends[0], ends[1]), (ends[2], ends[3]))
+        """Return ring and arms, and the payload below them."""
+
+        def line(*ends: Vector, below: float = 0.0) -> tuple[Vector, ...]:
+            places = (self.robot_place(state, (0.0,), end) for end in ends)
+            return tuple((x, y - below) for x, y, _ in places)
+
+        ring = [(0.9 * cos(n * pi / 18.0), 0.9 * sin(n * pi / 18.0)) for n in range(37)]
+        top = line((-0.25, -0.2), (0.25, -0.2), (0.25, 0.2), (-0.25, 0.2), (-0.25, -0.2), below=0.15)
+        front = line((-0.25, -0.2), (0.25, -0.2), below=0.15) + line((0.25, -0.2), (-0.25, -0.2), below=0.4)
+        side = line((0.25, -0.2), (0.25, 0.2), below=0.15) + line((0.25, 0.2), (0.25, -0.2), below=0.4)
+        load = (top, (*front, front[0]), (*side, side[0]))
+        arms = line((-0.9, 0.0), (0.9, 0.0)), line((0.0, -0.9), (0.0, 0.9))
+        return (*load, *arms, line(*ring[:19]), line(*ring[18:]))  # the ring is not filled
 
 
 @dataclass(frozen=True)

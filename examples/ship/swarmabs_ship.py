@@ -124,8 +124,14 @@ class Ship:
         return tuple(tuple(turned(x, y, state[0]) for x, y in line) for line in lines)
 
     def robot_place(self, state: Vector, q: Vector, constants: Vector) -> Vector:
-        """Return where a trolley is, seen from ahead."""
-        return turned(q[0], 0.0, state[0])
+        """Return where a trolley is, seen from ahead, and the roll angle by which it is turned."""
+        return (*turned(q[0], 0.0, state[0]), state[0])
+
+    def robot_body(self, constants: Vector) -> tuple[tuple[Vector, ...], ...]:
+        """Return box and wheels of a trolley on the beam."""
+        box = ((-0.2, 0.12), (0.2, 0.12), (0.2, 0.42), (-0.2, 0.42), (-0.2, 0.12))
+        wheel = [(0.06 * cos(n * pi / 6.0), 0.06 + 0.06 * sin(n * pi / 6.0)) for n in range(13)]
+        return (box, *(tuple((x + side, y) for x, y in wheel) for side in (-0.12, 0.12)))
 
 
 class RollDamper:

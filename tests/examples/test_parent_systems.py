@@ -269,7 +269,7 @@ def test_a_system_is_short_and_can_be_drawn(name: str) -> None:
         for line in made.outline(state):
             assert len(line) > 1 and all(len(point) == 2 and all(map(math.isfinite, point)) for point in line)
     if name == "ship":  # roll is positive where the side of negative p goes down
-        assert made.robot_place(tilted, (1.0,), (100.0, 0.0)) == pytest.approx((math.cos(0.2), math.sin(0.2)))
+        assert made.robot_place(tilted, (1.0,), (100.0, 0.0)) == pytest.approx((math.cos(0.2), math.sin(0.2), 0.2))
         assert made.reach((1000.0, 200.0)) and not made.reach((1000.0, 5.0)) and not made.reach((0.0, 9000.0))
     if name == "payload":  # a rotor is drawn higher with more thrust
         low, high = (made.robot_place(made.initial, (thrust,), (0.5, 0.3, 1.0, 0.05, 12.0)) for thrust in (1.0, 5.0))

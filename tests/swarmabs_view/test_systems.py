@@ -18,7 +18,7 @@ from tests.swarmabs_bag.test_systems import LIFT, SHEET, bag_of, simulated
 from tests.swarmabs_view.conftest import HELLO, PageServer, number, told
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
-from swarmabs_bag.swarm_state import SwarmState
+from swarmabs_bag.swarm_state import ShownSystemRobot, SwarmState, SystemIdentity, SystemInstant
 from swarmabs_cli import main as swarm_command
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.cdr import encode
@@ -38,7 +38,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     SystemDescription,
 )
-from swarmabs_core.systems.interface import SYSTEMS, NamedSystem
+from swarmabs_core.systems.interface import SYSTEMS, NamedSystem, SystemTables
 from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.start import SwarmNode, initialise
 from swarmabs_run.run import Progress
@@ -46,6 +46,7 @@ from swarmabs_view import protocol
 from swarmabs_view.listener import Listener
 from swarmabs_view.live import LiveSession, LiveView
 from swarmabs_view.playback import PlaybackSession, open_recording
+from swarmabs_view.presenter import Presenter
 from swarmabs_view.terminal import RunPanel, describe
 
 PERIOD = 10_000_000
@@ -145,9 +146,12 @@ def test_a_system_draws_itself_and_others_are_drawn_at_their_coordinates(systems
     frame = told(first_messages(view_of(heard("beam", 5))), protocol.SystemFrame)[0]
     angle = 0.05
     places = [0.1 * robot + 5 for robot in (1, 2, 3)]
-    assert frame.robots.position == [pytest.approx([p * cos(angle), p * sin(angle)]) for p in places]
+    assert frame.robots.position == [pytest.approx([p * cos(angle), p * sin(angle), angle]) for p in places]
     ends = [1.5 * cos(angle), 1.5 * sin(angle)]
     assert frame.outline == [[pytest.approx([-ends[0], -ends[1]]), pytest.approx(ends)]]
+    (system,) = told(first_messages(view_of(heard("beam", 5))), protocol.System)
+    assert system.placed
+    assert [body[0][2] for body in system.bodies] == [pytest.approx([0.03, 0.02 + 0.01 * robot]) for robot in (1, 2, 3)]
     frame = told(first_messages(view_of(heard("sheet", 5))), protocol.SystemFrame)[0]
     assert frame.outline == []
     assert frame.robots.position == frame.robots.coordinates
@@ -156,8 +160,21 @@ def test_a_system_draws_itself_and_others_are_drawn_at_their_coordinates(systems
     SYSTEMS.forget()
     presented = first_messages(view_of(messages))
     frame, system = told(presented, protocol.SystemFrame)[0], told(presented, protocol.System)[0]
-    assert (system.placed, frame.outline) == (False, [])
+    assert (system.placed, system.bodies, frame.outline) == (False, [[], [], []], [])
     assert frame.robots.position == [[p] for p in places]
+
+
+@pytest.mark.usefixtures("systems")
+def test_robots_without_constants_are_placed_and_drawn_by_their_system_too() -> None:
+    presenter = Presenter(SystemTables.read(NamedSystem("faulty", {"fault": "no_constants"}).description))
+    robots = [SystemIdentity(1, RobotKind.SINGLE_INTEGRATOR, ())]
+    (system,) = presenter.described(robots)
+    assert isinstance(system, protocol.System)
+    assert system.bodies == [[[[0.0, 0.0], [0.1, 0.0]]]]
+    instant = SystemInstant(0, 0, 0.0, (0.5, 0.0), (), (), ())
+    frame = presenter.frame(instant, [ShownSystemRobot((2.0,), (0.0,), (0.0,), "active")], robots, None)
+    assert isinstance(frame, protocol.SystemFrame)
+    assert frame.robots.position == [pytest.approx([2.0 * cos(0.5), 2.0 * sin(0.5), 0.5])]
 
 
 @pytest.mark.usefixtures("systems")
@@ -240,8 +257,8 @@ def test_the_page_shows_the_numbers_of_a_system_with_names_and_units(page: Page,
     page.get_by_label("Robots by").select_option("y, m")
     expect(page.locator(".u-title").last).to_have_text("y, m")
     legend = page.locator(".legend li").filter(visible=True)
-    kinds = ["with lag", "limited: thick outline", "safe stop: yellow", "dead: crossed", "silent: dashed"]
-    expect(legend).to_have_text([*kinds, "robots that left are not drawn", "actual", "desired"])
+    kinds = ["with lag", "limited", "safe stop", "dead", "silent"]
+    expect(legend).to_have_text([*kinds, "actual", "desired"])
     expect(page.locator("#zoom")).to_be_hidden()
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from itertools import chain
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -50,20 +49,23 @@ class Presenter:
         """Return what follows a hello."""
         if self._tables is None:
             return []
-        return [self._system.model_copy(update={"constants": [list(robot.constants) for robot in robots]})]
+        draw = getattr(self._made, "robot_body", _nothing)
+        bodies = [_lines(_drawn(draw, (robot.constants, self._tables.constants))) for robot in robots]
+        constants = [list(robot.constants) for robot in robots]
+        return [self._system.model_copy(update={"constants": constants, "bodies": bodies})]
 
     def frame(self, instant: Any, robots: Sequence[Any], identities: Sequence[Any], step_rate: Number) -> Message:
         """Return the frame of a step, with the robots in the order of the hello."""
         if self._tables is None:
             return Frame.of(instant, robots, step_rate)
         fields = ("coordinates", "velocities", "command")
-        places = (self._place(instant.parent, *one) for one in zip(robots, identities, strict=True))
+        places = (self._place(self._tables, instant.parent, *one) for one in zip(robots, identities, strict=True))
         states = {name: [list(getattr(robot, name)) for robot in robots] for name in fields}
         return SystemFrame(
             step=instant.step,
             time=instant.time,
             values=self._values(instant),
-            outline=self._outline(instant.parent),
+            outline=_lines(_drawn(getattr(self._made, "outline", _nothing), (instant.parent, self._tables.parent))),
             robots=SystemRobots(position=list(places), status=[robot.status for robot in robots], **states),
             step_rate=step_rate,
         )
@@ -83,26 +85,36 @@ class Presenter:
             value for vector, rows in pairs for value in (vector if len(vector) == len(rows) else (None,) * len(rows))
         ]
 
-    def _place(self, state: ShownVector, robot: ShownSystemRobot, identity: SystemIdentity) -> list[float] | None:
+    def _place(
+        self, tables: SystemTables, state: ShownVector, robot: ShownSystemRobot, identity: SystemIdentity
+    ) -> list[float] | None:
         """Return where a robot is drawn, by default at its first two coordinates, None if that is unknown."""
         place = getattr(self._made, "robot_place", None)
-        found = _drawn(place, state, robot.coordinates, identity.constants) if place else robot.coordinates
-        known = [value for value in found[:2] if value is not None and isfinite(value)]
-        return known if known and len(known) == len(found[:2]) else None
-
-    def _outline(self, state: ShownVector) -> list[list[list[float]]]:
-        """Return the lines to draw; numbers that are not finite are left to the page."""
-        lines = _drawn(getattr(self._made, "outline", lambda _: ()), state)
-        return [[[float(x), float(y)] for x, y in line] for line in lines]
+        vectors = (state, tables.parent), (robot.coordinates, tables.robot), (identity.constants, tables.constants)
+        found = _drawn(place, *vectors) if place else robot.coordinates[:2]
+        known = [value for value in found if value is not None and isfinite(value)]
+        return known if known and len(known) == len(found) else None
 
 
-def _drawn(draw: Callable[..., tuple[Any, ...]], *vectors: ShownVector) -> tuple[Any, ...]:
-    """Return what a package draws from vectors, nothing if it cannot or they are not completely known."""
-    if not all(vectors) or None in chain.from_iterable(vectors):
+def _nothing(_: ShownVector) -> tuple[()]:
+    return ()
+
+
+def _drawn(draw: Callable[..., tuple[Any, ...]], *vectors: tuple[ShownVector, Sequence[Any]]) -> tuple[Any, ...]:
+    """Return what a package draws from vectors with the rows of these tables.
+
+    Nothing if it cannot, or if a number is not known.
+    """
+    if any(len(vector) != len(rows) or None in vector for vector, rows in vectors):
         return ()
     with suppress(ArithmeticError, LookupError, TypeError, ValueError):
-        return draw(*vectors)
+        return draw(*(vector for vector, _ in vectors))
     return ()
+
+
+def _lines(lines: tuple[Any, ...]) -> list[list[list[float]]]:
+    """Return lines to draw as lists; numbers that are not finite are left to the page."""
+    return [[[float(x), float(y)] for x, y in line] for line in lines]
 
 
 def _installed(tables: SystemTables) -> ParentSystem | None:

@@ -141,7 +141,10 @@ class System(Message):
     name: str
     rows: list[Row] = Field(description="in the order of values, then of a robot's coordinates, then of its constants")
     constants: list[list[Number]] = Field(description="by robot, in the order of the hello")
-    placed: bool = Field(description="whether the system itself places the robots in the picture")
+    placed: bool = Field(description="whether the system itself places the robots in the picture, which is then in m")
+    bodies: list[list[list[list[float]]]] = Field(
+        default=[], description="by robot, the filled lines that draw it around its position; empty: a symbol"
+    )
 
 
 class Abstract(Part):
@@ -189,7 +192,9 @@ class Frame(Message):
 class SystemRobots(Part):
     """States of all robots in the order of the hello, empty for robots without data and robots that left."""
 
-    position: list[list[float] | None] = Field(description="in the picture, along a line or in two dimensions")
+    position: list[list[float] | None] = Field(
+        description="in the picture, along a line or in two dimensions; a third number turns the body, rad"
+    )
     coordinates: list[list[Number]]
     velocities: list[list[Number]]
     command: list[list[Number]]

@@ -166,6 +166,11 @@ def _numbers(what: str, size: int, call: Callable[[], Any]) -> Vector:
     return tuple(map(float, found))
 
 
+def _lines(what: str, call: Callable[[], Any]) -> None:
+    """Call what draws lines of points (x, y)."""
+    _called(what, lambda: [(x + 0.0, y + 0.0) for line in call() for x, y in line])
+
+
 def _positive(what: str, call: Callable[[], Any]) -> None:
     if not _is_number(found := _called(what, call)) or found <= 0.0:
         raise _FaultyError(f"{what} is {_shown(found)}; it must be a positive number")
@@ -294,11 +299,13 @@ def _of_start(
         raise _FaultyError(f"it fails at the start: {_shown(text)}")
     _numbers("reference()", len(made.tracked), lambda: made.reference(0.0))
     if hasattr(made, "outline"):
-        _called("outline()", lambda: [(x + 0.0, y + 0.0) for line in made.outline(start) for x, y in line])
+        _lines("outline()", lambda: made.outline(start))
+    for robot in robots if hasattr(made, "robot_body") else ():
+        _lines("robot_body()", partial(made.robot_body, robot.constants))
     for robot in robots if hasattr(made, "robot_place") else ():
         place = _called(what := "robot_place()", partial(made.robot_place, start, robot.coordinates, robot.constants))
-        if not isinstance(place, (tuple, list)) or len(place) not in (1, 2) or not all(map(_is_number, place)):
-            raise _FaultyError(f"{what} is {_shown(place)}; it must be a tuple of 1 or 2 finite numbers")
+        if not isinstance(place, (tuple, list)) or len(place) not in (1, 2, 3) or not all(map(_is_number, place)):
+            raise _FaultyError(f"{what} is {_shown(place)}; it must be a tuple of 1 to 3 finite numbers")
     limits = [(need.low, need.high) for need in requests.needs(made)]
 
     def complete(needs: Sequence[float]) -> tuple[str, Vector]:

@@ -144,8 +144,11 @@ class ParentSystem(Protocol):
     - ``offset_ask(time, state, desired, offset)`` of the controller: the needs during a fault ``reference``.
     - ``failed(state)``: why a run cannot continue from a state; an empty text if it can.
     - ``generated(number, count, constants)``: initial coordinates (d,) of a generated robot by its number, 1 to count.
-    - ``robot_place(state, q, constants)``: where a robot is drawn, (1,) or (2,); by default its first two coordinates.
-    - ``outline(state)``: lines to draw, a tuple of tuples of points (x, y).
+    - ``robot_place(state, q, constants)``: where a robot is drawn, in m, (1,) or (2,), or (3,) with the angle by which
+      its body is turned, rad; by default its first two coordinates.
+    - ``robot_body(constants)``: filled lines that draw a robot around its place, as those of ``outline``, the first one
+      around its id; by default a symbol of its kind.
+    - ``outline(state)``: lines to draw, a tuple of tuples of points (x, y), m; closed ones are filled.
     - ``columns = True``: what is computed of robots applies only + - * /, so that ``simulate`` may pass arrays (N,).
     - ``reach(abstract)``: whether robots within their limits can have an abstract state; ``check`` reports it.
     """

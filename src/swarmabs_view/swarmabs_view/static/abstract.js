@@ -1,8 +1,9 @@
 // Two rows of the abstract state: on the plane torque and inertia, with the manifold and the sets A_A and A_P.
 import { systemRows } from "./description.js";
-import { axes, colours, framed, mapping, prepared, short, ticks } from "./drawing.js";
+import { axes, framed, mapping, marked, prepared, short } from "./drawing.js";
 
 const TRAIL = 400;
+const ROOM = 120; // px, height of the axes from which on there is an inset, with texts of the usual size
 // Rows to choose from: title, name and unit for screen readers, least margin and value shown, and where the values are.
 const PLANE_ROWS = [
   { name: "torque", title: "torque, N m", unit: "newton metres", margin: 0.02, least: -Infinity },
@@ -76,23 +77,23 @@ export class AbstractView {
     if (this.rows.length < 2) {
       return;
     }
-    const { context, width, height } = prepared(this.canvas);
-    const colour = colours();
+    const surface = prepared(this.canvas);
+    const { context, colour, height, unit } = surface;
     const trail = this.trail(curves, frame.time);
     const shown = this.bounds(hello, frame, trail, this.near);
-    const marks = ticks(shown[2], shown[3], Math.max(2, height / 60));
-    const box = framed(context, width, height, marks, this.left);
+    const marks = marked(shown[2], shown[3], height, unit);
+    const box = framed(surface, marks, this.left);
     this.left = box.x;
     const at = mapping(box, shown);
-    this.contents(context, hello, frame, trail, colour, box, at, shown);
-    axes(context, colour, at, box, shown, marks, this.rows.map((one) => one.title));
-    if (this.near && hello.manifold && trail.length) {
-      this.inset(context, hello, frame, trail, colour, box, shown, at);
+    this.contents(surface, hello, frame, trail, box, at, shown);
+    axes(surface, at, box, shown, marks, this.rows.map((one) => one.title));
+    if (this.near && hello.manifold && trail.length && box.h >= ROOM * unit) {
+      this.inset(surface, hello, frame, trail, box, shown, at);
     }
     this.describe(hello, frame);
   }
 
-  contents(context, hello, frame, trail, colour, { x, y, w, h }, at, shown) {
+  contents({ context, colour, unit }, hello, frame, trail, { x, y, w, h }, at, shown) {
     context.save();
     context.beginPath();
     context.rect(x, y, w, h);
@@ -105,19 +106,20 @@ export class AbstractView {
       this.manifold(context, hello.manifold, colour, at, this.torques(hello.manifold, shown));
     }
     context.strokeStyle = colour.angle;
-    context.lineWidth = 1.5;
+    context.lineWidth = 1.5 * unit;
     context.lineJoin = "round";
     context.beginPath();
     trail.forEach((point) => context.lineTo(...at(...point)));
     context.stroke();
     context.lineJoin = "miter";
-    this.marks(context, this.points(frame), colour, at);
+    this.marks(context, this.points(frame), colour, at, unit);
     context.restore();
   }
 
   // An inset of the whole manifold with the part shown, in the corner where it covers the least.
-  inset(context, hello, frame, trail, colour, box, shown, at) {
-    const [w, h] = [Math.min(0.36 * box.w, 170), Math.min(0.36 * box.h, 100)];
+  inset(surface, hello, frame, trail, box, shown, at) {
+    const { context, colour, unit } = surface;
+    const [w, h] = [Math.min(0.36 * box.w, 170 * unit), Math.min(0.36 * box.h, 100 * unit)];
     const points = [...trail.map((one) => at(...one))];
     for (const point of this.points(frame).filter(Boolean)) {
       points.push(...Array(trail.length).fill(at(...point))); // these weigh most: cover them last
@@ -134,7 +136,7 @@ export class AbstractView {
     context.fillRect(corner.x, corner.y, w, h);
     const whole = this.bounds(hello, frame, trail, false);
     const small = mapping(corner, whole);
-    this.contents(context, hello, { ...frame, desired: {} }, [], colour, corner, small, whole);
+    this.contents(surface, hello, { ...frame, desired: {} }, [], corner, small, whole);
     context.strokeRect(corner.x, corner.y, w, h);
     const [x0, y0] = small(shown[0], shown[3]);
     const [x1, y1] = small(shown[1], shown[2]);
@@ -142,7 +144,7 @@ export class AbstractView {
     context.strokeRect(x0, y0, Math.max(x1 - x0, 3), Math.max(y1 - y0, 3));
     context.fillStyle = colour.quiet;
     context.textAlign = "left";
-    context.fillText("whole", corner.x + 4, corner.y + 12);
+    context.fillText("whole", corner.x + 4, corner.y + 12 * unit);
   }
 
   // The last points of the path up to a time.
@@ -190,17 +192,18 @@ export class AbstractView {
     context.stroke();
   }
 
-  marks(context, [actual, wanted], colour, at) {
+  marks(context, [actual, wanted], colour, at, unit) {
+    const far = 8 * unit;
     if (wanted) {
       const [x, y] = at(...wanted);
       context.beginPath();
-      context.moveTo(x, y - 8);
-      context.lineTo(x + 8, y);
-      context.lineTo(x, y + 8);
-      context.lineTo(x - 8, y);
+      context.moveTo(x, y - far);
+      context.lineTo(x + far, y);
+      context.lineTo(x, y + far);
+      context.lineTo(x - far, y);
       context.closePath();
       context.strokeStyle = colour.reference;
-      context.lineWidth = 2;
+      context.lineWidth = 2 * unit;
       context.setLineDash([5, 2]);
       context.stroke();
       context.setLineDash([]);
@@ -208,7 +211,7 @@ export class AbstractView {
     if (actual) {
       const [x, y] = at(...actual);
       context.beginPath();
-      context.arc(x, y, 4.5, 0, 2 * Math.PI);
+      context.arc(x, y, 4.5 * unit, 0, 2 * Math.PI);
       context.fillStyle = colour.angle;
       context.fill();
     }

@@ -1,14 +1,17 @@
 // Curves over time, drawn by uPlot (third_party/uplot).
 import { minus, roles, systemCharts, titled } from "./description.js";
-import { colours, eventColour, short } from "./drawing.js";
+import { colours, eventColour, font, short, unitOf } from "./drawing.js";
 import { KINDS } from "./kinds.js";
 
+// Sizes in px, with texts of the usual size:
 const HEIGHT = 155;
-const SPACE = 20; // px between two labels on the left, at least
+const SPACE = 20; // between two labels on the left, at least
+const SPACE_BELOW = 50; // between two labels below
 const INTERVAL = 120; // ms between two redraws of growing curves
-const FONT = "11px system-ui, sans-serif";
-const NARROWEST = 62; // px, width of the left axis
-const TICKS = 18; // px of it for ticks and gaps
+const NARROWEST = 62; // width of the left axis
+const TICKS = 18; // of it for ticks and gaps
+const FLAG = 16; // above a chart, for the marks of events
+const LINE = 1.6; // width of a curve
 
 const PLANE_CHARTS = [
   {
@@ -30,8 +33,12 @@ const SIDES = ["ink", "quiet"]; // colours of the robots that start above 0, and
 const BANDS = [[6, 2, "22"], [5, 3, "44"]]; // of the positions of each side: series above, series below, opacity
 const PERCENTILES = 7; // lines of each side
 const DASHES = { lowest: [2, 3], highest: [2, 3], "5 %": [6, 4], "95 %": [6, 4], "25 %": [6, 4], "75 %": [6, 4] };
-const FLAG = 16; // px above a chart, for the marks of events
 const MOST_NAMED = 12; // robots named in the legend of the positions
+
+const DISTURBANCE = "disturbance"; // what an event that changes the disturbance says
+const BAND = 2; // px, width of a shaded interval, at least
+
+const disturbs = ({ kind, words }) => kind === "STEERING" && words === DISTURBANCE;
 
 // Labels of an axis, with enough digits to tell them apart.
 function labels(splits, increment) {
@@ -46,8 +53,8 @@ function labels(splits, increment) {
 
 const rule = document.createElement("canvas").getContext("2d");
 
-function widest(texts) {
-  rule.font = FONT;
+function widest(texts, unit) {
+  rule.font = font(unit);
   return Math.max(0, ...texts.map((text) => rule.measureText(text ?? "").width));
 }
 
@@ -58,7 +65,7 @@ export class Charts {
     this.drawn = 0;
     this.stale = false;
     this.zoom = null; // the range chosen by dragging, { min, max } in s, until a double click
-    this.left = NARROWEST;
+    this.unit = 1; // size of texts
     this.events = [];
     this.robots = [];
     this.span = 0; // s before the time shown; 0: the whole run
@@ -76,36 +83,38 @@ export class Charts {
     });
     this.hello({ robots: [] });
     new ResizeObserver(() => this.resize()).observe(document.getElementById(POSITIONS).parentElement);
-    window.addEventListener("themechange", () => this.build());
+    window.addEventListener("appearancechange", () => this.build());
   }
 
   build() {
     const colour = colours();
     const { zoom } = this;
+    const unit = unitOf(document.getElementById(POSITIONS));
+    [this.unit, this.left] = [unit, NARROWEST * unit];
     for (const plot of this.plots ?? []) {
       plot.destroy();
     }
     const sync = window.uPlot.sync("time");
     this.plots = [...this.charts, this.positionsChart()].map(({ place, title, lines, data, named, bands }) => {
       const node = document.getElementById(place);
-      const axis = { stroke: colour.quiet, grid: { stroke: colour.grid, width: 1 }, ticks: { stroke: colour.grid, width: 1 }, font: FONT, values: (_, splits, axis, space, increment) => labels(splits, increment) };
+      const axis = { stroke: colour.quiet, grid: { stroke: colour.grid, width: 1 }, ticks: { stroke: colour.grid, width: 1 }, font: font(unit), values: (_, splits, axis, space, increment) => labels(splits, increment) };
       data ??= () => [this.curves.time, ...lines.map((one) => one.of(this.curves))];
       const plot = new window.uPlot(
         {
           title,
           width: Math.max(node.clientWidth, 200),
           height: HEIGHT,
-          padding: [FLAG, null, null, null],
+          padding: [FLAG * unit, null, null, null],
           legend: { show: named !== false },
           scales: { x: { time: false, auto: () => this.zoom === null && !this.span } },
-          axes: [{ ...axis, size: 32 }, { ...axis, space: SPACE, size: (_, values) => this.room(values ?? []) }],
+          axes: [{ ...axis, space: SPACE_BELOW * unit, size: 14 + 18 * unit }, { ...axis, space: SPACE * unit, size: (_, values) => this.room(values ?? []) }],
           series: [
             { label: "time, s", value: (_, time) => (time === null ? "--" : String(Number(time.toPrecision(9)))) },
-            ...lines.map((one) => ({ label: one.label, value: (_, value) => (value === null ? "--" : short(value)), stroke: colour[one.colour], width: 1.6, pxAlign: 0, dash: one.dash, spanGaps: false, points: { show: false } })),
+            ...lines.map((one) => ({ label: one.label, value: (_, value) => (value === null ? "--" : short(value)), stroke: colour[one.colour], width: LINE * unit, pxAlign: 0, dash: one.dash, spanGaps: false, points: { show: false } })),
           ],
           bands: bands?.map(([high, low, fill, opacity]) => ({ series: [high, low], fill: colour[fill] + opacity })),
           cursor: { sync: { key: sync.key }, drag: { x: true, y: false } },
-          hooks: { setScale: [(one, key) => key === "x" && this.zoomed(one)], draw: [(one) => this.place(one), (one) => this.flags(one, colour)] },
+          hooks: { setScale: [(one, key) => key === "x" && this.zoomed(one)], drawClear: [(one) => this.shade(one, colour)], draw: [(one) => this.place(one), (one) => this.flags(one, colour)] },
         },
         data(),
         node,
@@ -122,7 +131,7 @@ export class Charts {
       plot.over.addEventListener("click", (event) => this.seek(plot.posToVal(event.offsetX, "x")));
       return plot;
     });
-    this.mark(this.time ?? null);
+    queueMicrotask(() => this.resize()); // after uPlot has made titles and legends
   }
 
   // The chart of the positions: a line per robot, or for many robots percentile bands of each side on which they start.
@@ -181,19 +190,48 @@ export class Charts {
     this.stale = true;
   }
 
+  // The intervals shown in which the parent is disturbed; the first of adjacent ones is marked.
+  disturbances({ min, max }) {
+    const changes = this.events.filter(disturbs).sort((one, other) => one.time - other.time);
+    const bands = changes.map(({ time, value }, index) => ({ time, end: changes[index + 1]?.time ?? max, value, first: !changes[index - 1]?.value }));
+    return bands.filter(({ time, end, value }) => value && end >= min && time <= max);
+  }
+
+  // Shade the intervals in which the parent is disturbed, below the curves.
+  shade({ ctx, bbox, valToPos, scales }, colour) {
+    ctx.save();
+    ctx.fillStyle = `${colour.error}33`;
+    for (const { time, end } of this.disturbances(scales.x)) {
+      const [x0, x1] = [Math.max(time, scales.x.min), Math.min(end, scales.x.max)].map((one) => valToPos(one, "x", true));
+      ctx.fillRect(x0, bbox.top, Math.max(x1 - x0, BAND), bbox.height);
+    }
+    ctx.restore();
+  }
+
   // Marks of events above a chart, at most one per pixel, each with a faint line down.
   flags({ ctx, bbox, valToPos, scales, root }, colour) {
     const ratio = window.devicePixelRatio || 1;
-    const shown = this.events.filter(({ time }) => time >= scales.x.min && time <= scales.x.max);
+    const bands = this.disturbances(scales.x);
+    const begins = bands.filter(({ first, time }) => first && time >= scales.x.min).map((band) => ({ ...band, words: DISTURBANCE, band: true }));
+    const shown = [...begins, ...this.events.filter((one) => !disturbs(one) && one.time >= scales.x.min && one.time <= scales.x.max)];
     const marks = shown.sort((one, other) => one.time - other.time).map((event) => ({ ...event, x: Math.round(valToPos(event.time, "x", true)) }));
-    const apart = marks.filter(({ x }, index) => x !== marks[index - 1]?.x);
+    const apart = marks.filter(({ x, band }, index) => band || marks[index - 1]?.band || x !== marks[index - 1]?.x);
     const named = root.parentElement.id === this.charts[0].place;
     ctx.save();
-    ctx.font = `${11 * ratio}px system-ui, sans-serif`;
+    ctx.font = font(this.unit * ratio);
     ctx.textAlign = "left";
     ctx.setLineDash([]);
-    apart.forEach(({ x, kind, words, agent }, index) => {
-      const [y, size] = [bbox.top, 5 * ratio];
+    const [y, size] = [bbox.top, 5 * ratio * this.unit];
+    apart.forEach(({ x, kind, words, agent, band }, index) => {
+      const text = `${agent ? `${agent} ` : ""}${words}`;
+      const end = x + 2 * size + ctx.measureText(text).width;
+      if (named && end < Math.min(bbox.left + bbox.width, (apart[index + 1]?.x ?? Infinity) - size)) {
+        ctx.fillStyle = colour.quiet;
+        ctx.fillText(text, x + (band ? 0 : 1.4 * size), y - 3 * ratio);
+      }
+      if (band) {
+        return;
+      }
       ctx.beginPath();
       ctx.moveTo(x, y);
       ctx.lineTo(x - size, y - 1.6 * size);
@@ -211,12 +249,6 @@ export class Charts {
       ctx.lineTo(x, y + bbox.height);
       ctx.stroke();
       ctx.globalAlpha = 1;
-      const text = `${agent ? `${agent} ` : ""}${words}`;
-      const end = x + 2 * size + ctx.measureText(text).width;
-      if (named && end < Math.min(bbox.left + bbox.width, (apart[index + 1]?.x ?? Infinity) - size)) {
-        ctx.fillStyle = colour.quiet;
-        ctx.fillText(text, x + 1.4 * size, y - 3 * ratio);
-      }
     });
     ctx.restore();
   }
@@ -246,7 +278,7 @@ export class Charts {
 
   // The width of the left axis, px: that of the widest labels for all charts, which aligns their time axes.
   room(texts) {
-    const wanted = Math.ceil(widest(texts)) + TICKS;
+    const wanted = Math.ceil(widest(texts, this.unit) + TICKS * this.unit);
     if (wanted > this.left) {
       this.left = wanted;
       queueMicrotask(() => this.plots.forEach((plot) => plot.redraw(true, true)));
@@ -255,10 +287,16 @@ export class Charts {
   }
 
   resize() {
+    if (unitOf(document.getElementById(POSITIONS)) !== this.unit) {
+      this.build();
+      return;
+    }
+    const filled = document.documentElement.dataset.layout === "presenter"; // the chart fills its panel
     for (const plot of this.plots) {
-      const width = plot.root.parentElement.clientWidth;
-      if (width > 0 && width !== plot.width) {
-        plot.setSize({ width, height: HEIGHT });
+      const { clientWidth: width, clientHeight } = plot.root.parentElement;
+      const height = filled ? Math.max(clientHeight - (plot.root.offsetHeight - plot.height), HEIGHT / 2) : HEIGHT;
+      if (width > 0 && (width !== plot.width || height !== plot.height)) {
+        plot.setSize({ width, height });
       }
     }
     this.mark(this.time ?? null);

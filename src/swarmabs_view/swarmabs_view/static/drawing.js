@@ -1,17 +1,18 @@
-// Shared by the canvases: size in device pixels, colours of the theme, numbers as text.
+// Shared by the canvases: size in device pixels, colours of the theme, size of texts, axes, numbers as text.
 
 const NAMES = [
   ...["paper", "panel", "ink", "quiet", "line", "grid", "board", "lane", "edge", "admissible", "partial", "manifold"],
   ...["angle", "reference", "error", "torque", "inertia", "si", "di", "dead", "stop", "outline", "grey"],
 ];
-const FONT = "11px system-ui, sans-serif";
-const LEFT = 52; // px of the labels on the left and their title, at least
-const TITLE = 26; // px of it for the title, ticks and gaps
+export const TEXT = 11; // px, the usual size of texts
+// Sizes around axes, px, with texts of the usual size:
+const LEFT = 52; // of the labels on the left and their title, at least
+const TITLE = 26; // of it for the title, ticks and gaps
 const BOTTOM = 34;
 const TOP = 10;
 const RIGHT = 12;
 let found = null;
-window.addEventListener("themechange", () => {
+window.addEventListener("appearancechange", () => {
   found = null;
 });
 
@@ -23,7 +24,17 @@ export function colours() {
   return found;
 }
 
-// Return a context in CSS pixels, cleared, with its width and height.
+// The size of texts of an element, over the usual one: the layout for presenters has larger ones.
+export function unitOf(element) {
+  return Number.parseFloat(getComputedStyle(element).fontSize) / TEXT;
+}
+
+// A font of the usual size times `unit`.
+export function font(unit, weight = 400) {
+  return `${weight} ${TEXT * unit}px system-ui, sans-serif`;
+}
+
+// Return a cleared surface: its context in CSS pixels, with width, height, unit of texts, and colours.
 export function prepared(canvas) {
   const ratio = window.devicePixelRatio || 1;
   const width = canvas.clientWidth;
@@ -36,7 +47,9 @@ export function prepared(canvas) {
   const context = canvas.getContext("2d");
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
-  return { context, width, height };
+  const unit = unitOf(canvas);
+  context.font = font(unit);
+  return { context, width, height, unit, colour: colours() };
 }
 
 // A rounded number; `data` elements also carry the exact one.
@@ -75,11 +88,11 @@ export function eventColour(kind, colour) {
   return { DEAD: colour.dead, SAFE_STOP: colour.stop, LEFT: colour.grey, STALLED: colour.grey }[kind] ?? colour.ink;
 }
 
-// The space inside the axes, px, with marks on the left; the labels have at least `left` px.
-export function framed(context, width, height, marks, left) {
-  context.font = FONT;
-  const x = Math.max(left, LEFT, TITLE + Math.ceil(Math.max(0, ...marks.map((one) => context.measureText(one).width))));
-  return { x, y: TOP, w: width - x - RIGHT, h: height - TOP - BOTTOM };
+// The space inside the axes, px, with marks on the left; the labels there have at least `left` px.
+export function framed({ context, width, height, unit }, marks, left) {
+  const widest = Math.ceil(Math.max(0, ...marks.map((one) => context.measureText(one).width)));
+  const x = Math.max(left, LEFT * unit, TITLE * unit + widest);
+  return { x, y: TOP, w: width - x - RIGHT, h: height - TOP - BOTTOM * unit, left: x };
 }
 
 // From values within bounds to the screen.
@@ -87,21 +100,26 @@ export function mapping({ x, y, w, h }, [left, right, low, high]) {
   return (across, up) => [x + ((across - left) / (right - left)) * w, y + (1 - (up - low) / (high - low)) * h];
 }
 
+// About as many marks as have room on an axis of a length, px, each `space` px of the usual size.
+export function marked(low, high, length, unit, space = 60) {
+  return ticks(low, high, Math.max(2, length / (space * unit)));
+}
+
 // Draw axes with titles; `marks` are the labels on the left.
-export function axes(context, colour, at, { x: begin, y: top, w, h }, [left, right, low], marks, titles) {
-  context.font = FONT;
+export function axes({ context, colour, unit }, at, { x: begin, y: top, w, h, left: room }, [left, right, low], marks, titles) {
+  context.font = font(unit);
   context.lineWidth = 1;
   context.strokeStyle = colour.line;
   context.fillStyle = colour.quiet;
   context.textAlign = "center";
-  for (const mark of ticks(left, right, Math.max(2, w / 60))) {
+  for (const mark of marked(left, right, w, unit)) {
     const [x, y] = at(mark, low);
     context.beginPath();
     context.moveTo(x, y);
     context.lineTo(x, y + 4);
     context.stroke();
     const text = String(mark);
-    context.fillText(text, Math.min(x, begin + w + RIGHT - context.measureText(text).width / 2), y + 15);
+    context.fillText(text, Math.min(x, begin + w + RIGHT - context.measureText(text).width / 2), y + 4 + TEXT * unit);
   }
   context.textAlign = "right";
   for (const mark of marks) {
@@ -110,12 +128,13 @@ export function axes(context, colour, at, { x: begin, y: top, w, h }, [left, rig
     context.moveTo(x, y);
     context.lineTo(x - 4, y);
     context.stroke();
-    context.fillText(String(mark), x - 6, y + 4);
+    context.fillText(String(mark), x - 6, y + 4 * unit);
   }
   context.textAlign = "center";
-  context.fillText(titles[0], begin + w / 2, top + h + BOTTOM - 4);
+  context.fillText(titles[0], begin + w / 2, top + h + (BOTTOM - 4) * unit);
   context.save();
-  context.translate(11, top + h / 2);
+  context.font = font(unit * Math.min(1, (top + h) / context.measureText(titles[1]).width));
+  context.translate(begin - room + TEXT * unit, top + h / 2);
   context.rotate(-Math.PI / 2);
   context.fillText(titles[1], 0, 0);
   context.restore();

@@ -5,8 +5,8 @@ import { Connection, VERSION } from "./connection.js";
 import { Controls } from "./controls.js";
 import { capital } from "./description.js";
 import { KINDS, PLANE_KINDS, legend } from "./kinds.js";
+import { Picture } from "./picture.js";
 import { SteeringPanel } from "./steering.js";
-import { SystemView } from "./system.js";
 import { Coordinators, Events, More, Numbers, Processes, Robots } from "./tables.js";
 
 const element = (id) => document.getElementById(id);
@@ -17,7 +17,7 @@ let state = { phase: "waiting", playing: null, speed: null };
 let dirty = false;
 let before = null; // what was shown when the connection was lost
 
-const plane = new SystemView(element("plane"));
+const plane = new Picture(element("plane"));
 const abstract = new AbstractView(element("abstract"), redraw);
 const numbers = new Numbers();
 const robots = new Robots();
@@ -102,6 +102,7 @@ function describe() {
   steering.describe(system);
   fitted(plane.crowded(hello));
   element("plane-title").textContent = `${system ? capital(system.name) : "Plane"} and robots`;
+  element("plane-panel").toggleAttribute("data-system", Boolean(system));
   element("zoom").hidden = Boolean(system);
   const crowded = plane.crowded(hello);
   const shown = { each: !crowded, crowd: crowded, sets: !system, limited: system };
@@ -178,8 +179,8 @@ function fitted(fit) {
   const button = element("fit");
   button.setAttribute("aria-pressed", String(fit));
   button.textContent = fit ? `Whole ${hello.system ? "picture" : "plane"}` : "Fit to swarm";
-  const robots = plane.crowded(hello) ? "bars: robots per interval" : `${hello.robots.some(({ mass }) => mass) ? "area proportional to mass; " : ""}robots that left are not drawn`;
-  element("drawn").textContent = robots;
+  const sized = hello.robots.some(({ mass }) => mass) ? "area proportional to mass" : "";
+  element("drawn").textContent = plane.crowded(hello) ? "bars: robots per interval" : sized;
   redraw();
 }
 
@@ -189,8 +190,24 @@ function fit() {
   }
 }
 
-function theme() {
-  element("theme").textContent = `Theme: ${window.swarmabsTheme.next()}`;
+const { theme, layout } = window.swarmabsAppearance;
+
+function shownTheme() {
+  element("theme").textContent = `Theme: ${theme.chosen}`;
+}
+
+function shownLayout() {
+  element("layout").textContent = layout.chosen === "presenter" ? "Full page" : "Presenter";
+}
+
+function nextTheme() {
+  theme.next();
+  shownTheme();
+}
+
+function nextLayout() {
+  layout.next();
+  shownLayout();
 }
 
 function help() {
@@ -199,19 +216,23 @@ function help() {
   element("help").setAttribute("aria-expanded", String(!keys.hidden));
 }
 
-element("theme").textContent = `Theme: ${window.swarmabsTheme.get()}`;
-element("theme").addEventListener("click", theme);
+shownTheme();
+shownLayout();
+element("theme").addEventListener("click", nextTheme);
+element("layout").addEventListener("click", nextLayout);
 element("zoom").addEventListener("click", zoom);
 element("fit").addEventListener("click", fit);
 element("help").addEventListener("click", help);
-window.addEventListener("themechange", redraw);
+window.addEventListener("appearancechange", redraw);
 window.addEventListener("resize", redraw);
-new ResizeObserver(redraw).observe(element("plane"));
+const resized = new ResizeObserver(redraw);
+resized.observe(element("plane"));
+resized.observe(element("abstract"));
 document.addEventListener("keydown", (event) => {
   const typing = event.target instanceof HTMLInputElement && event.target.type !== "range";
   if (typing || event.target instanceof HTMLSelectElement || event.ctrlKey || event.altKey || event.metaKey) {
     return;
   }
-  ({ t: theme, z: zoom, f: fit, "?": help })[event.key.toLowerCase()]?.();
+  ({ t: nextTheme, p: nextLayout, z: zoom, f: fit, "?": help })[event.key.toLowerCase()]?.();
 });
 requestAnimationFrame(draw);

@@ -1,14 +1,15 @@
-// The tilting plane in oblique view, with one lane per robot.
-import { colours, prepared, short, ticks } from "./drawing.js";
-import { KINDS, outline } from "./kinds.js";
+// The scene of the tilting plane in oblique view, with one lane per robot.
+import { font, short, ticks } from "./drawing.js";
+import { KINDS } from "./kinds.js";
+import { drawRobots } from "./robots.js";
 import { STATUS } from "./tables.js";
 
-const CROWD = 60; // above this number of robots, draw their density
 const BINS = 48;
-const NEAR = 5; // px around a robot within which the pointer selects it
-
-const LABELS = 40; // px between two labels of the edge
-const SUPPORT = 14; // px, half the foot of the support
+// Sizes in px, with texts of the usual size:
+const LABELS = 40; // between two labels of the edge
+const SUPPORT = 14; // half the foot of the support
+const TOOTH = 5; // half the height of the teeth of a break line
+const TEETH = 8; // of a break line
 const DASHES = 1.04; // start of horizontal and reference, in half lengths from the middle of the edge
 
 // A size to reserve space for: it changes only when it is too small or far too large.
@@ -21,44 +22,32 @@ function rise(angle) {
   return Math.sin(Math.min(Math.abs(angle ?? 0), Math.PI / 2));
 }
 
-export class PlaneView {
-  constructor(canvas) {
-    this.canvas = canvas;
-    this.label = document.getElementById("pointed");
-    this.pointer = null;
-    this.spots = []; // places of the robots drawn
-    this.described = -Infinity; // when, ms
-    this.fit = false; // whether the scale follows the swarm, not the plane
-    for (const kind of ["pointermove", "pointerdown"]) {
-      canvas.addEventListener(kind, (event) => this.point({ x: event.offsetX, y: event.offsetY }));
-    }
-    canvas.addEventListener("pointerleave", () => this.point(null));
-  }
+// Name a robot with its status and position.
+function said({ robots }, { robots: { position, status } }, index) {
+  return `robot ${robots[index].id}: ${STATUS[status[index]] ?? "no data"}, ${short(position[index], 4)} m`;
+}
 
-  crowded(hello) {
-    return hello.robots.length > CROWD;
-  }
+export class PlaneScene {
+  hello() {} // the scale outlives a change of the swarm
 
   // Half the length shown, m: of the plane, or of the swarm if chosen or if the plane is not known.
-  halfLength(hello, frame) {
+  halfLength(hello, frame, fit) {
     const far = Math.max(0, ...frame.robots.position.map((p) => Math.abs(p ?? 0)));
-    if (hello.plane && !this.fit) {
+    if (hello.plane && !fit) {
       return hello.plane.length / 2;
     }
     this.far = settled(this.far, Math.max(far, 0.02));
     return Math.min(this.far, hello.plane ? hello.plane.length / 2 : Infinity);
   }
 
-  draw(hello, frame) {
-    const { context, width, height } = prepared(this.canvas);
-    const colour = colours();
-    const half = this.halfLength(hello, frame);
+  draw(surface, hello, frame, { fit, crowded, ids }) {
+    const { context, width, height, colour, unit } = surface;
+    const half = this.halfLength(hello, frame, fit);
     const angle = frame.angle ?? 0;
     this.rise = settled(this.rise, Math.max(rise(angle), rise(frame.reference), 0.01));
     const steep = Math.min(this.rise, 1);
     // The depth axis leans away from the rising side; otherwise a steep plane would appear edge-on.
     const deep = { x: (0.1 * Math.cos(angle) - 0.15 * Math.sin(angle)) * width, y: (0.4 - 0.15 * steep) * height };
-    const crowded = this.crowded(hello);
     const scale = Math.min(0.36 * width, (0.4 * height - deep.y / 2) / steep) / half;
     const [cx, cy] = [0.5 * width, 0.52 * height];
     const along = { x: Math.cos(angle) * scale, y: -Math.sin(angle) * scale };
@@ -69,17 +58,23 @@ export class PlaneView {
       points.forEach(([x, y], index) => (index ? context.lineTo(x, y) : context.moveTo(x, y)));
     };
 
-    this.support(context, at, colour, height);
-    this.level(context, at, colour, { half, scale, wanted: frame.reference });
+    this.support(surface, at);
+    this.level(surface, at, { half, scale, wanted: frame.reference });
 
-    line(at(-half, 0), at(half, 0), at(half, 1), at(-half, 1));
+    const cut = half < (hello.plane?.length ?? Infinity) / 2;
+    // An end of the plane from near to far; where it is cut, a break line.
+    const end = (p) => Array.from({ length: cut ? TEETH + 1 : 2 }, (_, index) => {
+      const tooth = cut && index % TEETH ? (index % 2 ? 1 : -1) * TOOTH * unit : 0;
+      return at(p + tooth / scale, index / (cut ? TEETH : 1));
+    });
+    line(...end(half), ...end(-half).reverse());
     context.closePath();
     context.fillStyle = colour.board;
     context.strokeStyle = colour.edge;
-    context.lineWidth = 1;
+    context.lineWidth = unit;
     context.fill();
     context.stroke();
-    context.lineWidth = 4;
+    context.lineWidth = 4 * unit;
     line(at(-half, 0), at(half, 0));
     context.stroke();
 
@@ -92,48 +87,52 @@ export class PlaneView {
         context.stroke();
       }
     }
-    context.lineWidth = 2;
+    context.lineWidth = 2 * unit;
     context.strokeStyle = colour.edge;
     line(at(0, 0), at(0, 1));
     context.stroke();
 
     context.fillStyle = colour.quiet;
-    context.font = "11px system-ui, sans-serif";
     context.textAlign = "center";
-    const below = 18 + 16 * Math.abs(Math.sin(angle)); // px from the edge
+    const below = (18 + 16 * Math.abs(Math.sin(angle))) * unit; // px from the edge
     const [middle, edge] = at(0, 0);
-    for (const p of ticks(-half, half, Math.min(6, (2 * half * scale) / LABELS)).filter((one) => one !== 0)) {
+    const most = Math.min(6, (2 * half * scale) / (LABELS * unit));
+    for (const p of ticks(-half, half, most).filter((one) => one !== 0)) {
       const [x, y] = at(p, 0);
       const [left, bottom] = [x + below * Math.sin(angle), y + below * Math.cos(angle)];
       const text = `${p} m`;
       const [aside, broad] = [Math.abs(left - middle), context.measureText(text).width / 2];
       // A label outside the support and inside the circle without dashes overlaps neither.
-      if (aside - broad > SUPPORT && Math.hypot(aside + broad, bottom - edge) < DASHES * half * scale) {
+      if (aside - broad > SUPPORT * unit && Math.hypot(aside + broad, bottom - edge) < DASHES * half * scale) {
         context.fillText(text, left, bottom);
       }
     }
-
-    if (crowded) {
-      this.density(context, hello, frame, at, colour, half, deep.y);
-    } else {
-      this.robots(context, hello, frame, at, colour, deep.y / count);
-    }
-    this.tell();
-    this.describe(hello, frame);
+    const section = hello.plane ? `section: ${short(2 * half, 2)} m of ${short(hello.plane.length, 3)} m` : "section: the length of the plane is not known";
+    const notes = cut ? [section] : [];
+    const spots = crowded
+      ? this.density(surface, hello, frame, at, half, deep.y, notes)
+      : drawRobots(surface, hello, frame, { at: (p, index) => at(p, (index + 0.5) / count), said, lane: deep.y / count, ids });
+    context.font = font(unit);
+    context.textAlign = "left";
+    notes.forEach((note, index) => {
+      context.fillStyle = index || !cut ? colour.quiet : colour.ink;
+      context.fillText(note, 6, (14 + 15 * index) * unit);
+    });
+    return spots;
   }
 
-  support(context, at, colour, height) {
+  support({ context, colour, height, unit }, at) {
     context.fillStyle = colour.grey;
     const [x, y] = at(0, 0);
     context.beginPath();
     context.moveTo(x, y);
-    context.lineTo(x + SUPPORT, y + 0.16 * height);
-    context.lineTo(x - SUPPORT, y + 0.16 * height);
+    context.lineTo(x + SUPPORT * unit, y + 0.16 * height);
+    context.lineTo(x - SUPPORT * unit, y + 0.16 * height);
     context.fill();
   }
 
   // The horizontal and the reference, on both sides of the near edge, which has the labels below it.
-  level(context, at, colour, { half, scale, wanted }) {
+  level({ context, colour, unit }, at, { half, scale, wanted }) {
     const [x, y] = at(0, 0);
     const dashes = (angle) => {
       context.beginPath();
@@ -144,21 +143,22 @@ export class PlaneView {
       }
       context.stroke();
     };
-    context.setLineDash([3, 4]);
-    context.lineWidth = 1;
+    context.setLineDash([3 * unit, 4 * unit]);
+    context.lineWidth = unit;
     context.strokeStyle = colour.quiet;
     dashes(0);
     if (wanted !== null) {
-      context.setLineDash([9, 5]);
-      context.lineWidth = 2.5;
+      context.setLineDash([9 * unit, 5 * unit]);
+      context.lineWidth = 2.5 * unit;
       context.strokeStyle = colour.reference;
       dashes(wanted);
     }
     context.setLineDash([]);
   }
 
-  // The number of robots per interval, as bars along the plane: by kind, and those that do not follow.
-  density(context, hello, frame, at, colour, half, height) {
+  // The number of robots per interval, as bars along the plane: by kind, and those that do not follow. Adds what a bar
+  // is to the notes.
+  density({ context, colour, unit }, hello, frame, at, half, height, notes) {
     const groups = ["si", "di", "other"];
     const words = { si: "velocity-driven", di: "force-driven", other: "not following" };
     const bins = Array.from({ length: BINS }, () => ({ si: 0, di: 0, other: 0 }));
@@ -173,15 +173,15 @@ export class PlaneView {
       bins[bin][status === "active" ? kind : "other"] += 1;
     });
     const most = Math.max(1, ...bins.map((bin) => bin.si + bin.di + bin.other));
-    const unit = Math.min(height / most, 12);
-    this.spots = [];
+    const bar = Math.min(height / most, 12 * unit); // px of a robot
+    const spots = [];
     bins.forEach((bin, index) => {
       const [from, to] = [index, index + 1].map((one) => -half + (one * 2 * half) / BINS);
       const [x0, y0] = at(from, 0.5);
       const [x1, y1] = at(to, 0.5);
       let up = 0;
       for (const group of groups.filter((one) => bin[one])) {
-        const top = up + bin[group] * unit;
+        const top = up + bin[group] * bar;
         context.beginPath();
         [[x0, y0 - up], [x1, y1 - up], [x1, y1 - top], [x0, y0 - top]].forEach((point) => context.lineTo(...point));
         context.closePath();
@@ -193,115 +193,16 @@ export class PlaneView {
         up = top;
       }
       if (up) {
-        const said = groups.filter((one) => bin[one]).map((one) => `${bin[one]} ${words[one]}`);
-        const text = `${short(from, 2)} to ${short(to, 2)} m: ${said.join(", ")}`;
-        this.spots.push({ x: (x0 + x1) / 2, y: (y0 + y1) / 2 - up / 2, size: up / 2, text });
+        const counts = groups.filter((one) => bin[one]).map((one) => `${bin[one]} ${words[one]}`);
+        const said = `${short(from, 2)} to ${short(to, 2)} m: ${counts.join(", ")}`;
+        spots.push({ x: (x0 + x1) / 2, y: (y0 + y1) / 2 - up / 2, size: up / 2, text: said });
       }
     });
-    context.fillStyle = colour.quiet;
-    context.textAlign = "left";
-    context.fillText(`robots per ${short((2 * half) / BINS, 2)} m; highest bar: ${most}`, 6, 14);
+    notes.push(`robots per ${short((2 * half) / BINS, 2)} m; highest bar: ${most}`);
+    return spots;
   }
 
-  robots(context, hello, frame, at, colour, lane) {
-    const { position, status } = frame.robots;
-    const count = hello.robots.length;
-    const masses = hello.robots.map((robot) => robot.mass ?? (hello.system ? 1 : 0));
-    const mean = masses.reduce((sum, mass) => sum + mass, 0) / Math.max(count, 1) || 1;
-    const usual = Math.min(Math.max(0.42 * lane, 4), 15);
-    context.textBaseline = "middle";
-    this.spots = [];
-    for (let index = count - 1; index >= 0; index -= 1) {
-      if (position[index] === null || position[index] === undefined || status[index] === "left") {
-        continue;
-      }
-      const [x, y] = at(position[index], (index + 0.5) / count);
-      const size = Math.min(Math.max(usual * Math.sqrt(masses[index] / mean), 2.5), 26);
-      this.robot(context, x, y, size, hello.robots[index].kind, status[index], colour);
-      this.spots.push({ x, y, size, text: this.said(hello, frame, index) });
-      if (size >= 9 && status[index] === "active") {
-        context.fillStyle = "#000000";
-        context.font = `600 ${Math.round(size)}px system-ui, sans-serif`;
-        context.fillText(String(hello.robots[index].id), x, y + 0.5);
-      }
-    }
-    context.textBaseline = "alphabetic";
-  }
-
-  // Name a robot with its status and position.
-  said(hello, { robots: { position, status } }, index) {
-    return `robot ${hello.robots[index].id}: ${STATUS[status[index]] ?? "no data"}, ${short(position[index], 4)} m`;
-  }
-
-  robot(context, x, y, size, kind, status, colour) {
-    context.beginPath();
-    outline(context, kind, x, y, size);
-    if (status === "active" || status === "limited") {
-      context.fillStyle = colour[KINDS[kind].colour];
-      context.fill();
-      context.lineWidth = status === "limited" ? 4 : 1;
-      context.strokeStyle = status === "limited" ? colour.error : colour.ink;
-      context.stroke();
-    } else if (status === "dead") {
-      context.fillStyle = colour.dead;
-      context.fill();
-      context.beginPath();
-      context.moveTo(x - size, y - size);
-      context.lineTo(x + size, y + size);
-      context.moveTo(x + size, y - size);
-      context.lineTo(x - size, y + size);
-      context.lineWidth = 2;
-      context.strokeStyle = colour.ink;
-      context.stroke();
-    } else if (status === "safe_stop") {
-      context.fillStyle = colour.stop;
-      context.fill();
-      context.lineWidth = 3;
-      context.strokeStyle = colour.outline;
-      context.stroke();
-    } else {
-      context.fillStyle = colour.paper;
-      context.fill();
-      context.setLineDash([3, 2]);
-      context.lineWidth = 2;
-      context.strokeStyle = colour.grey;
-      context.stroke();
-      context.setLineDash([]);
-    }
-  }
-
-  point(pointer) {
-    this.pointer = pointer;
-    this.tell();
-  }
-
-  // Label the robot under the pointer, even one that is too small for its number.
-  tell() {
-    const { pointer, label, canvas } = this;
-    const far = (spot) => Math.hypot(spot.x - pointer.x, spot.y - pointer.y) - spot.size;
-    const nearest = pointer && this.spots.reduce((best, spot) => (best && far(best) <= far(spot) ? best : spot), null);
-    label.hidden = !nearest || far(nearest) > NEAR;
-    if (label.hidden) {
-      return;
-    }
-    label.textContent = nearest.text;
-    const most = canvas.clientWidth - label.offsetWidth;
-    const x = canvas.offsetLeft + Math.min(Math.max(nearest.x - label.offsetWidth / 2, 0), most);
-    const y = canvas.offsetTop + nearest.y - nearest.size - label.offsetHeight - 6;
-    label.style.transform = `translate(${x}px, ${y}px)`;
-  }
-
-  // Describe the canvas for screen readers, at most once a second.
-  describe(hello, frame) {
-    const now = performance.now();
-    if (now - this.described < 1000) {
-      return;
-    }
-    this.described = now;
-    this.canvas.setAttribute("aria-label", `${this.told(hello, frame)}; ${hello.robots.length} robots, listed in the table of robots`);
-  }
-
-  told(hello, frame) {
+  describe(_, frame) {
     const degrees = ((frame.angle ?? 0) * 180) / Math.PI;
     return `The plane at ${short(frame.time, 4)} s: angle ${short(frame.angle, 4)} rad, which is ${short(degrees, 3)} degrees`;
   }

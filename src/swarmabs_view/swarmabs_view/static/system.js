@@ -1,11 +1,13 @@
-// Robots on a parent system other than the plane: along a line or in a plan view, with the outline of the system.
+// The scene of a parent system other than the plane: robots along a line or in a plan view, with its outline.
 import { capital, roles, titled } from "./description.js";
-import { axes, colours, framed, mapping, prepared, short, ticks } from "./drawing.js";
-import { PlaneView } from "./plane.js";
+import { axes, framed, mapping, marked, short } from "./drawing.js";
+import { drawRobots } from "./robots.js";
 import { STATUS } from "./tables.js";
 
-const SPACE = 0.12; // around what is drawn, of its size
+const SPACE = 0.08; // around what is drawn, of its size
 const LOOSEST = 3; // size of the part shown, over that of what is drawn, from which on the scale follows
+const NARROWEST = 0.45; // width of the axes, over the space for them
+const SMALLEST = 7; // px, radius of a body, at least
 
 // The range shown of an axis: it changes only when something is outside, or everything has become much smaller.
 function kept(held, values) {
@@ -17,6 +19,12 @@ function kept(held, values) {
   return [low - SPACE * size, high + SPACE * size];
 }
 
+// Make a box as narrow as bounds with equal scales on both axes allow.
+function narrowed(box, [left, right, low, high]) {
+  const w = Math.min(Math.max((box.h * (right - left)) / (high - low), NARROWEST * box.w), box.w);
+  return { ...box, x: box.x + (box.w - w) / 2, w };
+}
+
 // Extend bounds to equal scales on both axes of a box.
 function square([left, right, low, high], { w, h }) {
   const size = Math.max((right - left) / w, (high - low) / h); // of a px
@@ -24,62 +32,92 @@ function square([left, right, low, high], { w, h }) {
   return [x - (size * w) / 2, x + (size * w) / 2, y - (size * h) / 2, y + (size * h) / 2];
 }
 
-export class SystemView extends PlaneView {
+export class SystemScene {
   hello() {
     this.across = this.up = null;
-    [this.left, this.described] = [0, -Infinity];
+    this.left = 0;
   }
 
-  crowded(hello) {
-    return !hello.system && super.crowded(hello);
-  }
-
-  draw(hello, frame) {
-    if (!hello.system) {
-      super.draw(hello, frame);
-      return;
-    }
-    const { context, width, height } = prepared(this.canvas);
-    const colour = colours();
+  draw(surface, hello, frame, { fit, ids }) {
+    const { context, height, unit } = surface;
     const { position } = frame.robots;
-    const robots = position.filter(Boolean);
-    const lanes = !frame.outline.length && robots.every((point) => point.length < 2);
-    const points = this.fit && robots.length ? robots : [[0, 0], ...frame.outline.flat(), ...robots];
+    const bodies = hello.system.bodies ?? [];
+    const robots = position.flatMap((place, index) => (place ? around(place, bodies[index]) : []));
+    const lanes = !frame.outline.length && robots.every((place) => place.length < 2);
+    const points = fit && robots.length ? robots : [[0, 0], ...frame.outline.flat(), ...robots];
     this.across = kept(this.across, points.map(([x]) => x));
     this.up = lanes ? [0, 1] : kept(this.up, points.map(([, y]) => y ?? 0));
-    const marks = lanes ? [] : ticks(...this.up, Math.max(2, height / 60));
-    const box = framed(context, width, height, marks, this.left);
-    this.left = box.x;
-    const shown = lanes ? [...this.across, ...this.up] : square([...this.across, ...this.up], box);
+    const bounds = [...this.across, ...this.up];
+    // The labels on the left depend on the part shown, and the part shown on the room that they leave.
+    let [box, shown, marks] = [null, bounds, []];
+    for (let pass = 0; pass < 2; pass += 1) {
+      box = framed(surface, marks, this.left);
+      this.left = box.left;
+      box = lanes ? box : narrowed(box, bounds);
+      shown = lanes ? bounds : square(bounds, box);
+      marks = lanes ? [] : marked(shown[2], shown[3], height, unit);
+    }
     const place = mapping(box, shown);
-    const at = lanes ? ([x], depth) => place(x, 1 - depth) : ([x, y]) => place(x, y ?? 0);
-    const titles = hello.system.placed ? ["x", "y"] : roles(hello.system).robot.map(titled);
-    axes(context, colour, place, box, shown, marks, lanes ? [titles[0], ""] : [titles[0], titles[1] ?? ""]);
+    const at = lanes ? ([x], index) => place(x, 1 - (index + 0.5) / hello.robots.length) : ([x, y]) => place(x, y ?? 0);
+    const titles = hello.system.placed ? ["x, m", "y, m"] : roles(hello.system).robot.map(titled);
+    this.outline(surface, frame.outline, place, box);
+    axes(surface, place, box, shown, marks, [titles[0], lanes ? "" : (titles[1] ?? "")]);
+    if (fit && frame.outline.flat().some(([x, y]) => x < shown[0] || x > shown[1] || y < shown[2] || y > shown[3])) {
+      context.textAlign = "left";
+      context.fillText("section around the robots", box.x + 6, box.y + 14 * unit);
+    }
+    const scale = box.w / (shown[1] - shown[0]);
+    const bodyOf = (where, index) => body(bodies[index], where, place, scale, unit);
+    return drawRobots(surface, hello, frame, { at, bodyOf, said, lane: box.h / (lanes ? hello.robots.length : fit ? 8 : 16), ids });
+  }
+
+  // The lines of the system, within the axes; closed ones are filled.
+  outline({ context, colour, unit }, lines, place, box) {
     context.save();
     context.beginPath();
     context.rect(box.x, box.y, box.w, box.h);
     context.clip();
+    context.fillStyle = colour.board;
     context.strokeStyle = colour.edge;
-    context.lineWidth = 2;
-    for (const line of frame.outline) {
+    context.lineWidth = 2 * unit;
+    for (const line of lines) {
       context.beginPath();
-      line.forEach((point) => context.lineTo(...place(...point)));
+      line.forEach((one) => context.lineTo(...place(...one)));
+      if (line[0].every((value, axis) => value === line.at(-1)[axis])) {
+        context.fill();
+      }
       context.stroke();
     }
     context.restore();
-    this.robots(context, hello, frame, at, colour, box.h / (lanes ? hello.robots.length : this.fit ? 8 : 16));
-    this.tell();
-    this.describe(hello, frame);
   }
 
-  // Name a robot with its status and coordinates.
-  said({ robots, system }, frame, index) {
-    const { status, coordinates } = frame.robots;
-    const places = system && roles(system).robot.map((one, axis) => `${titled(one)} ${short(coordinates[index][axis], 4)}`);
-    return system ? `robot ${robots[index].id}: ${STATUS[status[index]] ?? "no data"}; ${places.join("; ")}` : super.said({ robots }, frame, index);
+  describe(hello, frame) {
+    return `${capital(hello.system.name)} at ${short(frame.time, 4)} s`;
   }
+}
 
-  told(hello, frame) {
-    return hello.system ? `${capital(hello.system.name)} at ${short(frame.time, 4)} s` : super.told(hello, frame);
+// The distance of the farthest point of a body from its place.
+const radius = (lines) => Math.max(0, ...(lines ?? []).flat().map((point) => Math.hypot(...point)));
+
+// A place, or corners around the body that is there.
+function around(place, lines) {
+  const far = radius(lines);
+  const [x, y = 0] = place;
+  return far ? [[x - far, y - far], [x + far, y + far]] : [place];
+}
+
+// The lines of a body at a place, turned if the place has an angle; px. None for a robot with the symbol of its kind.
+function body(lines, [x, y = 0, angle = 0], place, scale, unit) {
+  if (!lines?.length) {
+    return null;
   }
+  const larger = Math.max(1, (SMALLEST * unit) / (scale * (radius(lines) || 1)));
+  const [c, s] = [larger * Math.cos(angle), larger * Math.sin(angle)];
+  return lines.map((line) => line.map(([dx, dy]) => place(x + c * dx - s * dy, y + s * dx + c * dy)));
+}
+
+// Name a robot with its status and coordinates.
+function said({ robots, system }, { robots: { status, coordinates } }, index) {
+  const places = roles(system).robot.map((one, axis) => `${titled(one)} ${short(coordinates[index][axis], 4)}`);
+  return `robot ${robots[index].id}: ${STATUS[status[index]] ?? "no data"}; ${places.join("; ")}`;
 }
