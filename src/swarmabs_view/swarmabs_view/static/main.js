@@ -6,7 +6,7 @@ import { Controls } from "./controls.js";
 import { capital } from "./description.js";
 import { SteeringPanel } from "./steering.js";
 import { SystemView } from "./system.js";
-import { Coordinators, Events, More, Numbers, Processes, Robots } from "./tables.js";
+import { Coordinators, Events, More, Numbers, Processes, Robots, STATUS } from "./tables.js";
 
 const element = (id) => document.getElementById(id);
 
@@ -25,9 +25,14 @@ const processes = new Processes();
 const coordinators = new Coordinators();
 const connection = new Connection(take, shown);
 const controls = new Controls((message) => connection.send(message));
-const steering = new SteeringPanel((message) => connection.send(message));
+const steering = new SteeringPanel((message) => connection.send(message), status);
 const charts = new Charts((time) => controls.seekTime(time));
 new More();
+
+function status(robot) {
+  const index = hello.robots.findIndex(({ id }) => id === robot);
+  return STATUS[frame?.robots.status[index]] ?? "not there";
+}
 
 function take(message) {
   if (message.type === "hello") {
@@ -79,7 +84,7 @@ function greet(message) {
   element("place").textContent = message.place;
   document.title = `${message.title} – swarmabs view`;
   controls.hello(message);
-  steering.hello();
+  steering.hello(message);
   describe();
   element("processes-panel").hidden = message.source === "bag";
   processes.take({ processes: [] });
@@ -141,9 +146,13 @@ function shown(status, version) {
     if (banner.hidden || banner.textContent !== text) {
       banner.textContent = text;
     }
-    badge("lost", status === "full" ? "too many pages" : "no connection");
+    if (steering.restarting) {
+      badge("waiting", "the next run is starting");
+    } else {
+      badge("lost", status === "full" ? "too many pages" : "no connection");
+    }
   }
-  banner.hidden = !lost;
+  banner.hidden = !lost || steering.restarting;
 }
 
 function draw(now) {
