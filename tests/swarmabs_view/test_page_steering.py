@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 from tests.swarmabs_view.conftest import PageServer
 from tests.swarmabs_view.test_page import STEERED, ask, opened
+from tests.swarmabs_view.test_systems import open_page
 
 from swarmabs_view.protocol import Answer, State
 
@@ -111,6 +112,27 @@ def test_the_strength_of_a_push_is_typed_and_buttons_push_without_a_mouse(page: 
         page.get_by_role("button", name=f"Push {side}").press("Enter")
     expect(page.locator("#steered")).to_have_text("push 0.50: requested")
     assert pushes(page_server) == [-0.5, 0.5]
+
+
+@pytest.mark.usefixtures("systems")
+@pytest.mark.parametrize("disturbed", [False, True])
+def test_another_system_is_pushed_to_the_sides_if_it_takes_disturbances(
+    page: Page, page_server: PageServer, *, disturbed: bool
+) -> None:
+    limits = {"largest_disturbance": 1e12 if disturbed else 0.0, "largest_reference": 0.0}
+    opened(page, page_server)
+    open_page(page_server, "sheet")
+    page_server.send(STEERED.model_copy(update=limits))
+    expect(page.locator("#steering")).to_be_visible()
+    expect(page.locator("#steer-push")).to_be_visible(visible=disturbed)
+    picture = page.locator("#plane")
+    if disturbed:
+        expect(page.get_by_label("Push", exact=True)).to_have_value("1.0")
+        page.get_by_label("Push", exact=True).fill("20")
+    release = by_mouse(page, place(picture, 0.6, 0.5), place(picture, 0.45, 0.5))
+    expect(page.locator("#pushed")).to_have_text("Push 10, to the left" if disturbed else "")
+    release()
+    assert pushes(page_server) == ([-10.0] if disturbed else [])
 
 
 def test_who_has_no_token_or_no_connection_pushes_nothing(page: Page, page_server: PageServer) -> None:

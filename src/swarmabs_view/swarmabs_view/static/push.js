@@ -63,7 +63,8 @@ export class Push {
     const { strength, unit, lever } = this.full();
     const side = push > 0 ? "right" : "left";
     const where = lever ? `${side} side down` : `to the ${side}`;
-    this.label.textContent = push ? `Push ${short(Math.abs(push), 2)} ${unit}, ${where}` : "No push";
+    const size = [short(Math.abs(push), 2), unit].filter(Boolean).join(" ");
+    this.label.textContent = push ? `Push ${size}, ${where}` : "No push";
     this.draw({ x: event.offsetX, y: event.offsetY }, Math.abs(push) / strength);
   }
 
