@@ -45,10 +45,10 @@ PARAMETERS = (
 LARGEST_OFFSET = 1.0
 """Largest offset of the reference that can be requested, rad; a run ends at `plant.STEEPEST`."""
 
+_NAMES = {action: name for name, action in (*VALUED.items(), *ROBOTS.items()) if name != "leave"}
+
 CATCH_UP = 0.2
 """Longest delay, s, that a paced run makes up for by faster steps: moments in which other programs have the cores."""
-
-_NAMES = {action: name for name, action in (*VALUED.items(), *ROBOTS.items()) if name != "leave"}
 
 
 class Pace:

@@ -6,7 +6,7 @@ import { Controls } from "./controls.js";
 import { capital } from "./description.js";
 import { SteeringPanel } from "./steering.js";
 import { SystemView } from "./system.js";
-import { Coordinators, Events, More, Numbers, Processes, Robots, STATUS } from "./tables.js";
+import { Coordinators, Events, More, Numbers, Processes, Robots } from "./tables.js";
 
 const element = (id) => document.getElementById(id);
 
@@ -30,8 +30,7 @@ const charts = new Charts((time) => controls.seekTime(time));
 new More();
 
 function status(robot) {
-  const index = hello.robots.findIndex(({ id }) => id === robot);
-  return STATUS[frame?.robots.status[index]] ?? "not there";
+  return frame?.robots.status[hello.robots.findIndex(({ id }) => id === robot)];
 }
 
 function take(message) {

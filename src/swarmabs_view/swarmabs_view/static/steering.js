@@ -2,6 +2,7 @@
 import { united } from "./description.js";
 import { parsed, short } from "./drawing.js";
 import { Push } from "./push.js";
+import { STATUS } from "./tables.js";
 
 const STORE = "swarmabs-steer";
 const LONGEST = 100; // characters; longer tokens are rejected by the server
@@ -56,7 +57,7 @@ function options(select, robots, possible, word) {
 }
 
 export class SteeringPanel {
-  // `status` returns the word for the status of a robot.
+  // `status` returns the status of a robot in the frame that is shown.
   constructor(send, status) {
     this.send = send;
     this.status = status;
@@ -323,8 +324,9 @@ export class SteeringPanel {
     element("range-push").textContent = largest < ANY ? `at most ${short(largest, 3)} ${this.units.disturbance}` : "any strength";
     this.joining = this.robots.filter((robot) => this.joining.includes(robot) || message.absent.includes(robot));
     const others = this.robots.filter((robot) => !message.absent.includes(robot));
-    options(element("member"), others, message.members, this.status);
-    options(element("absent"), this.joining, message.absent, this.status);
+    const word = (robot) => STATUS[this.status(robot)] ?? "not there";
+    options(element("member"), others, message.members, word);
+    options(element("absent"), this.joining, message.absent, word);
     element("steer-absent").hidden = !this.joining.length;
   }
 
