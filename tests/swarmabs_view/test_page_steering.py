@@ -232,3 +232,18 @@ def test_the_page_waits_for_the_next_run_in_its_place(page: Page, page_server: P
     expect(page.get_by_role("button", name="Resume")).to_be_enabled()
     page_server.close()
     expect(page.get_by_role("alert")).to_contain_text("Connection lost")
+
+
+def test_a_page_whose_next_run_does_not_come_says_that_the_connection_is_lost(
+    page: Page, page_server: PageServer
+) -> None:
+    page.add_init_script("const wait = setTimeout; window.setTimeout = (work, ms) => wait(work, ms / 60);")
+    opened(page, page_server)
+    page_server.send(STEERED.model_copy(update={"restarts": True}))
+    page.get_by_role("button", name="Start again").click()
+    wish = page_server.heard("steer")[-1]
+    page_server.send(Answer(request=wish["request"], ok=True, restarts=True, text="the next one starts"))
+    expect(page.locator("#steered")).to_contain_text("the next one starts")
+    page_server.refusing = 1011
+    page_server.close(1001)
+    expect(page.get_by_role("alert")).to_contain_text("Connection lost", timeout=10_000)

@@ -13,6 +13,7 @@ const STARTED = "The next run has begun.";
 const WAITS = "The next run waits at its first step: resume it.";
 const SETTINGS = { reference: "rad", disturbance: "N m" }; // with their units on the plane
 const FULL = 0.8; // fraction of the largest disturbance that is a full push until another strength is typed
+const NEXT = 60_000; // ms after which the next run does not come any more
 const LONG = 24; // characters of a wrong number that are repeated
 
 const element = (id) => document.getElementById(id);
@@ -339,7 +340,11 @@ export class SteeringPanel {
       return;
     }
     const label = this.asked.get(message.request) ?? "request";
-    this.restarting ||= message.ok && message.restarts;
+    if (message.ok && message.restarts) {
+      this.restarting = true;
+      clearTimeout(this.patience);
+      this.patience = setTimeout(() => { this.restarting = false; }, NEXT);
+    }
     this.asked.delete(message.request);
     this.say(`${label}: ${message.ok ? "" : "rejected: "}${message.text}`);
   }
