@@ -266,6 +266,49 @@ def test_too_many_requests_and_offsets_of_a_law_without_any_are_refused() -> Non
         controller(largest_offset=0.0).ask(REFER)
 
 
+def test_a_push_is_two_changes_of_the_disturbance_and_what_changes_it_meanwhile_waits() -> None:
+    made = controller(torques=(StepChange(1, 0.5),))
+    first = made.ask(Request(msg.Action.DISTURBANCE, 0, -1.25, steps=3))
+    later = made.ask(Request(msg.Action.DISTURBANCE, 0, 0.25))
+    orders = [order for step in range(8) for order in made.handle(plane(step)) if isinstance(order, msg.Steering)]
+    told = [(order.step, order.request, order.value) for order in orders if order.action == msg.Action.DISTURBANCE]
+    # The scenario sets the torque at step 1, so the push begins after it; the torque before it returns exactly.
+    assert told == [(2, first, 0.5 - 1.25), (5, first, 0.5), (6, later, 0.25)]
+    assert [(decision.number, decision.step) for decision in made.decisions()] == [(first, 2), (later, 6)]
+
+
+def test_a_push_waits_for_what_the_scenario_sets_before_its_end_and_stays_in_range() -> None:
+    made = controller(torques=(StepChange(4, 1.5),))
+    made.ask(Request(msg.Action.DISTURBANCE, 0, 1.0, steps=3))
+    assert ordered(made, *range(10)) == [msg.Action.NONE] * 10
+    (decision,) = made.decisions()
+    assert (decision.step, decision.reason) == (
+        None,
+        "1.0 N m and the disturbance of 1.5 N m are together out of range; a disturbance is at most 2 N m in magnitude",
+    )
+    made = controller()
+    made.ask(Request(msg.Action.DISTURBANCE, 0, 1.0, steps=30))
+    assert ordered(made, *range(11)) == [msg.Action.DISTURBANCE] + [msg.Action.NONE] * 9, "the run ends during it"
+
+
+def test_a_paused_run_takes_a_step_only_for_a_request() -> None:
+    made = controller()
+    made.pause(paused=True)
+    assert made.paused
+    assert made.handle(plane(0)) == made.handle(plane(0)) == made.release() == ()
+    made.ask(Request(msg.Action.KILL, 2))
+    (order,) = made.release()
+    assert isinstance(order, msg.Steering)
+    assert (order.step, order.action, order.agent_id) == (1, msg.Action.KILL, 2)
+    assert made.release() == made.handle(plane(0)) == made.handle(plane(1)) == ()
+    made.pause(paused=False)
+    assert made.release() == (msg.Steering(20_000_000, 2, 0, msg.Action.NONE, 0, 0.0),)
+    assert made.release() == ()
+    assert ordered(made, *range(1, 11)) == [msg.Action.NONE] * 8
+    with pytest.raises(InputError, match="the run is over"):
+        made.pause(paused=True)
+
+
 def test_a_node_waits_for_the_order_and_refuses_what_cannot_be_one() -> None:
     node = Steered(Parent(configure.parent_config(builtin("pd_het_4", "duration=0.3"))))
     assert (node.awaits(), node.missing(), node.open) == ((msg.STEERING,), (0, ("steering",)), False)

@@ -20,7 +20,7 @@ from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.messages import PLANE_STATE, PlaneState, Steering
+from swarmabs_core.messages import PLANE_STATE, Messages, PlaneState, Steering
 from swarmabs_run.steering import node, server
 from swarmabs_run.steering.client import SOCKET, SteeringClient, short_path
 from swarmabs_run.steering.server import LONGEST, SteeringServer
@@ -44,16 +44,24 @@ class SteeredRun:
         self.orders: list[Steering] = []
 
     def make_step(self) -> None:
-        said = self.spec.behaviour.handle(PlaneState(self.step * PERIOD_NS, self.step, 0.1, 0.0))
-        self.orders += [message for message in said if isinstance(message, Steering)]
-        self.step = min(self.step + 1, LAST)
+        self._publish(self.spec.behaviour.handle(PlaneState(self.step * PERIOD_NS, self.step, 0.1, 0.0)))
+
+    def be_idle(self) -> None:
+        assert self.spec.on_idle is not None
+        self._publish(self.spec.on_idle() or ())
+
+    def _publish(self, messages: Messages) -> None:
+        """Publish orders; the plane answers the order of a step by its state of this step."""
+        orders = [message for message in messages if isinstance(message, Steering)]
+        self.orders += orders
+        self.step = min(orders[-1].step, LAST) if orders else self.step
 
     def during(self, call: Callable[[], ResultT]) -> ResultT:
         """Go on with the run while something else is done in another thread, and return what came of it."""
         with ThreadPoolExecutor(1) as pool:
             result = pool.submit(call)
             while wait([result], timeout=0.001).not_done:
-                self.spec.on_idle()
+                self.be_idle()
                 self.make_step()
         return result.result()
 
@@ -119,7 +127,39 @@ def test_the_status_says_how_it_is(run: SteeredRun) -> None:
     assert status.pop("time") == pytest.approx(status.pop("step") / 100)
     bounds = {"largest_reference": configure.LARGEST_OFFSET, "largest_disturbance": 5.0}
     now = {"ok": True, "reference": 0.2, "disturbance": 0.3, "members": [1, 2, 3], "absent": [4]}
-    assert status == {**now, "steps": LAST, "step_time": 0.01, **bounds}
+    assert status.pop("paused") is False
+    facts = {"steps": LAST, "step_time": 0.01, "push_time": 0.2, "restarts": False}
+    assert status == {**now, **facts, **bounds}
+
+
+def test_a_paused_run_takes_no_step_until_it_is_resumed_or_asked(run: SteeredRun) -> None:
+    """Each request is answered at once, although the run stands still."""
+    paused = run.ask({"action": "pause"})
+    assert paused == {"ok": True, "step": paused["step"], "time": pytest.approx(paused["step"] / 100)}
+    status = run.ask({"action": "status"})
+    assert (status["paused"], status["step"]) == (True, paused["step"])
+    pushed = run.ask({"action": "push", "value": -0.5})
+    assert pushed["step"] == paused["step"] + 1
+    assert run.ask({"action": "resume"})["step"] == pushed["step"]
+    while run.step < pushed["step"] + 30:
+        run.make_step()
+    orders = [(order.step, order.value) for order in run.orders if order.action]
+    assert orders == [(pushed["step"], -0.5), (pushed["step"] + 20, 0.0)]
+    text = f"push -0.5 in the steps {pushed['step']} to {pushed['step'] + 19}"
+    assert run.reports.said == [
+        ("paused", {"paused": True, "step": paused["step"]}),
+        ("steered", {"text": text, "change": ""}),
+        ("paused", {"paused": False, "step": pushed["step"]}),
+    ]
+
+
+def test_only_a_run_that_may_start_again_does(tmp_path: Path, run: SteeredRun) -> None:
+    assert "only a run that was started by 'swarm demo'" in run.ask({"action": "restart"})["reason"]
+    assert run.reports.said == []
+    (tmp_path / "again").mkdir()
+    other = SteeredRun(tmp_path / "again", restarts=True)
+    assert other.ask({"action": "restart_beside"})["ok"]
+    assert other.reports.said == [("restart", {"action": "restart_beside"})]
 
 
 @pytest.mark.parametrize(
@@ -215,7 +255,7 @@ def test_a_run_that_does_not_answer(tmp_path: Path, answers: bytes | None, probl
                     client.ask({"action": "status"})
 
 
-def test_a_step_takes_so_long_at_least_and_a_late_run_does_not_catch_up(run: SteeredRun, tmp_path: Path) -> None:
+def test_a_step_takes_so_long_at_least_and_a_late_run_catches_up_a_little(run: SteeredRun, tmp_path: Path) -> None:
     clock, slept = [100.0], []
 
     def sleep(seconds: float) -> None:
@@ -229,8 +269,16 @@ def test_a_step_takes_so_long_at_least_and_a_late_run_does_not_catch_up(run: Ste
         clock[0] += late
         (order,) = pace.hear(PLANE_STATE, encode(PlaneState(0, controller.step, 0.1, 0.0)))
         assert isinstance(order, Steering) and order.step == controller.step
-    assert slept == [0.5, 0.3, 0.5, 0.0, 0.5]
+    assert slept == [0.5, 0.3, 0.5, 0.0, 0.3]  # of the 2.5 s by which it was late, 0.2 s
     pace.hear(PLANE_STATE, encode(PlaneState(0, 0, 0.1, 0.0)))  # an old one
     assert len(slept) == 5
+    controller.pause(paused=True)
+    state = encode(PlaneState(0, controller.step, 0.1, 0.0))
+    assert pace.hear(PLANE_STATE, state) == ()
+    controller.pause(paused=False)
+    (order,) = controller.release()
+    clock[0] += 9.0
+    pace.hear(PLANE_STATE, encode(PlaneState(0, order.step, 0.1, 0.0)))
+    assert slept[5:] == [0.5]
     (tmp_path / "slow").mkdir()
     assert SteeredRun(tmp_path / "slow", step_seconds=0.5).spec.hear is not None

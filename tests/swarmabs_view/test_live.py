@@ -83,6 +83,24 @@ def test_a_swarm_that_makes_no_step_is_silent_until_it_does() -> None:
     assert live.phase == "running"
 
 
+def test_a_paused_run_is_not_silent_and_has_time_to_go_on() -> None:
+    live = view_of(3)
+    live.refresh(0.0)
+    live.paused = True
+    for now in (0.1, 10.0 * SILENCE):
+        live.refresh(now)
+        assert (live.phase, live.text) == ("paused", "at step 3")
+    live.paused = False
+    live.refresh(10.5 * SILENCE)
+    assert live.phase == "running"
+    live.refresh(11.0 * SILENCE)
+    assert (live.phase, live.text) == ("silent", "no step since 3")
+    fresh = view_of()
+    fresh.paused = True
+    fresh.refresh(0.0)
+    assert (fresh.phase, fresh.text) == ("paused", "")
+
+
 def test_what_goes_on_cannot_be_played_and_what_follows_can() -> None:
     class After(protocol.Session):
         wishes = 0

@@ -101,10 +101,16 @@ def test_what_is_asked_with_the_token_reaches_the_run(tmp_path: Path) -> None:
         done = Answer(request="r", ok=True, text="from step 12 on, 0.12 s")
         assert await bridge.ask(steer()) == done
         assert await bridge.ask(steer(action="reference", agent=None, value=-0.5)) == done
+        paused = Answer(request="r", ok=True, text="at step 12, 0.12 s")
+        assert await bridge.ask(steer(action="pause", agent=None)) == paused
+        last = Answer(request="r", ok=True, restarts=True, text="the run ends at step 12, and the next one starts")
+        assert await bridge.ask(steer(action="restart", agent=None)) == last
         assert await bridge.ask(steer(agent=9)) == Answer(request="r", ok=False, text="there is no robot 9")
         asked = [
             {"action": "kill", "agent": 3, "request": "r"},
             {"action": "reference", "value": -0.5, "request": "r"},
+            {"action": "pause", "request": "r"},
+            {"action": "restart", "request": "r"},
             {"action": "kill", "agent": 9, "request": "r"},
         ]
         assert heard == asked

@@ -75,7 +75,12 @@ def test_a_page_holds_its_port_and_hands_it_on(started: list[Viewer], tmp_path: 
         assert len(viewer.secret) == (32 if steered else 0)
         page.wait()
         assert viewer.calls == ["wait"]
-    assert viewer.calls == ["wait", "close"]
+        page.start(tmp_path / "next")
+        _, after = started
+        assert (viewer.calls, after.calls) == (["wait", "close"], [])
+        assert (after.address, after.secret) == (viewer.address, viewer.secret)
+        assert after.words[1][0] == str(tmp_path / "next")
+    assert after.calls == ["close"]
     bound(port).close()
     with PageViewer(0) as page:
         assert page.steering_url is None

@@ -21,7 +21,7 @@ from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.reader import open_bag
 from swarmabs_core.faults import MembershipFault
 from swarmabs_core.messages import EventKind
-from swarmabs_run.orchestration.run_files import environment_of_run
+from swarmabs_run.orchestration.run_files import environment_of_run, read_progress
 from swarmabs_run.steering.client import SteeringClient
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
@@ -138,6 +138,43 @@ REQUESTS = {
     ("leave", "2"): (2, EventKind.LEFT, "remove"),
 }
 """What is asked by the command, with the event that is recorded."""
+
+
+PAUSED_LENGTH = runs.seconds(20.0)
+
+
+@pytest.mark.parametrize("end", [None, signal.SIGINT, signal.SIGTERM])
+def test_a_pause_is_not_recorded_and_a_paused_run_can_be_ended(folder: Path, end: signal.Signals | None) -> None:
+    """It lasts longer than the silence after which the nodes report a stall, and drop silent robots."""
+    stall = ("--set", "lockstep={stall_timeout: 0.5, on_stall: drop}")
+    words = ("run", "pd_het_4", "--set", PAUSED_LENGTH, *stall, "--steer", "-o", folder, "--json")
+    with runs.started_swarm(*words) as command:
+        until((folder / "steer.sock").exists, "there is a socket")
+        assert runs.swarm("steer", folder, "pause").out.startswith("paused at step ")
+        until(lambda: phase_of(folder) == "paused", "the run says that it is paused")
+        paused = read_progress(folder / "logs")
+        assert paused is not None
+        until(lambda: told_after(folder, paused.told_at + 5.0), "the pause lasts longer than ten stall times")
+        assert ", paused" in runs.swarm("steer", folder, "status").out
+        if end is None:
+            assert runs.swarm("steer", folder, "resume").out.startswith("resumed at step ")
+        else:
+            command.process.send_signal(end)
+        done = command.wait()
+    assert (done.code, done.summary()["status"]) == ((0, "ok") if end is None else (1, "interrupted"))
+    if end is None:
+        assert done.summary()["digest"] == runs.simulated_digest("pd_het_4", PAUSED_LENGTH)
+    assert runs.swarm("verify", folder).code == 0
+
+
+def phase_of(folder: Path) -> str:
+    progress = read_progress(folder / "logs")
+    return "" if progress is None else progress.phase
+
+
+def told_after(folder: Path, time: float) -> bool:
+    progress = read_progress(folder / "logs")
+    return progress is not None and progress.told_at > time
 
 
 def test_a_steered_run_can_be_repeated(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import asyncio
 import html
 import json
 import os
+import re
 import signal
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -174,13 +175,27 @@ def test_a_run_is_steered_from_the_page(folder: Path) -> None:
             page.get_by_label("Disturbance torque, N m").fill("0.1")
             page.get_by_role("button", name="Set disturbance").click()
             expect(done).to_contain_text("disturbance 0.1: from step ")
+            box = page.locator("#plane").bounding_box()
+            assert box is not None
+            across, down = box["x"] + 0.8 * box["width"], box["y"] + 0.5 * box["height"]
+            page.mouse.move(across, down)
+            page.mouse.down()
+            page.mouse.move(across, down + 0.1 * box["height"], steps=3)
+            page.mouse.up()
+            expect(done).to_contain_text(re.compile(r"push \d\.\d: from step "))
+            page.get_by_role("button", name="Pause").click()
+            expect(page.locator("#state")).to_have_text(re.compile("paused: at step "), timeout=PATIENCE)
             page.get_by_role("button", name="Add").click()
             expect(done).to_contain_text("add robot 4: from step ")
             page.get_by_label("Robot", exact=True).select_option("robot 3")
             page.get_by_role("button", name="Kill").click()
             expect(done).to_contain_text("kill robot 3: from step ")
-            expect(page.get_by_label("Robot", exact=True).locator("option")).to_have_count(3)
-            expect(page.locator("#steer-absent")).to_be_hidden()
+            listed = page.get_by_label("Robot", exact=True).locator("option")
+            expect(listed).to_have_text(["robot 1", "robot 2", "robot 3: dead", "robot 4"])
+            expect(page.get_by_label("Robot to add").locator("option")).to_be_disabled()
+            expect(page.locator("#state")).to_have_text(re.compile("paused: at step "))  # it has taken some steps
+            page.locator("#plane-panel").press(" ")
+            expect(page.locator("#state")).to_have_text("running", timeout=PATIENCE)
             theme = page.locator("#theme").text_content()
             page.locator("#steer-reference-value").press("t")  # is typed, and no key of the page
             assert page.locator("#theme").text_content() == theme
@@ -201,6 +216,9 @@ def test_a_run_is_steered_from_the_page(folder: Path) -> None:
             run.wait()
     steered = {(event.kind, event.agent_id, event.detail, event.value) for event in runs.events(folder)}
     assert steered >= {(EventKind.STEERING, 0, "reference", 0.05), (EventKind.STEERING, 0, "disturbance", 0.1)}
+    torques = [event.value for event in runs.events(folder) if event.detail == "disturbance"]
+    assert (len(torques), torques[0], torques[2]) == (3, 0.1, 0.1)
+    assert torques[1] > 0.1, "the right side was pulled down"
     ended = {(kind, agent) for kind, agent, _, _ in steered if agent}
     assert ended >= {(EventKind.JOINED, 4), (EventKind.DEAD, 3)}
     assert not any(agent in {1, 2} and kind == EventKind.DEAD for kind, agent in ended)
@@ -230,3 +248,26 @@ def test_a_demo_opens_a_page_that_can_steer_and_leaves_nothing_behind(folder: Pa
     assert (done.code, page.exists(), page.parent.exists()) == (1, False, False)
     assert runs.summary_of(folder)["status"] == "interrupted"
     assert load_arrays(folder).agents.ids.tolist() == [*range(1, 21)]
+
+
+def test_a_demo_starts_again_beside_the_curve_on_the_same_page(folder: Path) -> None:
+    following = folder.with_name(f"{folder.name}-2")
+    with runs.started_swarm("demo", "--no-browser", "-o", folder) as command, opened_browser() as browser:
+        runs.view_address(command)
+        assert command.process.stderr is not None
+        page = browser.new_page()
+        page.goto(command.process.stderr.readline().removeprefix("view, to steer: ").strip())
+        page.get_by_role("button", name="Start beside the curve").click(timeout=PATIENCE)
+        expect(page.locator("#state")).to_have_text("paused: at step 0", timeout=PATIENCE)
+        expect(page.locator("#place")).to_have_text(str(following))
+        assert runs.summary_of(folder)["reason"] == "ended to start again"
+        page.get_by_role("button", name="Resume").click()
+        expect(page.locator("#state")).to_have_text("running", timeout=PATIENCE)
+        runs.until_stepping(following)
+        os.kill(command.process.pid, signal.SIGINT)
+        assert command.wait().code == 1
+    for bag in (folder, following):
+        verdict = runs.swarm("verify", bag)
+        assert verdict.code == 0, verdict.out + verdict.err
+    usual, beside = (load_arrays(bag).abstract.inertia[0] for bag in (folder, following))
+    assert beside > 5.0 * usual

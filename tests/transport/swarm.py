@@ -148,7 +148,7 @@ class Swarm:
                 compares=True,
             )
         elif role.name == STEERER:
-            spec = NodeSpec(self.steerer)
+            spec = NodeSpec(self.steerer, on_idle=self.steerer.release)
         else:
             spec = role.make(reports)
         inbox = Inbox(role.endpoints.subscriptions)

@@ -24,6 +24,7 @@ from swarmabs_core.behaviours import Agent, Request
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import SILENT, Change, ChangeKind
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, Action, Message, Messages, Topic
+from swarmabs_core.steering import STEERER
 from swarmabs_ros.lockstep import LONGEST, Repeater
 from swarmabs_run.run import RunOptions
 from swarmabs_run.simulation import Simulation
@@ -83,6 +84,7 @@ CASES = {
 }
 
 STEERED = _faults("kind: join, agent: 3, at: null", "kind: reference, offset: 0.05, at: 0.02")
+STEERED = STEERED._replace(overrides=(*STEERED.overrides, "lockstep.on_stall=drop"))
 OTHERS = {
     "drop": Case(("lockstep.on_stall=drop",)),
     "drop, packed": Case(("lockstep.on_stall=drop",), PACKED),
@@ -225,6 +227,7 @@ ASKED = (
     Request(Action.ADD, 3),
     Request(Action.REFERENCE, 0, 0.1),
     Request(Action.DISTURBANCE, 0, 0.2),
+    Request(Action.DISTURBANCE, 0, 0.3, steps=2),
     Request(Action.KILL, 2),
     Request(Action.REMOVE, 1),
     Request(Action.FREEZE, 3),
@@ -243,6 +246,24 @@ def test_a_steered_run_is_that_of_a_plan_with_what_was_ordered(seed: int, name: 
             swarm.steerer.ask(request)
     assert swarm.run()
     assert_planned(swarm, cast_)
+
+
+@pytest.mark.parametrize("name", ["steered", "steered, packed"])
+def test_a_pause_changes_nothing_and_drops_nobody(name: str) -> None:
+    """It is longer than the stall timeout, after which silent robots are dropped."""
+    cast_ = cast_of(name)
+    plain = payloads(Simulation(cast_.scenario).steps())
+    for seed in range(20):
+        swarm = Swarm(cast_, script(seed, LENGTH))
+        while swarm.steerer.step <= seed % 4:
+            swarm.step()
+        swarm.steerer.pause(paused=True)
+        assert not swarm.run(3.0 * cast_.scenario.lockstep.stall_timeout)
+        assert not swarm.problems
+        assert swarm.stalls()[PLANE]["missing"] == (STEERER,)
+        swarm.steerer.pause(paused=False)
+        assert swarm.run()
+        assert payloads(swarm.recorded) == plain
 
 
 def assert_planned(swarm: Swarm, cast_: Cast) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from swarmabs_cli.runs import carry_out
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.errors import InputError
 from swarmabs_run.ending import interrupt_once
+from swarmabs_run.orchestration.launcher_process import LauncherProcess
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
 from swarmabs_run.orchestration.realtime_run import RealtimeRun
 from swarmabs_run.run import SLOWEST_STEP, Outcome, RunOptions
@@ -21,68 +22,131 @@ from swarmabs_view.ports import check_foxglove
 from swarmabs_view.viewers import PageViewer, markers_viewer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
     from pathlib import Path
 
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import AnyScenario
-    from swarmabs_run.orchestration.launcher_process import LauncherProcess
 
 
 def run_scenario(
+    launcher: LauncherProcess, *, view: bool, view_port: int | None, open_browser: bool, **options: Any
+) -> int:
+    """Run a scenario with the processes that a launcher forks; the options are those of the command."""
+    with ExitStack() as stack:
+        page = None
+        if view:
+            page = stack.enter_context(_page(view_port or 0, steered=options["steer"], opens=open_browser))
+        code, _ = _run(launcher, page, **options)
+        if page is not None:
+            page.stay()
+        return code
+
+
+def run_scenarios(
+    launcher: LauncherProcess, following: Callable[[str | None], dict[str, Any]], *, open_browser: bool
+) -> int:
+    """Show steered runs on one page, until one ends other than by a request for the next one.
+
+    The `launcher` is that of the first run. `following` returns the options of the command, without those of the page
+    and with `paused`, for the run after a request, None for the first.
+    """
+    options = following(None)
+    with _page(0, steered=True, opens=open_browser) as page:
+        while True:
+            with launcher:
+                code, request = _run(launcher, page, restarts=True, **options)
+            if request is None:
+                page.stay()
+                return code
+            interrupt_once()  # as at the beginning of the command
+            options, launcher = following(request), LauncherProcess("lockstep")
+
+
+def _run(
     launcher: LauncherProcess,
+    page: _Page | None,
     *,
     agents_per_process: int,
     packed: bool | None,
     realtime: bool,
     steer: bool,
     rate: float | None,
-    view: bool,
-    view_port: int | None,
-    open_browser: bool,
+    paused: bool = False,
+    restarts: bool = False,
     **options: Any,
-) -> int:
-    """Run a scenario with the processes that a launcher forks; the options are those of the command."""
-    with ExitStack() as stack:
-        viewer = stack.enter_context(PageViewer(view_port or 0, steered=steer)) if view else None
+) -> tuple[int, str | None]:
+    """Run a scenario; return the exit code, and the request that ended the run so that another one starts."""
+    requests: list[str | None] = []
 
-        def execute(scenario: AnyScenario, folder: RunFolder, recording: RunOptions) -> Outcome:
-            if viewer is not None:
-                viewer.start(folder.path)
-                click.echo(f"view: {viewer.url}", err=True)
-                if viewer.steering_url is not None:
-                    click.echo(f"view, to steer: {viewer.steering_url}", err=True)
-                if open_browser and viewer.steering_url is not None:
-                    open_page(stack.enter_context(private_page(viewer.steering_url)))
-                elif open_browser:
-                    open_page(viewer.url)
-            with shown(folder.path):
-                if realtime:
-                    return RealtimeRun(on_plane(scenario, "real time"), folder, recording).run(launcher)
-                asked = replace(
-                    recording,
-                    agents_per_process=agents_per_process,
-                    packed=packed,
-                    steered=steer,
-                    step_seconds=_step_seconds(scenario, rate),
-                )
-                return LockstepRun(scenario, folder, asked).run(launcher)
+    def execute(scenario: AnyScenario, folder: RunFolder, recording: RunOptions) -> Outcome:
+        if page is not None:
+            page.show(folder.path)
+        with shown(folder.path):
+            if realtime:
+                return RealtimeRun(on_plane(scenario, "real time"), folder, recording).run(launcher)
+            asked = replace(
+                recording,
+                agents_per_process=agents_per_process,
+                packed=packed,
+                steered=steer,
+                step_seconds=_step_seconds(scenario, rate),
+                paused=paused,
+                restarts=restarts,
+            )
+            outcome = LockstepRun(scenario, folder, asked).run(launcher)
+            requests.append(outcome.restart)
+            return outcome
 
-        drawn = next((f"--{name}" for name in ("markers", "foxglove") if options[name]), None)
+    drawn = next((f"--{name}" for name in ("markers", "foxglove") if options[name]), None)
 
-        def check(scenario: AnyScenario) -> None:
-            if drawn is not None:
-                on_plane(scenario, drawn)
-            _step_seconds(scenario, rate)
+    def check(scenario: AnyScenario) -> None:
+        if drawn is not None:
+            on_plane(scenario, drawn)
+        _step_seconds(scenario, rate)
 
-        shown = _marker_viewers(options, clock=not realtime)
-        code = carry_out(execute, realtime=realtime, check=check, steered=steer, meanwhile=True, **options)
-        if viewer is not None and sys.stdin.isatty() and sys.stderr.isatty():
+    shown = _marker_viewers(options, clock=not realtime)
+    code = carry_out(execute, realtime=realtime, check=check, steered=steer, meanwhile=True, **options)
+    return code, next(iter(requests), None)
+
+
+class _Page:
+    """The page of a run, or of one run after the other at the same address; the first time, the browser may open it."""
+
+    def __init__(self, viewer: PageViewer, stack: ExitStack, *, opens: bool) -> None:
+        self._viewer = viewer
+        self._stack = stack
+        self._opens = opens
+        self._told = False
+
+    def show(self, folder: Path) -> None:
+        """Show the run in a folder, which is about to start."""
+        viewer = self._viewer
+        viewer.start(folder)
+        if self._told:
+            return
+        self._told = True
+        click.echo(f"view: {viewer.url}", err=True)
+        if viewer.steering_url is not None:
+            click.echo(f"view, to steer: {viewer.steering_url}", err=True)
+        if self._opens and viewer.steering_url is not None:
+            open_page(self._stack.enter_context(private_page(viewer.steering_url)))
+        elif self._opens:
+            open_page(viewer.url)
+
+    def stay(self) -> None:
+        """On a terminal, play the bag until the user ends it."""
+        if sys.stdin.isatty() and sys.stderr.isatty():
             interrupt_once()
-            click.echo(f"view: {viewer.url} plays the bag until Ctrl-C", err=True)
-            viewer.wait()
-        return code
+            click.echo(f"view: {self._viewer.url} plays the bag until Ctrl-C", err=True)
+            self._viewer.wait()
+
+
+@contextmanager
+def _page(port: int, *, steered: bool, opens: bool) -> Iterator[_Page]:
+    with ExitStack() as stack:
+        yield _Page(stack.enter_context(PageViewer(port, steered=steered)), stack, opens=opens)
 
 
 def _step_seconds(scenario: AnyScenario, rate: float | None) -> float:

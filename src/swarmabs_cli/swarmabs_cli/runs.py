@@ -197,7 +197,7 @@ def print_summary(
         if folder.bag.exists():
             click.echo(f"\n{COMMAND} view {folder.path} --open   # play the run in the browser")
             click.echo(f"{COMMAND} report {folder.path}   # write a report")
-    if outcome.reason is not None:
+    if outcome.reason is not None and outcome.restart is None:
         click.echo(f"error: {outcome.reason}", err=True)
 
 

@@ -66,7 +66,7 @@ class NodeSpec:
         Returns the time, s, for which messages are collected before they are handled, for a node that no other node
         waits for.
     on_idle : callable, optional
-        Called when no more messages have arrived, at least every `SLICE` s.
+        Called when no more messages have arrived, at least every `SLICE` s; it may return messages to publish.
     hear : callable, optional
         Takes topic and bytes of a message, for a node that needs the bytes; by default the behaviour takes the message.
     hear_all : callable, optional
@@ -81,7 +81,7 @@ class NodeSpec:
     on_exit: Callable[[str | None], None] = field(default=lambda _: None)
     lingers: bool = True
     gather: Callable[[], float] | None = None
-    on_idle: Callable[[], None] | None = None
+    on_idle: Callable[[], Messages | None] | None = None
     hear: Callable[[Topic, bytes], Messages] | None = None
     hear_all: Callable[[Topic, list[bytes]], Messages] | None = None
     compares: bool = False
@@ -231,8 +231,9 @@ class Lockstep:
                     return
             if self._drain(topics):
                 continue
-            if spec.on_idle is not None:
-                spec.on_idle()
+            answer = None if spec.on_idle is None else spec.on_idle()
+            if answer:
+                self._progress(answer, clock())
             heard = yield topics, min(SLICE, repeater.wait(clock()))
             if heard:
                 if spec.gather is not None:

@@ -33,6 +33,8 @@ Report = Literal[
     "done",
     "timing",
     "steered",
+    "paused",
+    "restart",
     "leads",
     "yields",
     "behind",

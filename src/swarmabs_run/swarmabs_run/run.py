@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 
-Phase = Literal["starting", "running", "closing"]
+Phase = Literal["starting", "running", "paused", "closing"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,11 @@ class RunOptions:
     steered : bool
         Whether the run can be steered through a socket in its folder.
     step_seconds : float
-        Shortest wall time, s, of a step of a steered run; 0: as fast as possible.
+        Shortest wall time, s, of a step of a steered run on average; 0: as fast as possible.
+    paused : bool
+        Whether a steered run is paused at its first step.
+    restarts : bool
+        Whether a steered run may be asked to end so that another one starts; its outcome then says so.
     """
 
     record: bool = True
@@ -81,6 +85,8 @@ class RunOptions:
     packed: bool | None = None
     steered: bool = False
     step_seconds: float = 0.0
+    paused: bool = False
+    restarts: bool = False
 
     def packs(self, robots: int) -> bool:
         """Return whether messages are packed in a swarm of this size."""
@@ -110,6 +116,8 @@ class Outcome:
         Warnings about a run that did not fail.
     packed : bool
         Whether messages were packed.
+    restart : str, optional
+        The request that ended the run so that another one starts, ``restart`` or ``restart_beside``.
     """
 
     status: Literal["ok", "failed", "interrupted"]
@@ -119,6 +127,7 @@ class Outcome:
     stepping_seconds: float | None = None
     warnings: tuple[str, ...] = ()
     packed: bool = False
+    restart: str | None = None
 
     def judged(self, *, repeats: bool) -> Outcome:
         """Return the outcome by the robots that left their ranges: a complete run has failed if any flew off.

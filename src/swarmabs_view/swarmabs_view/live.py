@@ -150,6 +150,8 @@ class LiveView:
         self.health: Health | None = None
         self.phase: Phase = "waiting"
         self.text = "waiting for the first step"
+        self.paused = False
+        self._paused_at = float("-inf")
         self.facts = -1
         self.rate = StepRate()
         self.diagnosed = DiagnosedRoles()
@@ -210,9 +212,12 @@ class LiveView:
         self._place()
         self.rate.take(now, self.state.step)
         silence = self.rate.silent_for(now)
-        if silence is None:
+        if self.paused:
+            self._paused_at = now
+            self.phase, self.text = "paused", "" if silence is None else f"at step {self.state.step}"
+        elif silence is None:
             return
-        if silence < SILENCE:
+        elif min(silence, now - self._paused_at) < SILENCE:
             self.phase, self.text = "running", ""
         else:
             self.phase, self.text = "silent", f"no step since {self.state.step}"

@@ -29,7 +29,7 @@ VERSION = 1
 fields: a page ignores unknown ones."""
 
 Number: TypeAlias = float | None
-Phase: TypeAlias = Literal["waiting", "running", "silent", "ended", "recorded"]
+Phase: TypeAlias = Literal["waiting", "running", "paused", "silent", "ended", "recorded"]
 FASTEST = 1000.0
 """Highest speed of a playback, as a multiple of real time."""
 STATE_INTERVAL = 1.0
@@ -427,6 +427,9 @@ class Steering(Message):
     largest_disturbance: float = Field(default=0.0, description="N m")
     members: list[int] = Field(default=[], description="robots that take part")
     absent: list[int] = Field(default=[], description="robots that can be added")
+    paused: bool = Field(default=False, description="whether the run is held until it is resumed")
+    push_time: float = Field(default=0.0, description="duration of a push, s")
+    restarts: bool = Field(default=False, description="whether another run starts when a page asks for it")
 
 
 class Answer(Message):
@@ -436,6 +439,7 @@ class Answer(Message):
     request: str = Field(description="the name given by the page")
     ok: bool
     known: bool = Field(default=True, description="whether the token was right")
+    restarts: bool = Field(default=False, description="whether the next run takes the place of this one")
     text: str = Field(description="the step from which it applies, or why it was rejected")
 
 
@@ -493,9 +497,23 @@ class Steer(Request):
     type: Literal["steer"]
     token: str = Field(max_length=100)
     request: str = Field(min_length=1, max_length=100, description="a name; a request is performed once per name")
-    action: Literal["reference", "disturbance", "kill", "freeze", "remove", "add"]
-    value: float | None = Field(default=None, allow_inf_nan=False, description="reference in rad, disturbance in N m")
-    agent: int | None = Field(default=None, ge=1, le=65535, description="robot, for the other actions")
+    action: Literal[
+        "reference",
+        "disturbance",
+        "push",
+        "kill",
+        "freeze",
+        "remove",
+        "add",
+        "pause",
+        "resume",
+        "restart",
+        "restart_beside",
+    ]
+    value: float | None = Field(
+        default=None, allow_inf_nan=False, description="reference in rad, disturbance and push in N m"
+    )
+    agent: int | None = Field(default=None, ge=1, le=65535, description="robot, for what concerns one")
 
 
 Control: TypeAlias = Play | Pause | Seek | Speed | Unlock | Steer

@@ -23,7 +23,13 @@ from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.swarm_state import SwarmState, state_of
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
-from swarmabs_run.orchestration.run_files import RunOverError, environment_of_run, is_running, read_processes
+from swarmabs_run.orchestration.run_files import (
+    RunOverError,
+    environment_of_run,
+    is_running,
+    read_processes,
+    read_progress,
+)
 from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
 from swarmabs_view.live import MOST_PLACES, MOST_POINTS, LiveSession, LiveView
@@ -120,7 +126,7 @@ class RunView:
         if processes is not None and environment is not None:
             os.environ.update(environment)
             os.nice(NICENESS)
-            tasks = [asyncio.ensure_future(one) for one in (self._watch(processes), self._fetch())]
+            tasks = [asyncio.ensure_future(one) for one in (self._watch(processes), self._pause(), self._fetch())]
             try:
                 await listen(self._live, "/", self._over)
             finally:
@@ -188,6 +194,13 @@ class RunView:
         while True:
             self._live.health = await asyncio.to_thread(watch.health)
             await asyncio.sleep(HEALTH_INTERVAL)
+
+    async def _pause(self) -> None:
+        """Track whether the run is paused, so that its silence is none."""
+        while True:
+            progress = read_progress(self._folder.logs)
+            self._live.paused = progress is not None and progress.phase == "paused"
+            await asyncio.sleep(WAIT_INTERVAL)
 
     def _environment(self) -> dict[str, str] | None:
         """Return the environment of the run's network, None if the run has ended."""

@@ -8,7 +8,7 @@ import json
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_run.steering.client import LONGEST_ANSWER, SOCKET, STATUS, short_path
+from swarmabs_run.steering.client import LONGEST_ANSWER, RESTARTS, SOCKET, STATUS, short_path
 from swarmabs_view.protocol import Answer, Hello, Session, Steer, Steering, Unlock
 
 if TYPE_CHECKING:
@@ -22,9 +22,14 @@ STATUS_INTERVAL = 0.5
 MOST_WAITING = 32
 """Most requests of a page that wait for an answer."""
 
-_HELD = ("reference", "disturbance", "largest_reference", "largest_disturbance", "members", "absent")
+_HELD = tuple(name for name in Steering.model_fields if name not in {"v", "type", "open"})
 
 WRONG = "the token is wrong; use the one printed in the terminal of the run"
+_WORDS = {
+    "pause": "at step {step}, {time:.2f} s",
+    **dict.fromkeys(RESTARTS, "the run ends at step {step}, and the next one starts"),
+}
+"""What is said of the actions whose answer is no first step."""
 OVER = "the run accepts no requests: it has not begun or has ended"
 
 
@@ -77,7 +82,8 @@ class SteeringBridge:
             return Answer(request=request.request, ok=False, text=OVER)
         if not found["ok"]:
             return Answer(request=request.request, ok=False, text=str(found["reason"]))
-        return Answer(request=request.request, ok=True, text=f"from step {found['step']} on, {found['time']:.2f} s")
+        text = _WORDS.get(request.action, "from step {step} on, {time:.2f} s").format_map(found)
+        return Answer(request=request.request, ok=True, restarts=request.action in RESTARTS, text=text)
 
     async def _connect(self) -> None:
         with short_path(self._folder) as place:

@@ -84,6 +84,8 @@ def describe(progress: Progress, scenario: AnyScenario) -> str:
     parts = [f"{scenario.name}: step {progress.step} of {progress.steps}"]
     if progress.phase == "closing":
         parts.append("completing the bag")
+    elif progress.phase == "paused":
+        parts.append("paused")
     elif progress.step_rate:
         parts.append(f"{progress.step_rate:.0f} steps/s, {progress.step_rate * scenario.period:.1f} x real time")
     if progress.angle is not None:
@@ -237,6 +239,8 @@ class RunPanel:
     def _speed(self, progress: Progress) -> Text:
         if progress.phase == "closing":
             return Text("completing the bag")
+        if progress.phase == "paused":
+            return Text("paused")
         if not progress.step_rate:
             return Text("not known yet")
         times = progress.step_rate * self._scenario.period

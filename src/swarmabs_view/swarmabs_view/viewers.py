@@ -79,7 +79,7 @@ class ViewerProcess:
 
 
 class PageViewer:
-    """The page of a run; it opens its port first, so that a taken port is reported before the run starts.
+    """The page of a run, or of several in turn; it opens its port first, so that a taken port is reported at once.
 
     With `steered`, the page at `steering_url` can steer the run: its token follows the `#`, a part of the address that
     browsers do not send.
@@ -107,12 +107,16 @@ class PageViewer:
         self.close()
 
     def start(self, folder: Path) -> None:
-        """Show the run in a folder, which is about to start."""
+        """Show the run in a folder, which is about to start, in the place of an earlier one.
+
+        Pages reconnect by themselves; until the new viewer accepts their connections, they wait at the port.
+        """
+        if self._process is not None:
+            self._process.close()
         number = self._listener.fileno()
         self._process = ViewerProcess(
             "swarmabs_view.sources", [str(folder), str(number)], secret=self._token, descriptors=[number]
         )
-        self._listener.close()
 
     def wait(self) -> None:
         """Wait until the viewer ends by itself, or for Ctrl-C."""

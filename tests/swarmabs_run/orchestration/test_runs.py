@@ -65,6 +65,10 @@ def stalled(seconds: float, *missing: str) -> Happening:
     return report(seconds, OBSERVER, "stalled", step=30, missing=missing, silence=0.5)
 
 
+def paused(seconds: float, *, paused: bool) -> Happening:
+    return report(seconds, "steering", "paused", paused=paused, step=30)
+
+
 def end_asked(seconds: float) -> Happening:
     return seconds, lambda machine: setattr(machine, "asked", True)
 
@@ -231,6 +235,7 @@ RECORDER_LOST = "recorder (process 104) ended with exit code 1" + log_of(RECORDE
 SILENT = "agent 003 (process 107 is 107 stopped) has not answered step 30 for 0.5 s" + log_of("agent_003")
 FAILS = report(0.3, CONTROLLER, "failed", reason="steep")
 WAITED_FOR = (recorded(0.3, 30), stalled(0.4, "agent 3"))
+PAUSED = (*WAITED_FOR, paused(0.2, paused=True), paused(30.0, paused=False))
 SLOW = tuple(recorded(0.9 * n, n) for n in range(10))
 LOCKSTEP = {
     "a robot is killed": Ending(0.4, ROBOT_LOST, (KILLED,)),
@@ -254,6 +259,13 @@ LOCKSTEP = {
     ),
     "robots are slow but the run goes on": Ending(9.0, "", (stalled(0.4, "agent 3"), done(9.0), *SLOW)),
     "a robot waits no more": Ending(4.0, "", (stalled(0.4, "agent 3"), report(1.0, OBSERVER, "recovered"), done(4.0))),
+    "a run is paused for long": Ending(37.0, "", (*PAUSED, report(36.0, OBSERVER, "recovered"), done(37.0))),
+    "a robot does not answer after a pause": Ending(30.1 + STALL_GRACE + 2 * 5.0, SILENT, PAUSED),
+    "a robot does not answer long after a pause": Ending(
+        32.5 + STALL_GRACE,
+        SILENT,
+        (*PAUSED, report(31.0, OBSERVER, "recovered"), recorded(31.5, 40), stalled(32.4, "agent 3")),
+    ),
     "a robot says that it waits when all is recorded": Ending(
         4.0, "", (recorded(0.3, 100), stalled(0.4, "agent 3"), done(4.0))
     ),
@@ -385,6 +397,17 @@ def test_what_is_ordered_from_outside_is_noted_and_comes_before_what_was_planned
     assert machine.signals == [*ends, *COMPLETE]
     assert noted(tmp_path).count("steered: ") == 3
     assert "steered: reference 0.1 from step 6 on" in noted(tmp_path)
+
+
+def test_a_run_that_is_asked_to_start_again_ends_as_one_that_is_interrupted(tmp_path: Path) -> None:
+    machine = FakeMachine((recorded(0.2, 20), report(0.3, "steering", "restart", action="restart_beside")))
+    outcome = drive(machine, tmp_path, steered=True)
+    assert (outcome.status, outcome.reason, outcome.restart) == (
+        "interrupted",
+        "ended to start again",
+        "restart_beside",
+    )
+    assert machine.signals == [(RECORDER, SIGINT)]
 
 
 def test_a_run_in_real_time_is_told_when_it_begins_and_tells_its_timing(tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ from swarmabs_run.orchestration.launcher_process import LauncherProcess
 
 FOXGLOVE_PORT = 8765
 """The default port of Foxglove."""
+PAGE_OPTIONS = ("view", "view_port", "open_browser")
+"""The parameters that concern the page."""
 
 
 @click.command(

@@ -35,11 +35,15 @@ OVER = "the run is over"
 
 
 class Request(NamedTuple):
-    """A request from outside: an action, the robot that it concerns (0: none), and its value."""
+    """A request from outside: an action, the robot that it concerns (0: none), and its value.
+
+    With `steps`, a disturbance is a push: the value (N m) is added to the disturbance for so many steps.
+    """
 
     action: Action
     agent_id: int = 0
     value: float = 0.0
+    steps: int = 0
 
 
 class Decision(NamedTuple):
@@ -73,7 +77,10 @@ class SteeringConfig:
 class SteeringController:
     """Publishes orders one step ahead of the plane: it answers the plane's state of a step with the next step's order.
 
-    Every request thus gets the earliest step that no node has started, and each step has at most one order.
+    Every request thus gets the earliest step that no node has started, and each step has at most one order. A push is
+    two orders, which change the disturbance and change it back.
+
+    A paused controller holds the next order back, and with it the run, until it is resumed or a request needs the step.
     """
 
     def __init__(self, config: SteeringConfig) -> None:
@@ -86,6 +93,9 @@ class SteeringController:
         self._last = config.last_step
         self._step = 0
         self._over = False
+        self._paused = False
+        self._held = False
+        self._push_end: tuple[int, int, float] | None = None
         self._number = 0
         self._waiting: deque[tuple[int, Request]] = deque()
         self._decisions: list[Decision] = []
@@ -94,6 +104,11 @@ class SteeringController:
     def step(self) -> int:
         """The last step with a published order."""
         return self._step
+
+    @property
+    def paused(self) -> bool:
+        """Whether the run is paused."""
+        return self._paused
 
     @property
     def members(self) -> tuple[int, ...]:
@@ -125,6 +140,20 @@ class SteeringController:
         self._waiting.append((self._number, request))
         return self._number
 
+    def pause(self, *, paused: bool) -> None:
+        """Pause the run, or resume it; raises `InputError` if it is over."""
+        if self._over:
+            raise InputError(OVER)
+        self._paused = paused
+
+    def release(self) -> Messages:
+        """Return the order that was held back, if nothing holds it any more; call it after `ask` and `pause`."""
+        if not self._held or self._holds():
+            return ()
+        self._held = False
+        self._step += 1
+        return (self._decide(),)
+
     def decisions(self) -> list[Decision]:
         """Return the results of requests since the last call."""
         found, self._decisions = self._decisions, []
@@ -150,8 +179,8 @@ class SteeringController:
             self._decisions += [Decision(number, request, None, OVER) for number, request in self._waiting]
             self._waiting.clear()
             return ()
-        self._step += 1
-        return (self._decide(),)
+        self._held = True
+        return self.release()
 
     def awaits(self) -> tuple[Topic, ...]:
         """Wait for the plane, and for events about robots that have ended."""
@@ -161,30 +190,62 @@ class SteeringController:
         """Return the current step and the awaited node."""
         return self._step, (self._config.family.node,)
 
+    def _holds(self) -> bool:
+        """Return whether the next order is held back: while paused, a step is taken only for a request."""
+        return self._paused and not self._waiting
+
     def _decide(self) -> Steering:
         """Return the order of the current step."""
         step = self._step
+        if self._push_end is not None and self._push_end[0] == step:
+            _, number, value = self._push_end
+            self._push_end = None
+            return self._set(number, Request(Action.DISTURBANCE, value=value))
         while self._waiting and not self._must_wait(self._waiting[0][1]):
             number, request = self._waiting.popleft()
             problem = self._problem(request, step)
             self._decisions.append(Decision(number, request, None if problem else step, problem))
             if not problem:
-                order = self._order(number, request)
-                if (change := change_of(order)) is not None:
-                    self._membership.plan(change)
-                else:
-                    self._settings[request.action].set(step, request.value)
-                return order
+                return self._carry_out(number, request)
         return self._order(0, Request(Action.NONE))
 
+    def _carry_out(self, number: int, request: Request) -> Steering:
+        """Return the order of a granted request."""
+        if request.steps:
+            before = self.setting(Action.DISTURBANCE)
+            self._push_end = self._step + request.steps, number, before
+            request = request._replace(value=before + request.value)
+        if request.action in self._settings:
+            return self._set(number, request)
+        order = self._order(number, request)
+        change = change_of(order)
+        assert change is not None  # noqa: S101 - all other actions change who takes part
+        self._membership.plan(change)
+        return order
+
+    def _set(self, number: int, request: Request) -> Steering:
+        """Return the order that sets a value."""
+        self._settings[request.action].set(self._step, request.value)
+        return self._order(number, request)
+
     def _order(self, number: int, request: Request) -> Steering:
-        return Steering(self._step * self._config.period_ns, self._step, number, *request)
+        action, agent_id, value, _ = request
+        return Steering(self._step * self._config.period_ns, self._step, number, action, agent_id, value)
 
     def _must_wait(self, request: Request) -> bool:
-        """Return whether a request must wait: directly after a join, or if the scenario sets its value in this step."""
+        """Return whether a request must wait.
+
+        It waits directly after a join, if the scenario sets its value in this step or during the push, and for the end
+        of another push.
+        """
         if request.action in ENDS:
             return 0 < self._membership.span(request.agent_id).first == self._step - 1
-        return request.action in self._settings and self._settings[request.action].changing(self._step) is not None
+        if request.action not in self._settings:
+            return False
+        if request.action == Action.DISTURBANCE and self._push_end is not None:
+            return True
+        setting = self._settings[request.action]
+        return any(setting.changing(step) is not None for step in range(self._step, self._step + request.steps + 1))
 
     def _problem(self, request: Request, step: int) -> str:
         """Return why a request cannot take effect at a step; empty if it can."""
@@ -232,6 +293,12 @@ class SteeringController:
             return "the parent controller's law does not support an offset (it has no method offset_torque)"
         if not isfinite(request.value) or abs(request.value) > largest:
             return f"{request.value!r} {unit} is out of range; {what} is at most {largest:g} {unit} in magnitude"
+        held = self.setting(Action.DISTURBANCE)
+        if request.steps and self._push_end is None and abs(held + request.value) > largest:
+            return (
+                f"{request.value!r} {unit} and the disturbance of {held!r} {unit} are together out of range; "
+                f"{what} is at most {largest:g} {unit} in magnitude"
+            )
         return ""
 
 

@@ -42,6 +42,7 @@ class LockstepRun(ProcessRun):
         self._faults: list[Change] = [c for c in configure.schedule(scenario) if c.kind in _SIGNALS]
         self._stalled_since: float | None = None
         self._stalled_at = -1
+        self._recovery = 0.0
 
     def drive(self, machine: Machine, domain: int, begun: float) -> Outcome:
         """Drive the processes to their end; afterwards the run can no longer be steered."""
@@ -89,15 +90,19 @@ class LockstepRun(ProcessRun):
     def _check_stalls(self, now: float) -> Failure | None:
         state, lockstep = self._supervision, self._scenario.lockstep
         recorded = self._recorded()
+        # Nodes that wait during a pause report a stall. Afterwards they recover when they have read what others have
+        # repeated meanwhile, which takes large swarms seconds.
+        if state.paused or not state.stalls:
+            self._recovery = 2.0 * lockstep.stall_timeout if state.paused else 0.0
         # A robot that reports a stall, and is stopped before it reports its recovery, does not stall the run.
-        if not state.stalls or self._finished is not None or recorded > self._stalled_at:
+        if not state.stalls or state.paused or self._finished is not None or recorded > self._stalled_at:
             self._stalled_at, self._stalled_since = recorded, None
             return None
         if self._stalled_since is None:
             self._stalled_since = now
         # Where silent robots are dropped, allow the time that this takes, and fail only if the run still stalls.
         grace = STALL_GRACE if lockstep.on_stall == "fail" else STALL_GRACE + 2.0 * lockstep.stall_timeout
-        if now - self._stalled_since < grace:
+        if now - self._stalled_since < grace + self._recovery:
             return None
         failure = state.diagnose({name: self._machine.state_of(pid) for name, pid in state.pids.items()})
         taken = self._taken_port(state.names)

@@ -159,7 +159,15 @@ def _lockstep_plan(
     also = options_for(scenario)
     if options.steered:
         place = {"scenario_file": str(folder.scenario), "folder": str(folder.path)}
-        coordinators[STEERER] = common | place | {"step_seconds": options.step_seconds}
+        coordinators[STEERER] = (
+            common
+            | place
+            | {
+                "step_seconds": options.step_seconds,
+                "paused": options.paused,
+                "restarts": options.restarts,
+            }
+        )
     robots = tuple(_agent_processes(scenario, common | packed, folder, options))
     spare = count(COORDINATORS + len(robots))
     return (

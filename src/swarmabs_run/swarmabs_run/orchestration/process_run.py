@@ -124,7 +124,7 @@ class ProcessRun:
         self._spawn(self._plan)
         news = self._machine.now()
         known = 0
-        while not self._machine.end_asked():
+        while not (self._machine.end_asked() or state.restart):
             self._listen()
             now = self._machine.now()
             failure = self._failure(now)
@@ -152,7 +152,8 @@ class ProcessRun:
                 failure = self._watch(now)
                 if failure is not None:
                     return failure
-            self._report_progress("starting" if self._started is None else "running")
+            going: Phase = "paused" if state.paused else "running"
+            self._report_progress("starting" if self._started is None else going)
         return None
 
     def _start(self, now: float) -> float:
@@ -212,10 +213,11 @@ class ProcessRun:
 
     def _conclude(self, failure: Failure | None) -> Outcome:
         """Let the recorder complete the bag if the run did not finish, and return the outcome."""
-        state, interrupted = self._supervision, failure is None and self._machine.end_asked()
+        state = self._supervision
+        interrupted = failure is None and (self._machine.end_asked() or state.restart is not None)
         reason = self._describe(failure)
         if interrupted:
-            reason = "interrupted"
+            reason = "interrupted" if state.restart is None else "ended to start again"
         if reason is not None:
             self._note(reason)
         if RECORDER in state.pids and (failure is None or RECORDER not in failure.culprits):
@@ -233,12 +235,13 @@ class ProcessRun:
             reason = "the recorder could not complete the recording"
             self._note(reason)
         return Outcome(
-            "ok" if complete else "interrupted" if self._machine.end_asked() and failure is None else "failed",
+            "ok" if complete else "interrupted" if interrupted and failure is None else "failed",
             None if complete else reason,
             self._figures(done["figures"]),
             None if self._started is None else self._started - self._begun,
             None if self._started is None else (self._finished or self._machine.now()) - self._started,
             self._warnings(),
+            restart=state.restart,
         )
 
     def _figures(self, recorded: Mapping[str, Any]) -> dict[str, Any]:

@@ -48,6 +48,13 @@ class Supervision:
         Names of the processes whose end the run survives: the robots, if the scenario drops silent ones.
     hosts : mapping
         Process by robot: these may be restarted until the run has started.
+
+    Attributes
+    ----------
+    paused : bool
+        Whether the steering node holds the run back, so that silence is none.
+    restart : str, optional
+        The request that ends the run, so that another one starts.
     """
 
     names: tuple[str, ...]
@@ -66,6 +73,8 @@ class Supervision:
     failure: Failure | None = None
     timing: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     steered: list[Mapping[str, Any]] = field(default_factory=list)
+    paused: bool = False
+    restart: str | None = None
     published: set[str] = field(default_factory=set)
 
     def take(self, report: Mapping[str, Any]) -> None:
@@ -89,6 +98,12 @@ class Supervision:
             self.timing[node] = {name: value for name, value in report.items() if name not in {"node", "pid", "event"}}
         elif event == "steered":
             self.steered.append(report)
+        elif event == "paused":
+            self.paused = report["paused"]
+            done = "paused" if self.paused else "resumed"
+            self.steered.append({"text": f"{done} at step {report['step']}", "change": ""})
+        elif event == "restart":
+            self.restart = report["action"]
         elif event == "publishes":
             self.published.update(digest for digest, *_ in report["events"])
         elif event == "recorded":

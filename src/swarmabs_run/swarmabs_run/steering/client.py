@@ -22,6 +22,8 @@ SOCKET = "steer.sock"
 LONGEST_ANSWER = 1 << 20
 STATUS = "status"
 """The action that only returns the status."""
+RESTARTS = ("restart", "restart_beside")
+"""The actions that end the run, so that another one starts: as this one, or beside the curve of desired states."""
 
 
 @contextmanager

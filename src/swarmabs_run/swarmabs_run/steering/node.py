@@ -21,7 +21,7 @@ from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.runner import Settings, run_node
 from swarmabs_ros.status import StatusChannel
 from swarmabs_run.run import SLOWEST_STEP
-from swarmabs_run.steering.server import ROBOTS, VALUED, RequestQueue, SteeringServer
+from swarmabs_run.steering.server import PAUSES, PUSH, ROBOTS, VALUED, RequestQueue, SteeringServer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,20 +32,25 @@ PARAMETERS = (
     Parameter(
         "step_seconds",
         0.0,
-        "shortest wall time of a step, {unit}; 0: as fast as possible",
+        "shortest wall time of a step on average, {unit}; 0: as fast as possible",
         unit="s",
         minimum=0.0,
         maximum=SLOWEST_STEP,
     ),
+    Parameter("paused", default=False, description="whether the run is paused at its first step"),
+    Parameter("restarts", default=False, description="whether another run starts when a client asks for it"),
 )
 
 _NAMES = {action: name for name, action in (*VALUED.items(), *ROBOTS.items()) if name != "leave"}
 
+CATCH_UP = 0.2
+"""Longest delay, s, that a paced run makes up for by faster steps: moments in which other programs have the cores."""
+
 
 class Pace:
-    """Delays the steering messages so that each step takes at least `seconds` of wall time.
+    """Delays the steering messages so that a step takes `seconds` of wall time on average, or longer.
 
-    A run that is late does not catch up: the next step is due `seconds` after this one. The digest does not change.
+    A run that is late catches up by at most `CATCH_UP`, and not at all after a pause. The digest does not change.
     """
 
     def __init__(
@@ -64,10 +69,12 @@ class Pace:
     def hear(self, topic: Topic, data: bytes) -> Messages:
         """Pass a message to the controller; the plane's state of a new step only when the next step is due."""
         message = decode(topic.message, data)
-        if isinstance(message, PARENT_STATES) and message.step == self._controller.step:
+        if self._controller.paused:
+            self._due = 0.0
+        elif isinstance(message, PARENT_STATES) and message.step == self._controller.step:
             now = self._now()
-            self._due = max(now, (self._due or now) + self._seconds)
-            self._sleep(self._due - now)
+            self._due = max(now - CATCH_UP, (self._due or now) + self._seconds)
+            self._sleep(max(self._due - now, 0.0))
         return self._controller.handle(message)
 
 
@@ -89,7 +96,9 @@ def steering_config(scenario: AnyScenario) -> SteeringConfig:
 
 def describe(decision: Decision) -> str:
     """Describe a granted request in one line."""
-    action, agent_id, value = decision.request
+    action, agent_id, value, steps = decision.request
+    if steps and decision.step is not None:
+        return f"{PUSH} {value:g} in the steps {decision.step} to {decision.step + steps - 1}"
     return f"{_NAMES[action]} {agent_id or f'{value:g}'} from step {decision.step} on"
 
 
@@ -109,14 +118,24 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         change = "" if kind is None or step is None else str(Change(step - 1, request.agent_id, kind))
         status.send("steered", text=describe(decision), change=change)
 
+    def act(action: str) -> None:
+        if action in PAUSES:
+            status.send("paused", paused=PAUSES[action], step=controller.step)
+        else:
+            status.send("restart", action=action)
+
     controller = SteeringController(config)
+    if settings.flag("paused"):
+        controller.pause(paused=True)
+        act("pause")
     facts = {
         "steps": scenario.steps,
         "step_time": scenario.step,
         "largest_reference": config.largest_offset,
         "largest_disturbance": config.largest_torque,
+        "restarts": settings.flag("restarts"),
     }
-    requests = RequestQueue(controller, scenario.step_ns, facts, report)
+    requests = RequestQueue(controller, scenario.step_ns, facts, report, act)
     SteeringServer(Path(settings.text("folder")), requests).start()
     seconds = settings.number("step_seconds")
     hear = Pace(controller, seconds).hear if seconds else None

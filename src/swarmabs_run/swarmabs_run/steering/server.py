@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from swarmabs_core.behaviours import Request
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import Action
-from swarmabs_run.steering.client import SOCKET, STATUS, short_path
+from swarmabs_run.steering.client import RESTARTS, SOCKET, STATUS, short_path
 
 if TYPE_CHECKING:
     import socket
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_core.behaviours import Decision, SteeringController
+    from swarmabs_core.messages import Messages
 
 Answer = dict[str, Any]
 
@@ -44,6 +45,11 @@ ROBOTS = {
     "add": Action.ADD,
 }
 """The actions that concern a robot; `leave` means removal, the only way for a client to make a robot leave."""
+PUSH = "push"
+"""The action that adds a torque to the disturbance for `PUSH_SECONDS`."""
+PUSH_SECONDS = 0.2
+PAUSES = {"pause": True, "resume": False}
+"""The actions that pause the run or resume it; nothing of it is recorded."""
 
 MOST_NAMED = 10_000
 """Number of named requests to remember; the oldest are forgotten first."""
@@ -60,29 +66,45 @@ class SteeringRequest(BaseModel):
     action : str
         What to do; ``status`` changes nothing.
     value : float, optional
-        For ``reference`` in rad, for ``disturbance`` in N m.
+        For ``reference`` in rad, for ``disturbance`` and ``push`` in N m.
     agent : int, optional
-        Id of the robot, for the other actions.
+        Id of the robot, for the actions that concern one.
     request : str, optional
         Name that the client chooses. A repeated request with the same name gets the same answer and has no effect.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
-    action: Literal["reference", "disturbance", "kill", "freeze", "remove", "leave", "add", "status"]
+    action: Literal[
+        "reference",
+        "disturbance",
+        "push",
+        "kill",
+        "freeze",
+        "remove",
+        "leave",
+        "add",
+        "pause",
+        "resume",
+        "restart",
+        "restart_beside",
+        "status",
+    ]
     value: _Number | None = None
     agent: Annotated[int, Field(ge=1, le=65535)] | None = None
     request: Annotated[str, Field(min_length=1, max_length=100)] | None = None
 
     @model_validator(mode="after")
     def _check_fields(self) -> SteeringRequest:
-        for name, given, actions in (("value", self.value, VALUED), ("agent", self.agent, ROBOTS)):
+        for name, given, actions in (("value", self.value, (*VALUED, PUSH)), ("agent", self.agent, ROBOTS)):
             if (given is not None) != (self.action in actions):
                 raise ValueError(f"{self.action} {'needs' if given is None else 'takes no'} '{name}'")
         return self
 
-    def wanted(self) -> Request:
-        """Return the request for the steering controller."""
+    def wanted(self, push_steps: int) -> Request:
+        """Return the request for the steering controller; a push lasts so many steps."""
+        if self.action == PUSH:
+            return Request(Action.DISTURBANCE, 0, self.value or 0.0, push_steps)
         if self.action in VALUED:
             return Request(VALUED[self.action], 0, (self.value or 0.0) + 0.0)
         return Request(ROBOTS[self.action], self.agent or 0)
@@ -109,16 +131,23 @@ class RequestQueue:
     """Accepts lines from any thread; the node's loop answers them.
 
     The control period is in ns; `facts` are the constant part of the status. `on_decision` is called with every granted
-    request.
+    request for a step, `on_action` with every other action but the status.
     """
 
     def __init__(
-        self, controller: SteeringController, period_ns: int, facts: Answer, on_decision: Callable[[Decision], None]
+        self,
+        controller: SteeringController,
+        period_ns: int,
+        facts: Answer,
+        on_decision: Callable[[Decision], None],
+        on_action: Callable[[str], None],
     ) -> None:
         self._controller = controller
         self._period_ns = period_ns
-        self._facts = facts
+        self._push_steps = max(1, round(PUSH_SECONDS * 1e9 / period_ns))
+        self._facts = {**facts, "push_time": self._push_steps * period_ns / 1e9}
         self._on_decision = on_decision
+        self._on_action = on_action
         self._inbox: queue.SimpleQueue[tuple[SteeringRequest, Future[Answer]]] = queue.SimpleQueue()
         self._open: dict[int, Future[Answer]] = {}
         self._named: dict[str, tuple[SteeringRequest, Future[Answer]]] = {}
@@ -133,19 +162,23 @@ class RequestQueue:
         self._inbox.put((asked, answer))
         return answer.result()
 
-    def work(self) -> None:
-        """Pass new requests to the controller and answer decided ones; only the loop may call this."""
+    def work(self) -> Messages:
+        """Pass new requests to the controller and answer decided ones; only the loop may call this.
+
+        Return the order that a pause held back, if a request releases it.
+        """
         while not self._inbox.empty():
             asked, answer = self._inbox.get()
             self._take(asked, answer)
+        released = self._controller.release()
         for decision in self._controller.decisions():
             answer = self._open.pop(decision.number)
             if decision.step is None:
                 answer.set_result(refusal(decision.reason))
                 continue
-            time = decision.step * self._period_ns / 1e9
-            answer.set_result({"ok": True, "request": decision.number, "step": decision.step, "time": time})
+            answer.set_result({"ok": True, "request": decision.number, **self._at(decision.step)})
             self._on_decision(decision)
+        return released
 
     def _take(self, asked: SteeringRequest, answer: Future[Answer]) -> None:
         if asked.action == STATUS:
@@ -160,9 +193,29 @@ class RequestQueue:
             if len(self._named) > MOST_NAMED:
                 del self._named[next(iter(self._named))]
         try:
-            self._open[self._controller.ask(asked.wanted())] = answer
+            if asked.action in PAUSES:
+                self._pause(asked.action, answer)
+            elif asked.action in RESTARTS:
+                self._restart(asked.action, answer)
+            else:
+                self._open[self._controller.ask(asked.wanted(self._push_steps))] = answer
         except InputError as error:
             answer.set_result(refusal(str(error)))
+
+    def _pause(self, action: str, answer: Future[Answer]) -> None:
+        self._controller.pause(paused=PAUSES[action])
+        answer.set_result({"ok": True, **self._at(self._controller.step)})
+        self._on_action(action)
+
+    def _restart(self, action: str, answer: Future[Answer]) -> None:
+        if not self._facts["restarts"]:
+            raise InputError("only a run that was started by 'swarm demo' can start again")
+        answer.set_result({"ok": True, **self._at(self._controller.step)})
+        self._on_action(action)
+
+    def _at(self, step: int) -> Answer:
+        """Return the part of an answer that states a step."""
+        return {"step": step, "time": step * self._period_ns / 1e9}
 
     def _repeat(
         self, asked: SteeringRequest, answer: Future[Answer], first: SteeringRequest, given: Future[Answer]
@@ -174,8 +227,8 @@ class RequestQueue:
 
     def _status(self) -> Answer:
         return {
-            "step": self._controller.step,
-            "time": self._controller.step * self._period_ns / 1e9,
+            **self._at(self._controller.step),
+            "paused": self._controller.paused,
             "reference": self._controller.setting(Action.REFERENCE),
             "disturbance": self._controller.setting(Action.DISTURBANCE),
             "members": list(self._controller.members),

@@ -26,10 +26,14 @@ const processes = new Processes();
 const coordinators = new Coordinators();
 const connection = new Connection(take, shown);
 const controls = new Controls((message) => connection.send(message));
-const steering = new SteeringPanel((message) => connection.send(message));
+const steering = new SteeringPanel((message) => connection.send(message), status);
 const charts = new Charts((time) => controls.seekTime(time));
 new More();
 document.querySelector("#plane-panel .legend").prepend(...legend());
+
+function status(robot) {
+  return frame?.robots.status[hello.robots.findIndex(({ id }) => id === robot)];
+}
 
 function take(message) {
   if (message.type === "hello") {
@@ -81,7 +85,7 @@ function greet(message) {
   element("place").textContent = message.place;
   document.title = `${message.title} – swarmabs view`;
   controls.hello(message);
-  steering.hello();
+  steering.hello(message);
   describe();
   element("processes-panel").hidden = message.source === "bag";
   processes.take({ processes: [] });
@@ -144,9 +148,13 @@ function shown(status, version) {
     if (banner.hidden || banner.textContent !== text) {
       banner.textContent = text;
     }
-    badge("lost", status === "full" ? "too many pages" : "no connection");
+    if (steering.restarting) {
+      badge("waiting", "the next run is starting");
+    } else {
+      badge("lost", status === "full" ? "too many pages" : "no connection");
+    }
   }
-  banner.hidden = !lost;
+  banner.hidden = !lost || steering.restarting;
 }
 
 function draw(now) {

@@ -4,6 +4,8 @@ import { KINDS } from "./kinds.js";
 import { drawRobots } from "./robots.js";
 import { STATUS } from "./tables.js";
 
+export const SIDE = 0.36; // fraction of the picture's width from the axis to the end of the plane
+export const PIVOT = 0.52; // fraction of the picture's height down to the axis
 const BINS = 48;
 // Sizes in px, with texts of the usual size:
 const LABELS = 40; // between two labels of the edge
@@ -48,8 +50,8 @@ export class PlaneScene {
     const steep = Math.min(this.rise, 1);
     // The depth axis leans away from the rising side; otherwise a steep plane would appear edge-on.
     const deep = { x: (0.1 * Math.cos(angle) - 0.15 * Math.sin(angle)) * width, y: (0.4 - 0.15 * steep) * height };
-    const scale = Math.min(0.36 * width, (0.4 * height - deep.y / 2) / steep) / half;
-    const [cx, cy] = [0.5 * width, 0.52 * height];
+    const scale = Math.min(SIDE * width, (0.4 * height - deep.y / 2) / steep) / half;
+    const [cx, cy] = [0.5 * width, PIVOT * height];
     const along = { x: Math.cos(angle) * scale, y: -Math.sin(angle) * scale };
     // From metres along the plane and depth (0 near, 1 far) to the screen.
     const at = (p, d) => [cx + p * along.x + (d - 0.5) * deep.x, cy + p * along.y - (d - 0.5) * deep.y];

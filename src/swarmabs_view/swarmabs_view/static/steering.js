@@ -1,13 +1,20 @@
 // Steers a running simulation for users who know its token: sends requests, shows the answers and current settings.
 import { united } from "./description.js";
 import { parsed, short } from "./drawing.js";
+import { Push } from "./push.js";
+import { STATUS } from "./tables.js";
 
 const STORE = "swarmabs-steer";
 const LONGEST = 100; // characters; longer tokens are rejected by the server
 const LARGE = 0.2; // fraction of the largest value above which a change needs a confirmation
 const ANY = 1e9; // a larger bound is none
 const WRONG = "The token is wrong. The terminal of the run shows it; reload the page to enter it.";
+const STARTED = "The next run has begun.";
+const WAITS = "The next run waits at its first step: resume it.";
 const SETTINGS = { reference: "rad", disturbance: "N m" }; // with their units on the plane
+const FULL = 0.8; // fraction of the largest disturbance that is a full push until another strength is typed
+const NEXT = 60_000; // ms after which the next run does not come any more
+const LONG = 24; // characters of a wrong number that are repeated
 
 const element = (id) => document.getElementById(id);
 
@@ -32,21 +39,34 @@ function token() {
   return possible(kept) ? kept : "";
 }
 
-function options(select, robots) {
+// List robots; one that cannot be chosen keeps its place, and `word` tells why.
+function options(select, robots, possible, word) {
   const known = [...select.options].map((option) => Number(option.value));
-  if (known.length === robots.length && robots.every((robot, index) => robot === known[index])) {
-    return;
+  if (known.length !== robots.length || robots.some((robot, index) => robot !== known[index])) {
+    const chosen = select.value;
+    select.replaceChildren(...robots.map((robot) => new Option(`robot ${robot}`, String(robot))));
+    select.value = robots.includes(Number(chosen)) ? chosen : String(possible[0] ?? "");
   }
-  const chosen = select.value;
-  select.replaceChildren(...robots.map((robot) => new Option(`robot ${robot}`, String(robot))));
-  if (robots.includes(Number(chosen))) {
-    select.value = chosen;
+  for (const option of select.options) {
+    const robot = Number(option.value);
+    option.disabled = !possible.includes(robot);
+    const text = option.disabled ? `robot ${robot}: ${word(robot)}` : `robot ${robot}`;
+    if (option.text !== text) {
+      option.text = text;
+    }
   }
 }
 
 export class SteeringPanel {
-  constructor(send) {
+  // `status` returns the status of a robot in the frame that is shown.
+  constructor(send, status) {
     this.send = send;
+    this.status = status;
+    this.robots = [];
+    this.joining = [];
+    this.message = { open: false };
+    this.restarting = false; // whether the next run is about to take the place of this one
+    this.online = false;
     this.token = token();
     this.asked = new Map();
     this.first = element("steered").textContent;
@@ -61,9 +81,29 @@ export class SteeringPanel {
     element("steer-sure").addEventListener("submit", (event) => {
       event.preventDefault();
       const { name, value } = this.unsure;
-      this.ask({ action: name, value }, `${name} ${value}`);
       this.sure(null);
+      this.ask({ action: name, value }, `${name} ${value}`);
     });
+    element("steer-push").addEventListener("submit", (event) => {
+      event.preventDefault();
+      const strength = this.strength();
+      if (strength !== null) {
+        this.push(Number(event.submitter.value) * strength);
+      }
+    });
+    element("steer-push-value").addEventListener("input", () => this.strength());
+    element("pause").addEventListener("click", () => this.pause());
+    document.addEventListener("keydown", (event) => {
+      const taken = event.target.closest?.("input, select, button, summary") || event.ctrlKey || event.altKey || event.metaKey;
+      if (event.key === " " && !taken && this.ready()) {
+        event.preventDefault();
+        this.pause();
+      }
+    });
+    for (const button of document.querySelectorAll("#steering .restart")) {
+      button.addEventListener("click", () => this.ask({ action: button.value }, button.textContent));
+    }
+    new Push(element("plane"), () => this.full(), (push) => this.push(push));
     element("sure-no").addEventListener("click", () => this.sure(null));
     window.addEventListener("hashchange", () => this.arrived());
     for (const name of ["member", "absent"]) {
@@ -91,6 +131,47 @@ export class SteeringPanel {
     }
   }
 
+  // Whether requests can be sent now.
+  ready() {
+    return this.online && this.message.open && this.token !== "";
+  }
+
+  pause() {
+    const action = this.message.paused ? "resume" : "pause";
+    this.ask({ action }, action);
+  }
+
+  push(value) {
+    this.sure(null);
+    this.ask({ action: "push", value }, `push ${short(value, 2)}`);
+  }
+
+  // The strength of a full push for drags on the picture; on the plane it has a lever.
+  full() {
+    const strength = this.ready() && this.message.largest_disturbance ? this.strength() ?? 0 : 0;
+    return { strength, unit: this.units.disturbance, lever: this.units === SETTINGS };
+  }
+
+  // The typed strength of a push, null if it is none.
+  strength() {
+    const text = element("steer-push-value").value;
+    const value = parsed(text);
+    const { largest } = this.limits.disturbance;
+    let why = "";
+    if (value === null || value <= 0) {
+      why = `"${text.slice(0, LONG)}" is not a positive number`;
+    } else if (value > largest) {
+      why = `${short(value, 3)} ${this.units.disturbance} is more than ${short(largest, 3)}`;
+    }
+    this.mark("push", why);
+    return why ? null : value;
+  }
+
+  mark(name, why) {
+    element(`wrong-${name}`).textContent = why;
+    element(`steer-${name}-value`).setAttribute("aria-invalid", String(why !== ""));
+  }
+
   // Set the typed value if it is a number in range; a large change needs a confirmation.
   set(name, text) {
     const value = parsed(text);
@@ -98,12 +179,11 @@ export class SteeringPanel {
     const unit = this.units[name];
     let why = "";
     if (value === null) {
-      why = `"${text}" is not a number: write 0.05 or 0,05`;
+      why = `"${text.slice(0, LONG)}" is not a number: write 0.05 or 0,05`;
     } else if (Math.abs(value) > largest) {
       why = `${short(value)} ${unit} is out of range`;
     }
-    element(`wrong-${name}`).textContent = why;
-    element(`steer-${name}-value`).setAttribute("aria-invalid", String(why !== ""));
+    this.mark(name, why);
     if (why) {
       this.sure(null);
     } else if (Math.abs(value - held) > LARGE * largest) {
@@ -121,6 +201,7 @@ export class SteeringPanel {
     this.unsure = unsure;
     element("sure-text").textContent = text;
     element("steer-sure").hidden = !unsure;
+    element("steered").hidden = Boolean(unsure);
     if (unsure) {
       element("sure-yes").focus();
     }
@@ -166,7 +247,8 @@ export class SteeringPanel {
 
   // A lost connection delivers no answers; if the server closed it because of a request, it did not accept the token.
   connected(connected, refused) {
-    element("steer-controls").disabled = !connected;
+    this.online = connected;
+    this.enable();
     if (connected || !this.asked.size) {
       return;
     }
@@ -180,6 +262,11 @@ export class SteeringPanel {
     }
   }
 
+  enable() {
+    element("steer-controls").disabled = !this.online || !this.message.open;
+    element("plane").classList.toggle("pushable", this.ready() && this.message.largest_disturbance > 0);
+  }
+
   say(text) {
     element("steered").textContent = text;
   }
@@ -187,11 +274,14 @@ export class SteeringPanel {
   show() {
     element("steer-token").hidden = this.token !== "" || this.wrong;
     element("steer-controls").hidden = this.token === "";
+    this.enable();
   }
 
-  // Hide the panel until the server says that the run can be steered.
-  hello() {
-    element("steering").hidden = true;
+  // Hide the panel until the server says that the run can be steered, unless the next run takes the place of this one.
+  hello({ robots }) {
+    this.robots = robots.map(({ id }) => id);
+    this.joining = [];
+    element("steering").hidden = !this.restarting;
     this.check();
   }
 
@@ -199,12 +289,26 @@ export class SteeringPanel {
   describe(system) {
     const unit = system?.rows.find(({ role }) => role === "reference")?.unit ?? "";
     this.units = system ? { reference: unit, disturbance: "" } : SETTINGS;
-    element("steer-reference").querySelector("label").textContent = united("Reference offset", this.units.reference);
-    element("steer-disturbance").querySelector("label").textContent = system ? "Disturbance" : "Disturbance torque, N m";
+    element("label-reference").textContent = united("Reference offset", this.units.reference);
+    element("label-disturbance").textContent = system ? "Disturbance" : "Disturbance torque, N m";
+    element("label-push").textContent = united("Push", this.units.disturbance);
   }
 
   take(message) {
-    element("steering").hidden = !message.open;
+    if (message.open && this.restarting) {
+      this.restarting = false;
+      this.say(message.paused ? WAITS : STARTED);
+    }
+    element("steering").hidden = !message.open && !this.restarting;
+    this.message = message;
+    this.enable();
+    if (!message.open) {
+      return;
+    }
+    element("pause").textContent = message.paused ? "Resume" : "Pause";
+    for (const button of document.querySelectorAll("#steering .restart")) {
+      button.hidden = !message.restarts;
+    }
     for (const [name, unit] of Object.entries(this.units)) {
       const largest = message[`largest_${name}`];
       this.limits[name] = { largest, held: message[name] };
@@ -214,9 +318,17 @@ export class SteeringPanel {
       held.value = String(message[name]);
       held.textContent = `${short(message[name])} ${unit}`;
     }
-    options(element("member"), message.members);
-    options(element("absent"), message.absent);
-    element("steer-absent").hidden = !message.absent.length;
+    const largest = message.largest_disturbance;
+    const value = element("steer-push-value");
+    element("steer-push").hidden = !largest;
+    value.value ||= short(largest < ANY ? FULL * largest : 1, 2);
+    element("range-push").textContent = largest < ANY ? `at most ${short(largest, 3)} ${this.units.disturbance}` : "any strength";
+    this.joining = this.robots.filter((robot) => this.joining.includes(robot) || message.absent.includes(robot));
+    const others = this.robots.filter((robot) => !message.absent.includes(robot));
+    const word = (robot) => STATUS[this.status(robot)] ?? "not there";
+    options(element("member"), others, message.members, word);
+    options(element("absent"), this.joining, message.absent, word);
+    element("steer-absent").hidden = !this.joining.length;
   }
 
   answer(message) {
@@ -228,6 +340,11 @@ export class SteeringPanel {
       return;
     }
     const label = this.asked.get(message.request) ?? "request";
+    if (message.ok && message.restarts) {
+      this.restarting = true;
+      clearTimeout(this.patience);
+      this.patience = setTimeout(() => { this.restarting = false; }, NEXT);
+    }
     this.asked.delete(message.request);
     this.say(`${label}: ${message.ok ? "" : "rejected: "}${message.text}`);
   }
