@@ -60,9 +60,9 @@ class Tracking(NamedTuple):
         shown = system.parent[followed[0] if followed else 0]
         return cls(followed, tuple(tracked.tolerance for tracked in system.tracked), shown.name, shown.unit)
 
-    def errors(self, wanted: float | Vector, state: Vector) -> list[float]:
+    def errors(self, reference: float | Vector, state: Vector) -> list[float]:
         """Return the errors of the parent's state: one for each quantity that follows a reference."""
-        goals = wanted if isinstance(wanted, tuple) else (wanted,)
+        goals = reference if isinstance(reference, tuple) else (reference,)
         return [goal - state[place] for goal, place in zip(goals, self.followed, strict=True)]
 
 

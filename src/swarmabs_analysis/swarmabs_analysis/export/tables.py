@@ -11,7 +11,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from swarmabs_bag.attached import description_of, step_period
-from swarmabs_bag.bag_summary import desired_angle, summarise_bag
+from swarmabs_bag.bag_summary import reference_of_bag, summarise_bag
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_folder
@@ -87,8 +87,7 @@ def _table(name: str, topic: Topic, system: SystemTables | None = None) -> BagTa
             key = quantity if field in MAIN_FIELDS or system is None else f"{field}_{quantity}"
             while key in columns or key in declared:
                 key = f"{field}_{key}"
-            what = "desired angle" if system is None else "wanted value"
-            what = f"{what} with its offsets; missing if unknown" if field == REFERENCE else f"{field}[{index}]"
+            what = "reference with its offsets; missing if unknown" if field == REFERENCE else f"{field}[{index}]"
             columns[key] = Column(key, "float64", unit, what)
             vectors[key] = field, index
     stamp = columns.pop("stamp")
@@ -126,7 +125,7 @@ def tables_of(bag: BagReader) -> tuple[BagTable, ...]:
 
 
 def _row_of(table: BagTable, period: int | None, reference: Callable[[int], Any]) -> Callable[[Message], Sequence[Any]]:
-    """Return a function that turns a message into a row; `reference` returns the desired angle (rad) of a step.
+    """Return a function that turns a message into a row; `reference` returns the reference (rad) of a step.
 
     For another parent system than the plane, `reference` returns a tuple. The time is that of the step, because a
     robot's clock may be wrong in lockstep; without a period (ns), as in real time, it is the stamp.
@@ -195,7 +194,7 @@ def export_tables(
         raise NotABagError(f"{bag.path} is not the bag of a swarm: it has none of its topics; name another bag")
     opened = _parquet if table_format == "parquet" else _csv
     with new_folder(folder) as part, ExitStack() as stack:
-        period, reference, tables = step_period(bag), desired_angle(bag), tables_of(bag)
+        period, reference, tables = step_period(bag), reference_of_bag(bag), tables_of(bag)
         files = {
             table.topic: (stack.enter_context(opened(part, table)), _row_of(table, period, reference))
             for table in tables

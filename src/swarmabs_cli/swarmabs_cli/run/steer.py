@@ -26,7 +26,7 @@ ACTIONS = ("reference", "disturbance", "kill", "freeze", "remove", "leave", "add
 def steer(run: Path, action: str, value: str | None, *, as_json: bool) -> int:
     """Change a running simulation that was started with --steer.
 
-    RUN is the folder of the run. `reference` offsets the desired angle (rad) and `disturbance` applies a torque to the
+    RUN is the folder of the run. `reference` offsets the reference (rad) and `disturbance` applies a torque to the
     plane (N m); both hold until you set them again. The other actions take the id of a robot; `leave` is the same as
     `remove`. `status` prints the current values. The answer names the first step that the change applies to.
     """
