@@ -44,9 +44,9 @@ SWING = {
 def demo(robots: str, minutes: int, output: Path | None, *, no_browser: bool) -> int:
     """Show a swarm live in the browser, to watch and to disturb.
 
-    4, 20 or 200 ROBOTS, by default 4, in processes of their own or shared, make the plane follow a sine in real time.
-    On the page you kill robots, let them leave, push the plane and shift its reference. The run ends after its time or
-    with Ctrl-C; it is recorded like any other.
+    The robots, by default 4, make the plane follow a sine in real time; 20 and 200 share processes. On the page you can
+    kill robots, let them leave, push the plane and shift its reference. The run ends after --minutes or with Ctrl-C. It
+    is recorded like any other.
     """
     end_grace()
     show = SHOWS[robots]
