@@ -37,7 +37,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize(("name", "command", "block"), SHOWN, ids=[f"{name}: {command}" for name, command, _ in SHOWN])
 def test_sample_output_is_what_the_command_prints(
     name: str,
