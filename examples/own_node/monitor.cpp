@@ -43,9 +43,14 @@ private:
       plane.angle, torque_);
     if (limit_ > 0.0 && std::abs(plane.angle) > limit_ && !asked_ && stop_->service_is_ready()) {
       asked_ = true;
+      RCLCPP_INFO(
+        get_logger(), "step %zu: %.4f rad is beyond %g rad: stop requested", static_cast<size_t>(plane.step),
+        plane.angle, limit_);
       stop_->async_send_request(
         std::make_shared<Trigger::Request>(), [this](rclcpp::Client<Trigger>::SharedFuture answer) {
-          RCLCPP_INFO(get_logger(), "stop: %s", answer.get()->message.c_str());
+          const auto result = answer.get();
+          RCLCPP_INFO(
+            get_logger(), "stop %s: %s", result->success ? "accepted" : "rejected", result->message.c_str());
         });
     }
   }

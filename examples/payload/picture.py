@@ -29,7 +29,7 @@ def main() -> None:
         thrust.plot(run.time, run["thrust"], lw=0.7)
         thrust.set_xlabel("time, s")
         thrust.set_xlim(run.time[0], run.time[-1])
-    axes[0, 0].set_ylabel("position (dashed: wanted), m")
+    axes[0, 0].set_ylabel("position (dashed: reference), m")
     axes[0, 1].legend(**ABOVE)
     axes[1, 0].set_ylabel("attitude, rad")
     axes[1, 1].legend(**ABOVE)

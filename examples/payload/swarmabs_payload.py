@@ -95,7 +95,7 @@ class Payload:
         return step(self.distance, (time - 3.0) / 4.0, 4.0), step(self.height, (time - 0.5) / 3.5, 3.5)
 
     def reference(self, time: float) -> Vector:
-        """Return the wanted position."""
+        """Return the reference position."""
         (x, *_), (z, *_) = self.path(time)
         return (x, 0.0, z)
 
@@ -140,7 +140,7 @@ class Pilot:
     made: Payload
 
     def ask(self, time: float, state: Vector, desired: Vector, offset: float = 0.0) -> Vector:
-        """Return thrust and torques; the wanted height is offset (m)."""
+        """Return thrust and torques; the reference of the height is offset (m)."""
         made, (x, y, z, vx, vy, vz, roll, pitch, yaw, p, q, r) = self.made, state
         (xd, xv, xa), (zd, zv, za) = made.path(time)
         lift = made.gravity + za + 3.6 * (zv - vz) + 4.0 * (zd + offset - z)

@@ -25,7 +25,7 @@ def main() -> None:
     for n, name in enumerate(("alpha", "beta")):
         axes["angles"].plot(run.time, run.reference[:, n], color=f"C{n}", ls="--", lw=1.0)
         axes["angles"].plot(run.time, run[name], color=f"C{n}", label=name)
-    axes["angles"].set_ylabel("angles (dashed: wanted), rad")
+    axes["angles"].set_ylabel("angles (dashed: reference), rad")
     axes["angles"].legend(**ABOVE)
     for n, name in enumerate(("moment_x", "moment_y")):
         axes["inertias"].plot(run.time, run[name], color=f"C{n}", label=name)

@@ -127,7 +127,7 @@ class Plate:
         )
 
     def reference(self, time: float) -> Vector:
-        """Return the wanted angles."""
+        """Return the reference angles."""
         return tuple(size * sin(w * time) for size, w in zip(self.amplitudes, self.frequencies, strict=True))
 
     def controller(self, period: float) -> "TiltController":
@@ -154,10 +154,10 @@ class TiltController:
         """Return the moments that the swarm shall exert, N m; both references are offset (rad)."""
         plate, rates, torques = self.plate, self.plate.rates(state, desired, 0.0), []
         for n, (size, w) in enumerate(zip(plate.amplitudes, plate.frequencies, strict=True)):
-            wanted, rate = size * sin(w * time), size * w * cos(w * time)
-            torque = plate.angle_gain * (wanted + offset - state[n]) + plate.rate_gain * (rate - rates[n])
+            goal, rate = size * sin(w * time), size * w * cos(w * time)
+            torque = plate.angle_gain * (goal + offset - state[n]) + plate.rate_gain * (rate - rates[n])
             inertia = plate.inertias[n] + plate.offset
-            torques.append(torque - inertia * w * w * wanted + plate.friction.torque(rate))
+            torques.append(torque - inertia * w * w * goal + plate.friction.torque(rate))
         (alpha, beta), (about_alpha, about_beta) = state[:2], torques
         x = about_beta / (cos(alpha) * cos(beta))
         return (x, -(about_alpha + x * sin(alpha) * sin(beta)) / cos(alpha))

@@ -1,4 +1,4 @@
-"""The nodes of docs/how-to/ros.md, started by hand, and by the launch files with stand-ins for `launch`.
+"""The nodes of docs/how-to/ros.md and own_node.md, by hand, and by the launch files with stand-ins for `launch`.
 
 The package `launch` comes with a complete ROS 2 only.
 """
@@ -28,7 +28,7 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import MAIN_TOPICS
 from swarmabs_run.orchestration.network import FIRST_FREE, claimed_domain, dds_environment, profile_xml
 from swarmabs_run.orchestration.plan import plan
-from swarmabs_run.simulation import Simulation
+from swarmabs_run.simulation import Simulation, simulate
 
 STAND_INS = {
     "launch": ("LaunchDescription",),
@@ -68,9 +68,24 @@ launches = pytest.mark.parametrize("launch_file", [file.name.split(".")[0] for f
 realtime, view = (pytest.mark.parametrize("launch_file", [name], indirect=True) for name in ("realtime", "view"))
 
 
-def documented_nodes() -> list[list[str]]:
-    """Return module and arguments of every node that the page starts."""
-    (text,) = blocks(section(read("docs/how-to/ros.md"), "Run nodes by hand"), "sh")
+PAGES = {"docs/how-to/ros.md": "Run nodes by hand", "docs/how-to/own_node.md": "Replace a node"}
+
+OWN_PLANE = """\
+schema: 1
+duration: 3.0
+plane: {friction: [0, 0, 0, 0, 0, 1.0]}
+controller: {type: lqr}
+swarm:
+  agents:
+    - {id: 1, kind: single_integrator, mass: 0.5, position: 0.2}
+    - {id: 2, kind: double_integrator, mass: 0.5, damping: 0.8, position: -0.1}
+"""
+"""The run of own_node.md on our plane."""
+
+
+def documented_nodes(page: str = "docs/how-to/ros.md") -> list[list[str]]:
+    """Return module and arguments of every node that a page starts in the background."""
+    text = blocks(section(read(page), PAGES[page]), "sh")[0]
     return [shlex.split(line)[2:] for line in re.findall(r"^(python -m .*) &$", text, re.MULTILINE)]
 
 
@@ -286,3 +301,27 @@ def test_nodes_of_the_page_level_the_plane_and_its_script_sees_it(by_hand: Nodes
         finally:
             looker.kill()
     assert abs(angle) < 0.01
+
+
+@pytest.mark.system
+@pytest.mark.timeout(120)
+def test_an_own_plane_replaces_ours_and_moves_as_it_does(by_hand: NodesByHand, tmp_path: Path) -> None:
+    """The oracle is `simulate`, whose plane has the same friction and another integrator, which follows the robots."""
+    page = "docs/how-to/own_node.md"
+    for index, (module, *arguments) in enumerate(documented_nodes(page)):
+        by_hand.start(module, *arguments, name=f"{index} {module}")
+    (words,) = re.findall(r"^python (examples/own_node/own_plane\.py .*)$", read(page), re.MULTILINE)
+    command = [sys.executable, "-u", *shlex.split(words)]
+    with subprocess.Popen(command, env=by_hand.environment, cwd=ROOT, stdout=subprocess.PIPE, text=True) as plane:
+        try:
+            assert plane.stdout is not None
+            lines = [plane.stdout.readline().rstrip("\n") for _ in range(3)]
+        finally:
+            plane.kill()
+    assert lines == blocks(section(read(page), PAGES[page]), "text")[0].splitlines()
+    scenario = tmp_path / "own_plane.yaml"
+    scenario.write_text(OWN_PLANE, encoding="utf-8")
+    expected = simulate(scenario).angle
+    for line in lines:
+        step, angle = re.findall(r"^step (\d+): (\S+) rad$", line)[0]
+        assert float(angle) == pytest.approx(expected[int(step)], abs=1e-5)

@@ -84,15 +84,17 @@ def test_parent_system(nothing_survives: str, tmp_path: Path) -> None:
     assert moved[run.time >= 15.0].max() > 0.02
 
 
-def test_gain_study() -> None:
+def test_gain_study(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """What it prints is what its stored outputs say; pictures are not compared."""
     import nbformat  # noqa: PLC0415 - no other test needs Jupyter
     from nbclient import NotebookClient  # noqa: PLC0415
 
+    monkeypatch.setenv("TMPDIR", str(tmp_path))  # of the kernel, which leaves a folder there
     notebook = nbformat.read(ROOT / GAINS, as_version=4)
     stored = printed(notebook)
     NotebookClient(notebook, timeout=60, kernel_name="python3").execute()
     assert printed(notebook) == stored
+    assert list(tmp_path.rglob("gain-10"))
     assert any("equal to the simulation: True" in text for text in stored)
 
 

@@ -492,17 +492,17 @@ def test_the_page_has_the_numbers_of_the_bag(sheet: Path) -> None:
 def test_the_pictures_show_parent_abstract_state_and_robots(sheet: Path) -> None:
     found, read = {panel.key: panel for panel in panels(read_recorded(sheet))}, Read(sheet)
     time = np.arange(31) * 0.01
-    state, value, wanted = (
+    state, value, desired = (
         read.column(*names)
         for names in (("/parent/state", "state"), ("/swarm/abstract", "value"), ("/swarm/desired", "value"))
     )
     goals = np.array([Sheet().reference(step * 0.01) for step in range(31)])
     curves = {
-        "parent-0": {"al": state[:, 0], "be": state[:, 1], "al wanted": goals[:, 0], "be wanted": goals[:, 1]},
+        "parent-0": {"al": state[:, 0], "be": state[:, 1], "al reference": goals[:, 0], "be reference": goals[:, 1]},
         "parent-1": {"al_rate": state[:, 2], "be_rate": state[:, 3]},
         "parent-error": {"al": goals[:, 0] - state[:, 0], "be": goals[:, 1] - state[:, 1]},
         "abstract-1": {name: value[:, n] for n, name in enumerate(ROWS) if n > 1}
-        | {f"{name} wanted": wanted[:, n] for n, name in enumerate(ROWS) if n > 1},
+        | {f"{name} desired": desired[:, n] for n, name in enumerate(ROWS) if n > 1},
         "robots-coordinate-1": {
             f"y{'₀₁₂₃₄'[agent]}": read.column("/swarm/robot_state", "coordinates", agent)[:, 1] for agent in range(1, 5)
         },

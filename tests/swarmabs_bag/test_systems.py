@@ -15,7 +15,7 @@ from tests.swarmabs_bag.test_recorder import parameters
 from tests.swarmabs_ros.nodes import settings_from
 
 from swarmabs_bag.attached import attached_provenance, attached_scenario, description_of
-from swarmabs_bag.bag_summary import desired_angle, summarise_bag
+from swarmabs_bag.bag_summary import reference_of_bag, summarise_bag
 from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.examination import recorded_steps
@@ -238,7 +238,7 @@ def test_a_bag_has_the_description_the_reference_and_the_same_figures(tmp_path: 
     assert (found.name, found.settings["amplitude"]) == ("sheet", 0.2)
     assert attached_scenario(bag) == scenario
     assert attached_provenance(bag)["versions"]["systems-of-tests"] == "1.5"
-    wanted = desired_angle(bag)
+    wanted = reference_of_bag(bag)
     assert wanted(30) == (0.2 * math.sin(0.4 * 0.3), 0.2 * math.sin(0.25 * 0.3))
     summary = summarise_bag(tmp_path / "bag", None)
     assert summary == {name: figures[name] for name in summary}
@@ -249,7 +249,7 @@ def test_a_bag_has_the_description_the_reference_and_the_same_figures(tmp_path: 
 
 def test_the_reference_of_a_bag_has_the_offsets_of_the_scenario(tmp_path: Path) -> None:
     scenario, steps = simulated(BEAM, "faults=[{kind: reference, at: 0.1, until: 0.15, offset: 0.125}]")
-    wanted = desired_angle(open_bag(bag_of(scenario, steps, tmp_path / "bag")))
+    wanted = reference_of_bag(open_bag(bag_of(scenario, steps, tmp_path / "bag")))
     assert [wanted(step) for step in (9, 10, 14, 15)] == [(0.0,), (0.125,), (0.125,), (0.0,)]
     assert read_swarm(tmp_path / "bag").instant(12).reference == (0.125,)
 

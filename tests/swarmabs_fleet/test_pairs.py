@@ -1,5 +1,6 @@
 """Coordinators with a standby as an operator sees and commands them; their nodes are simulated."""
 
+import json
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -110,6 +111,24 @@ def test_a_failover_swaps_those_that_are_ready_for_it() -> None:
         assert pairs.chosen(found, None) == ["observer", "controller"]
     with target(EXAMPLES["lan"]) as found, pytest.raises(InputError, match=r"add 'standby: HOST' to coordinators\.obs"):
         pairs.chosen(found, "observer")
+
+
+def test_the_command_tells_which_coordinators_lead_after_a_failover(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words, expected in (
+        ([], f"pair: {STANDBY} leads, on spare\n"),
+        (
+            ["--json"],
+            {"swarm": "pair", "leaders": [{"coordinator": "controller", "leader": STANDBY, "host": "spare"}]},
+        ),
+    ):
+        nodes = Nodes({PRIMARY: "leads", STANDBY: "stands by"})
+        monkeypatch.setattr(operate, "target", lambda _: target(EXAMPLES["standby"]))
+        monkeypatch.setattr(operate, "joined", lambda _, nodes=nodes: nullcontext(nodes))
+        assert main(["failover", str(EXAMPLES["standby"]), "controller", "--timeout", "0.1", *words]) == 0
+        printed = capsys.readouterr().out
+        assert (json.loads(printed) if words else printed) == expected
 
 
 def test_a_failover_of_a_fleet_without_standbys_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

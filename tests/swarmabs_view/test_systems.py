@@ -167,7 +167,7 @@ def test_a_system_draws_itself_and_others_are_drawn_at_their_coordinates(systems
 @pytest.mark.usefixtures("systems")
 def test_robots_without_constants_are_placed_and_drawn_by_their_system_too() -> None:
     presenter = Presenter(SystemTables.read(NamedSystem("faulty", {"fault": "no_constants"}).description))
-    robots = [SystemIdentity(1, RobotKind.SINGLE_INTEGRATOR, ())]
+    robots = [SystemIdentity(1, Kind.SINGLE_INTEGRATOR, ())]
     (system,) = presenter.described(robots)
     assert isinstance(system, protocol.System)
     assert system.bodies == [[[[0.0, 0.0], [0.1, 0.0]]]]

@@ -15,7 +15,7 @@ import psutil
 from numpy.typing import NDArray
 
 from swarmabs_bag.attached import description_of, event_time, is_realtime
-from swarmabs_bag.bag_summary import desired_angle, summarise_bag
+from swarmabs_bag.bag_summary import reference_of_bag, summarise_bag
 from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
 from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.recording import digest_head
@@ -93,7 +93,7 @@ def arrays_since(bag: BagReader, messages: LoadedMessages) -> tuple[RunArrays | 
     time = event_time(bag)
     arrays = run_arrays(
         messages.tables,
-        reference=desired_angle(bag),
+        reference=reference_of_bag(bag),
         events=[run_event(event, time(event)) for event in messages.events],
         figures=partial(summarise_bag, bag.path, bag.namespace),
         description=messages.description,

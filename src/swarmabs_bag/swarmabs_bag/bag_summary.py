@@ -1,4 +1,4 @@
-"""Summary and desired angle of the run in a bag, by the arithmetic of the recorder."""
+"""Summary and reference of the run in a bag, by the arithmetic of the recorder."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from swarmabs_bag.reader import BagReader
 
 
-def desired_angle(bag: BagReader) -> Callable[[int], Any]:
-    """Return the desired angle (rad), or the wanted values of another parent system, of a bag's run at a step.
+def reference_of_bag(bag: BagReader) -> Callable[[int], Any]:
+    """Return the reference of a bag's run at a step: an angle (rad), or all references of another parent system.
 
     It includes the offsets of the angle.
 

@@ -78,9 +78,9 @@ class Tracking(NamedTuple):
             "messages": Quantity("messages", ""),
         }
 
-    def errors(self, wanted: float | Vector, state: Vector) -> list[float]:
+    def errors(self, reference: float | Vector, state: Vector) -> list[float]:
         """Return the errors of the parent's state: one for each quantity that follows a reference."""
-        goals = wanted if isinstance(wanted, tuple) else (wanted,)
+        goals = reference if isinstance(reference, tuple) else (reference,)
         return [goal - state[place] for goal, place in zip(goals, self.followed, strict=True)]
 
 

@@ -163,7 +163,7 @@ class Instant(NamedTuple):
 class SystemInstant(NamedTuple):
     """State of a whole swarm on any parent system in a step, for display.
 
-    The stamp is in ns, the time in s. `reference` contains the wanted values of what the parent tracks, with offsets.
+    The stamp is in ns, the time in s. `reference` contains the references of what the parent tracks, with offsets.
     Vectors are empty if unknown.
     """
 

@@ -291,7 +291,7 @@ def parent_controller(scenario: UncheckedScenario) -> ParentController:
 
 
 def reference(scenario: AnyScenario) -> OffsetReference:
-    """Return the desired angle of the plane (rad), or the wanted values of all that another parent system tracks.
+    """Return the reference angle of the plane (rad), or the references of all that another parent system tracks.
 
     It is a function of time (s): the reference of law or system plus the scenario's offsets.
     """

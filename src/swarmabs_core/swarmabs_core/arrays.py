@@ -162,7 +162,7 @@ class RunArrays:
     angle, angular_velocity : ndarray, (n+1,)
         Of the plane, in rad and rad/s.
     reference : ndarray, (n+1,)
-        Desired angle in rad, including offsets by faults and steering; NaN where unknown.
+        Reference angle in rad, including offsets by faults and steering; NaN where unknown.
     abstract, auxiliary, desired : MessageArrays
         The broadcasts.
     agents : MessageArrays
@@ -214,7 +214,7 @@ class SystemArrays:
     parent : ndarray, (n+1, P)
         State of the parent system.
     reference : ndarray, (n+1, T)
-        Wanted values of the quantities that follow a reference; NaN where unknown.
+        References of the quantities that have one; NaN where unknown.
     abstract, auxiliary, desired, agents : MessageArrays
         As for the plane; lists are the last axis, such as ``agents.coordinates`` of shape (n+1, N, d).
     description : SystemTables
@@ -277,7 +277,7 @@ def run_arrays(
 ) -> RunArrays | Any:  # SystemArrays with a description
     """Arrange the tables of a run, whose rows may be in any order, by step, those of the robots by step and id.
 
-    `reference` returns the desired angle (rad) of a step, or the wanted values of a system; `events` and `figures` are
+    `reference` returns the reference (rad) of a step, or the references of a system; `events` and `figures` are
     those of `RunArrays`; `description` is that of the system, None for the plane.
     """
     family = next(family for family in FAMILIES if family.robot in tables)
@@ -288,7 +288,7 @@ def run_arrays(
     rows = {topic: np.searchsorted(step, table["step"]) for topic, table in tables.items()}
     filled = {topic: _columns(topic, tables[topic], rows[topic], (len(step),)) for topic in family.main[1:]}
     parent = filled[family.parent]
-    wanted = [reference(number) for number in step.tolist()]
+    goals = [reference(number) for number in step.tolist()]
     common: dict[str, Any] = {
         "step": step.astype(np.int64),
         "time": stamps[first] / 1e9,
@@ -300,9 +300,9 @@ def run_arrays(
         "figures": figures,
     }
     if description is None:
-        return RunArrays(**{**common, **parent}, reference=np.array(wanted, dtype=np.float64))
+        return RunArrays(**{**common, **parent}, reference=np.array(goals, dtype=np.float64))
     size = len(description.tracked)
-    references = np.array([np.broadcast_to(values, size) for values in wanted], dtype=np.float64)
+    references = np.array([np.broadcast_to(values, size) for values in goals], dtype=np.float64)
     references = references.reshape(len(step), size)
     return SystemArrays(parent=parent["state"], reference=references, description=description, **common)
 

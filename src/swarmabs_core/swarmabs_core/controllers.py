@@ -56,7 +56,7 @@ class ParentController(Protocol):
         ...
 
     def reference(self, time: float) -> float:
-        """Return the desired angle (rad) of the plane at a time (s)."""
+        """Return the reference angle (rad) of the plane at a time (s)."""
         ...
 
 

@@ -98,9 +98,9 @@ class StepSchedule:
 
 
 class OffsetReference:
-    """The desired angle: the reference of a law at a time (s) plus the offset of that step, both in rad.
+    """The reference of a run: that of a law at a time (s) plus the offset of that step, both in rad.
 
-    For another parent system, the wanted values of all that it tracks; the offset is added to each of them. The control
+    For another parent system, the references of all that it tracks; the offset is added to each of them. The control
     period (ns) determines the step of a time.
     """
 
@@ -110,14 +110,14 @@ class OffsetReference:
         self._period_ns = period_ns
 
     def __call__(self, time: float) -> Any:
-        """Return the desired angle (rad), or a tuple of the wanted values, at the time (s) of a step."""
+        """Return the reference angle (rad), or a tuple of references, at the time (s) of a step."""
         step = round(time * 1e9 / self._period_ns) if isfinite(time) else 0
         with InStep(step):
-            wanted = self._reference(time)
+            reference = self._reference(time)
         if not self._offsets or not isfinite(time):
-            return wanted
+            return reference
         offset = self._offsets.at(step)
-        return tuple(value + offset for value in wanted) if isinstance(wanted, tuple) else wanted + offset
+        return tuple(value + offset for value in reference) if isinstance(reference, tuple) else reference + offset
 
     def shift(self, step: int, offset: float) -> None:
         """Set the offset (rad) that takes effect at a step."""

@@ -212,7 +212,7 @@ def simulate(
 
     Examples
     --------
-    >>> from swarmabs_core import simulate
+    >>> from swarmabs_run.simulation import simulate
     >>> run = simulate("pd_het_4", {"plane.angle": 0.2})  # doctest: +SKIP
     >>> run.angle[-1], run.summary()["settled_at"]  # doctest: +SKIP
     """

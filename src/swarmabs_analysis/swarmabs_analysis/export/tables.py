@@ -12,7 +12,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from swarmabs_bag.attached import description_of, step_period
-from swarmabs_bag.bag_summary import desired_angle, summarise_bag
+from swarmabs_bag.bag_summary import reference_of_bag, summarise_bag
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_folder
@@ -80,11 +80,10 @@ WORD = "word"
 
 
 class _Vectors(NamedTuple):
-    """The topics of a parent system, name of its own table, what its reference is called, and vectors of a message."""
+    """The topics of a parent system, name of its own table, and vectors of a message."""
 
     topics: tuple[Topic, ...]
     parent: str
-    reference: str
     of: Callable[[type[Message]], Mapping[str, Sequence[Quantity]]]
 
 
@@ -92,7 +91,7 @@ def _reference_of_plane(message: type[Message]) -> Mapping[str, Sequence[Quantit
     return {REFERENCE: (Quantity("", "rad"),)} if message is PlaneState else {}
 
 
-_PLANE = _Vectors(PLANE_FAMILY.main, "plane", "desired angle", _reference_of_plane)
+_PLANE = _Vectors(PLANE_FAMILY.main, "plane", _reference_of_plane)
 
 
 def _table(name: str, topic: Topic, vectors_of: _Vectors) -> BagTable:
@@ -106,8 +105,8 @@ def _table(name: str, topic: Topic, vectors_of: _Vectors) -> BagTable:
             key = quantity if field in MAIN_FIELDS else "_".join(filter(None, (field, quantity)))
             while key in columns or key in declared:
                 key = f"{field}_{key}"
-            goal = f"{vectors_of.reference} with its offsets; missing if unknown"
-            columns[key] = Column(key, "float64", unit, goal if field == REFERENCE else f"{field}[{index}]")
+            what = "reference with its offsets; missing if unknown" if field == REFERENCE else f"{field}[{index}]"
+            columns[key] = Column(key, "float64", unit, what)
             vectors[key] = field, index
     stamp = columns.pop("stamp")
     first = [columns.pop(key) for key in ("step", "time", "agent_id") if key in columns]
@@ -141,11 +140,11 @@ def tables_of(bag: BagReader) -> tuple[BagTable, ...]:
     """
     if bag.family is PLANE_FAMILY:
         return TABLES
-    return _tables(_Vectors(SYSTEM_FAMILY.main, "parent", "wanted value", partial(components, description_of(bag))))
+    return _tables(_Vectors(SYSTEM_FAMILY.main, "parent", partial(components, description_of(bag))))
 
 
 def _row_of(table: BagTable, period: int | None, reference: Callable[[int], Any]) -> Callable[[Message], Sequence[Any]]:
-    """Return a function that turns a message into a row; `reference` returns the desired angle (rad) of a step.
+    """Return a function that turns a message into a row; `reference` returns the reference (rad) of a step.
 
     For another parent system than the plane, `reference` returns a tuple. The time is that of the step, because a
     robot's clock may be wrong in lockstep; without a period (ns), as in real time, it is the stamp.
@@ -214,7 +213,7 @@ def export_tables(
         raise NotABagError(f"{bag.path} is not the bag of a swarm: it has none of its topics; name another bag")
     opened = _parquet if table_format == "parquet" else _csv
     with new_folder(folder) as part, ExitStack() as stack:
-        period, reference, tables = step_period(bag), desired_angle(bag), tables_of(bag)
+        period, reference, tables = step_period(bag), reference_of_bag(bag), tables_of(bag)
         files = {
             table.topic: (stack.enter_context(opened(part, table)), _row_of(table, period, reference))
             for table in tables

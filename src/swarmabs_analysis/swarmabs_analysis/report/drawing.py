@@ -186,7 +186,7 @@ def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
 
     def draw(figure: FigureBase) -> None:
         upper, lower = figure.subplots(2, 1, sharex=True)
-        upper.plot(time[inside], recorded.wanted[inside], color=REFERENCE, linestyle=DASHED)
+        upper.plot(time[inside], recorded.references[inside], color=REFERENCE, linestyle=DASHED)
         upper.plot(time[inside], recorded.tracked[inside], color=PLANE)
         upper.set_ylabel(f"{name}, {unit}" if len(recorded.tracking.followed) == 1 else unit)
         _linear(lower, float(time[-1]))

@@ -120,13 +120,13 @@ def panels(recorded: Recorded) -> Iterator[Panel]:
 def _of_system(recorded: Recorded, system: SystemTables) -> Iterator[Panel]:
     """Yield the pictures of a run on another parent system than the plane."""
     arrays, followed = recorded.arrays, list(recorded.tracking.followed)
-    wanted = dict(zip(followed, recorded.wanted.T, strict=True))
+    references = dict(zip(followed, recorded.references.T, strict=True))
     groups = [followed] if followed else []
     for number, group in enumerate([*groups, *_by_unit(system.parent, followed)]):
-        curves = [(system.parent[place], arrays.parent[:, place], wanted.get(place)) for place in group]
+        curves = [(system.parent[place], arrays.parent[:, place], references.get(place)) for place in group]
         yield _curves(recorded, f"parent-{number}", "State of the parent system", "recorded", curves)
     for group in groups:
-        curves = [(system.parent[place], wanted[place] - arrays.parent[:, place], None) for place in group]
+        curves = [(system.parent[place], references[place] - arrays.parent[:, place], None) for place in group]
         panel = _curves(recorded, "parent-error", "Tracking error, reference minus state", "error of", curves)
         settled = recorded.metrics["settled_at"]
         when = "it does not settle" if settled is None else f"it stays within the tolerance from {settled:g} s on"
@@ -148,7 +148,7 @@ def _of_system(recorded: Recorded, system: SystemTables) -> Iterator[Panel]:
     rows, actual, desired = system.abstract, arrays.abstract.value, arrays.desired.value
     for number, group in enumerate(_by_unit(rows)):
         curves = [(rows[place], actual[:, place], desired[:, place]) for place in group]
-        yield _curves(recorded, f"abstract-{number}", "Abstract state of the swarm", "actual", curves)
+        yield _curves(recorded, f"abstract-{number}", "Abstract state of the swarm", "actual", curves, "desired")
     margin = recorded.rank_margin
     draw = lines_over_time(recorded, "smallest eigenvalue", [Line("_", margin, BLACK)], positive=True)
     about = joined(span("smallest eigenvalue", margin, ""), _lowest(margin, arrays.time, ""))
@@ -176,16 +176,21 @@ def _by_unit(rows: Sequence[Quantity], without: Sequence[int] = ()) -> list[list
 
 
 def _curves(
-    recorded: Recorded, key: str, heading: str, what: str, curves: Sequence[tuple[Quantity, Floats, Floats | None]]
+    recorded: Recorded,
+    key: str,
+    heading: str,
+    what: str,
+    curves: Sequence[tuple[Quantity, Floats, Floats | None]],
+    goal: str = "reference",
 ) -> Panel:
-    """Return a panel of quantities of the same unit over time, with their wanted values if there are any."""
+    """Return a panel of quantities of the same unit over time, each with its goal, dashed, if it has one."""
     lines, texts = [], []
-    for ((name, unit, *_), values, wanted), colour in zip(curves, cycle(PALETTE), strict=False):
+    for ((name, unit, *_), values, aim), colour in zip(curves, cycle(PALETTE), strict=False):
         lines.append(Line(name, values, colour))
         texts.append(span(f"{what} {name}", values, unit))
-        if wanted is not None:
-            lines.append(Line(f"{name} wanted", wanted, REFERENCE if len(curves) == 1 else colour, DASHED))
-            texts.append(span("wanted", wanted, unit))
+        if aim is not None:
+            lines.append(Line(f"{name} {goal}", aim, REFERENCE if len(curves) == 1 else colour, DASHED))
+            texts.append(span(goal, aim, unit))
     heading = f"{heading}: {', '.join(name for (name, *_), *_ in curves)}"
     draw = lines_over_time(recorded, f"{name}, {unit}" if len(curves) == 1 else unit, lines)
     return Panel(key, key.partition("-")[0], heading, draw, joined(*texts))

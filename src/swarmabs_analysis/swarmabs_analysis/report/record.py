@@ -117,8 +117,8 @@ class Recorded:
         return self.subject.states(self.arrays)[:, self.tracking.followed]
 
     @property
-    def wanted(self) -> Floats:
-        """Their reference, (n+1, T)."""
+    def references(self) -> Floats:
+        """Their references, (n+1, T)."""
         return np.reshape(self.arrays.reference, self.tracked.shape)
 
     @property
@@ -155,7 +155,7 @@ class Recorded:
     @cached_property
     def error(self) -> Floats:
         """Reference minus recorded angle at each step, rad; of several tracked numbers, the norm of the errors."""
-        errors: Floats = self.wanted - self.tracked
+        errors: Floats = self.references - self.tracked
         return errors[:, 0] if errors.shape[1] == 1 else np.asarray(np.linalg.norm(errors, axis=1))
 
     @cached_property
@@ -163,7 +163,7 @@ class Recorded:
         """Response to the last step of the reference; None without one, and if several numbers are tracked."""
         if self.tracked.shape[1] != 1:
             return None
-        return step_response(self.arrays.time, self.tracked[:, 0], self.wanted[:, 0])
+        return step_response(self.arrays.time, self.tracked[:, 0], self.references[:, 0])
 
     @cached_property
     def masses(self) -> Floats:

@@ -56,21 +56,22 @@ of_swarm, of_robot = together(_swarm, _timeout), together(_swarm, _robot, _timeo
 @click.command(epilog=examples("stop runs/pd_het_4-001", "stop examples/fleet/lan.yaml --armed"))
 @of_swarm
 @click.option("--armed", is_flag=True, help="Connect now, and stop the robots when you press a key.")
-def stop(swarm: Path, patience: float, *, armed: bool) -> None:
+@json_option
+def stop(swarm: Path, patience: float, *, armed: bool, as_json: bool) -> None:
     """Stop all robots of a fleet or a real-time run until `reset`, and report which have stopped.
 
     Robots confirm by their states that they are in their safe stop. The exit code is 1 if one is not known to have
-    stopped. To start and to connect takes longer than to stop: keep one open with --armed while robots move.
+    stopped. Starting and connecting take longer than stopping: keep a terminal with --armed open while robots move.
     """
     with target(swarm) as found, joined(found) as client:
         watch = client.watch()
         if armed:
-            _wait_for_key(found, client, watch, patience)
+            _wait_for_key(found, client, watch, patience, quiet=as_json)
         watch.ask()
         warnings = pairs.stop(found, client, patience)
         watch.confirm()
         watch.listen(patience, lambda: not watch.monitor.problems())
-        _print_stop(found, watch.monitor)
+        _print_stop(found, watch.monitor, as_json=as_json)
         print_warnings(warnings)
     if problems := watch.monitor.problems():
         unknown = ", ".join(map(str, problems))
@@ -80,17 +81,26 @@ def stop(swarm: Path, patience: float, *, armed: bool) -> None:
         )
 
 
-def _print_stop(found: Target, monitor: StopMonitor) -> None:
+def _print_stop(found: Target, monitor: StopMonitor, *, as_json: bool) -> None:
     """Print which robots have stopped, before leaving the network, which takes longer."""
     problems = monitor.problems()
+    if as_json:
+        robots = [
+            {"robot": robot, "stopped_after": None, "problem": problems[robot]}
+            if robot in problems
+            else {"robot": robot, "stopped_after": monitor.delay(robot), "problem": None}
+            for robot in found.robots
+        ]
+        print_json({"swarm": found.name, "all_stopped": not problems, "robots": robots})
+        return
     for robot in found.robots:
         click.echo(f"robot {robot}: {problems.get(robot) or f'stopped after {1e3 * monitor.delay(robot):.0f} ms'}")
     if not problems:
         click.echo(f"{found.name}: all robots have stopped, until a reset")
 
 
-def _wait_for_key(found: Target, client: OperatorClient, watch: RobotWatch, patience: float) -> None:
-    """Connect to controller and robots, then wait for a key.
+def _wait_for_key(found: Target, client: OperatorClient, watch: RobotWatch, patience: float, *, quiet: bool) -> None:
+    """Connect to controller and robots, then wait for a key; if `quiet`, the prompt is not on standard output.
 
     Raises
     ------
@@ -101,7 +111,9 @@ def _wait_for_key(found: Target, client: OperatorClient, watch: RobotWatch, pati
     watch.listen(patience, lambda: pairs.can_stop(found, client) and watch.monitor.heard() == robots)
     if not pairs.can_stop(found, client):
         raise RunError(f"{found.name}: no controller was found; check that it is running")
-    click.echo(f"{found.name}: armed, {watch.monitor.heard()} of {robots} robots heard; press a key to stop them")
+    click.echo(
+        f"{found.name}: armed, {watch.monitor.heard()} of {robots} robots heard; press a key to stop them", err=quiet
+    )
     with _single_keys() as pressed:
         watch.listen(inf, pressed)
 
@@ -143,17 +155,23 @@ def reset(swarm: Path, patience: float) -> None:
 @_swarm
 @click.argument("coordinator", required=False, type=click.Choice(list(pairs.PAIRS)))
 @_timeout
-def failover(swarm: Path, coordinator: str | None, patience: float) -> None:
+@json_option
+def failover(swarm: Path, coordinator: str | None, patience: float, *, as_json: bool) -> None:
     """Let a standby coordinator take over, for example to service the host of the one that leads.
 
     Without COORDINATOR, each pair changes roles. The robots keep moving.
     """
     with target(swarm) as found:
         kinds = pairs.chosen(found, coordinator)
+        leaders = []
         with joined(found) as client:
             for kind in kinds:
                 leader = pairs.failover(found, client, kind, patience)
-                click.echo(f"{found.name}: {leader} leads, on {found.hosts[leader]}")
+                leaders.append({"coordinator": kind, "leader": leader, "host": found.hosts[leader]})
+                if not as_json:
+                    click.echo(f"{found.name}: {leader} leads, on {found.hosts[leader]}")
+        if as_json:
+            print_json({"swarm": found.name, "leaders": leaders})
 
 
 @click.command(epilog=examples("drain runs/pd_het_4-001 2"))

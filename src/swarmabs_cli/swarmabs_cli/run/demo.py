@@ -53,11 +53,11 @@ def overrides(show: Show, *, beside: bool) -> dict[str, float]:
 def demo(robots: str, minutes: int, output: Path | None, *, no_browser: bool) -> int:
     """Show a swarm live in the browser, to watch and to disturb.
 
-    4, 20 or 200 ROBOTS, by default 4, in processes of their own or shared, make the plane follow a sine in real time.
-    On the page you push the plane, kill robots, let them leave, shift the reference and pause. You can also start
-    again, as before or with the robots beside the curve of desired states, where the run waits to be resumed: the run
-    ends and the next one starts, in a folder of its own on the same page. The last run ends after its time or with
-    Ctrl-C; each is recorded like any other.
+    The robots, by default 4, make the plane follow a sine in real time; 20 and 200 share processes. On the page you
+    push the plane, kill robots, let them leave, shift the reference and pause. You can also start again, as before or
+    with the robots beside the curve of desired states, where the run waits to be resumed: the run ends and the next
+    one starts, in a folder of its own on the same page. The last run ends after --minutes or with Ctrl-C; each is
+    recorded like any other.
     """
     end_grace()
     show = SHOWS[robots]

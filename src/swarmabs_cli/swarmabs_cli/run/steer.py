@@ -33,7 +33,7 @@ ACTIONS = (*NUMBERS, "kill", "freeze", "remove", "leave", "add", *BARE)
 def steer(run: Path, action: str, value: str | None, *, as_json: bool) -> int:
     """Change a running simulation that was started with --steer.
 
-    RUN is the folder of the run. `reference` offsets the desired angle (rad) and `disturbance` applies a torque to the
+    RUN is the folder of the run. `reference` offsets the reference (rad) and `disturbance` applies a torque to the
     plane (N m); both hold until you set them again. `push` adds a torque for 0.2 s. `kill`, `freeze`, `remove` and
     `add` take the id of a robot; `leave` is the same as `remove`. `pause` holds the run until `resume`. `restart` ends
     a run of `demo`, which starts again, and `restart_beside` with the robots beside the curve of desired states.

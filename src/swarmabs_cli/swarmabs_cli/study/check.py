@@ -27,7 +27,7 @@ _STYLES = {
 }
 
 
-@click.command(epilog=examples("check pd_het_4", "check arise_het_4 --all"))
+@click.command(epilog=examples("check", "check arise_het_4 --all"))
 @scenario_argument
 @set_option()
 @duration_option
@@ -57,8 +57,8 @@ def check(
     """Check a scenario against the paper's stability theorems, and simulate its losses of robots.
 
     Nothing is recorded. The verdict comes first, then the conditions that fail; --all prints every condition, as
-    printed in the paper and as corrected, with its margin. SCENARIO is a built-in scenario (see `scenario list`), a
-    YAML file, or a bag.
+    printed in the paper and as corrected, with its margin. SCENARIO is a built-in scenario (see `scenario list`), by
+    default pd_het_4, a YAML file, or a bag.
     """
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")

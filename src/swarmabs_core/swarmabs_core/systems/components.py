@@ -32,7 +32,7 @@ def components(system: SystemTables, message: type[Message]) -> dict[str, tuple[
     """Return the components of each vector of a class of messages, with the quantities' names and their own units.
 
     A component of the Gram matrix has the names of its row and column. The state of the parent also has the field
-    `REFERENCE`, the wanted values of what is tracked.
+    `REFERENCE`, the references of what is tracked.
     """
     units = {row.name: row.unit for row in system.parent}
     found = {}
