@@ -164,7 +164,7 @@ def summed_up(
     """
     try:
         loading = since_start()
-        with shown_progress(scenario) as show:
+        with shown_progress(scenario, folder.path) as show:
             done = run(show)
             no_more_interrupts()
         told = dict(more(done))
