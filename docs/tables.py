@@ -31,7 +31,6 @@ import plane_sim.driver
 import plane_sim.node
 import plane_sim.realtime
 from swarmabs_analysis.losses.check import THRESHOLDS
-from swarmabs_analysis.replay import node as replay_player
 from swarmabs_bag.recorder import node as recorder, realtime as realtime_recorder
 from swarmabs_cli import SECTIONS, swarm
 from swarmabs_config.graph import GRAPH, LOCKSTEP, REALTIME, RECORDER, End, Link
@@ -484,7 +483,6 @@ def all_tables() -> dict[str, str]:
         "parent system": parent_system(),
         "losses": losses(),
         "recorder": parameters(recorder.PARAMETERS),
-        "replay_player": parameters(replay_player.PARAMETERS),
         "steering": parameters(steering.PARAMETERS),
         "realtime common": parameters(REALTIME_COMMON),
         "realtime plane_sim": parameters(plane_sim.realtime.PARAMETERS, without=REALTIME_COMMON),

@@ -600,6 +600,31 @@ class TestScript:
         assert swarm.prepare(checkout, {}, "view") == "3.12"
         assert seen == ["3.12"]
 
+    @pytest.mark.parametrize(("complete", "steps"), [("", ["", "test"]), ("3.12", ["test"])])
+    def test_a_set_up_in_several_parts_has_one_snapshot_and_one_duration(
+        self,
+        complete: str,
+        steps: list[str],
+        prepared: Path,
+        swarm: ModuleType,
+        checkout: Checkout,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        parts: list[str] = []
+        snapshots: list[object] = []
+        monkeypatch.setattr(swarm, "snapshot_of", lambda *_: snapshots.append(None) or "snapshot")
+        monkeypatch.setattr(swarm, "ready", lambda _checkout, _snapshot, command: "" if command else complete)
+        monkeypatch.setattr(swarm, "prepare", lambda _checkout, _environ, command: parts.append(command) or "3.12")
+        monkeypatch.setattr(swarm, "refuse_wrong", lambda *_: None)
+        for name in ("run_environment", "sourced_environment"):
+            monkeypatch.setattr(swarm.environment, name, lambda *_: {})
+        monkeypatch.setattr(swarm.signal, "pthread_sigmask", lambda *_: None)
+        monkeypatch.setattr(swarm.os, "execve", lambda *_: None)
+        swarm.start(checkout, {}, ["test"])
+        assert (parts, len(snapshots)) == (steps, 1)
+        assert capsys.readouterr().err.count("ready after") == 1
+
     @pytest.mark.parametrize(
         ("words", "command", "options"),
         [

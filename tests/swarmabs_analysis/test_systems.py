@@ -29,8 +29,6 @@ from swarmabs_analysis.comparison.bags import compare_bags
 from swarmabs_analysis.export import export_arrays, export_tables
 from swarmabs_analysis.figures.runs import find_runs
 from swarmabs_analysis.figures.style import styled
-from swarmabs_analysis.replay.run import ReplayRun
-from swarmabs_analysis.replay.source import open_source
 from swarmabs_analysis.report import make_report
 from swarmabs_analysis.report.panels import Panel, panels
 from swarmabs_analysis.report.record import read_recorded
@@ -286,35 +284,23 @@ def test_runs_on_different_parent_systems_have_no_message_in_common(beam: Path, 
 @pytest.mark.parametrize(
     "nodes", ["controller", "plane", "observer", "agent:2", "agent:3 controller", "parent agent:5"]
 )
-def test_a_node_answers_its_recording_as_it_did(beam: Path, tmp_path: Path, nodes: str) -> None:
-    source = open_source(beam)
-    names = tuple(map(NodeName.parse, nodes.split()))
-    replay = ReplayRun(source, names, (), source.scenario(names, ()))
-    folder = new_run_folder(tmp_path / "replay")
-    outcome = replay.in_process(folder)
-    assert (outcome.status, outcome.figures["digest"]) == ("ok", source.digest)
-    result = replay.result(folder, source.digest)
-    assert (result["same"], result["first_difference"]) == (True, None)
-    assert result["compared"] > 20
-    assert repr(Read(folder.path).of("/parent/system")) == repr(Read(beam).of("/parent/system"))
+def test_a_node_answers_its_recording_as_it_did(beam: Path, nodes: str) -> None:
+    bag = BagToVerify(beam)
+    found = bag.verify(trial=bag.trial(tuple(map(NodeName.parse, nodes.split()))))
+    assert (found.ok, found.complete, found.trial["deviations"]) == (True, True, [])
+    assert found.messages > 20
 
 
-def test_a_controller_with_another_setting_answers_differently_to_the_same_states(beam: Path, tmp_path: Path) -> None:
-    source, names = open_source(beam), (NodeName.parse("controller"),)
-    given = ("system.added=4.0",)
-    replay = ReplayRun(source, names, given, source.scenario(names, given))
-    folder = new_run_folder(tmp_path / "replay")
-    assert replay.in_process(folder).status == "ok"
-    first = replay.result(folder, "")["first_difference"]
-    assert (first["step"], first["topic"], first["field"]) == (1, "swarm/desired", "mean_rate[0]")
-    assert first["replayed"] == pytest.approx(2.0 * first["recorded"], rel=1e-12)  # torque = added * rate
-    old, new = Read(beam), Read(folder.path)
-    np.testing.assert_array_equal(new.column("/parent/state", "state"), old.column("/parent/state", "state"))
-    (described,) = new.of("/parent/system")
-    assert json.loads(described.description)["settings"]["added"] == 4.0
-    assert {m.system for topic in ("/parent/state", "/swarm/desired") for m in new.of(topic)} == {described.system}
+def test_a_controller_with_another_setting_answers_differently_to_the_same_states(beam: Path) -> None:
+    bag, controller = BagToVerify(beam), (NodeName.parse("controller"),)
+    found = bag.verify(trial=bag.trial(controller, ("system.added=4.0",)))
+    first = found.difference
+    assert first is not None
+    assert (first.step, first.topic, first.field) == (1, "swarm/desired", "mean_rate[0]")
+    assert first.b == pytest.approx(2.0 * first.a, rel=1e-12)  # torque = added * rate
+    assert {row["field"].partition("[")[0] for row in found.trial["deviations"]}.isdisjoint({"system", "step"})
     with pytest.raises(InputError, match="--set changes the control period"):
-        source.scenario(names, ("step=0.005",))
+        bag.trial(controller, ("step=0.005",))
 
 
 def test_a_recorded_run_is_repeated(beam: Path) -> None:

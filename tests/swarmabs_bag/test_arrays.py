@@ -72,7 +72,7 @@ def test_every_value_is_at_its_step_and_agents_are_columns_in_order_of_their_ids
         states = [state for state in of(run, AgentState) if isinstance(state, AgentState) and state.agent_id == agent]
         for name in ("kind", "status", "mass", "damping", "position", "velocity", "command"):
             assert getattr(agents, name)[:, number].tolist() == column(states, name), name
-    part = load_arrays(bag, every=7)
+    part = load_arrays(bag, stride=7)
     assert part.step.tolist() == list(range(0, 41, 7))
     assert part.angle.tolist() == loaded.angle[::7].tolist()
     assert part.agents.command.tolist() == agents.command[::7].tolist()

@@ -19,7 +19,7 @@ from tests.transport.fleet import EPOCH
 from swarmabs_analysis.comparison import compare_bags
 from swarmabs_analysis.export.arrays import export_arrays
 from swarmabs_analysis.export.tables import export_tables
-from swarmabs_analysis.replay.source import open_source
+from swarmabs_analysis.replay.answers import Answers
 from swarmabs_analysis.report import make_report
 from swarmabs_analysis.report.record import read_recorded
 from swarmabs_analysis.rerun import recorded_run
@@ -34,6 +34,7 @@ from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, STANDING, Message, PlaneState
+from swarmabs_core.publishers import CONTROLLER
 
 MakeBag: TypeAlias = Callable[..., Path]
 
@@ -70,8 +71,10 @@ def test_the_date_is_told_a_repetition_is_refused_and_damage_is_repaired(tmp_pat
     assert re.search(r"2023-11-14 22:13:20 UTC and [12]", console.export_text())
     with pytest.raises(InputError, match=r"recorded in real time.*wall clock.*cannot be repeated"):
         recorded_run(made())
-    with pytest.raises(InputError, match=r"recorded in real time.*use verify"):
-        open_source(made())
+    with pytest.raises(InputError, match=r"recorded in real time.*leave out --node"):
+        BagToVerify(made()).trial((CONTROLLER,))
+    with pytest.raises(InputError, match=r"recorded in real time.*leave out --node"):
+        Answers(open_bag(made()), (CONTROLLER,))
     cut = tmp_path / "cut.mcap"
     data = (made() / "bag_0.mcap").read_bytes()
     cut.write_bytes(data[: len(data) // 2])

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
-from typing import Any, cast
+from typing import Any
 from unittest.mock import Mock
 
 import pytest
@@ -104,7 +104,7 @@ class Lockstep:
     def __init__(self, folder: Path, **values: Value) -> None:
         faults = "faults=[{at: 0.17, kind: kill, agent: 2}]"
         self.scenario = find_scenario("pd_het_4", ["duration=0.3", faults]).resolved()
-        self.steps = list(Simulation(self.scenario, division=cast("int | None", values.get("division"))).steps())
+        self.steps = list(Simulation(self.scenario).steps())
         settings = settings_from(node.PARAMETERS, **{**parameters(self.scenario, folder), **values})
         self.spec: NodeSpec = node.make(settings, StatusChannel("recorder"))
         self.recorder = self.spec.behaviour
@@ -126,7 +126,7 @@ class Lockstep:
 
 
 def test_a_lockstep_run_is_recorded_and_reported(told: Told, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = Lockstep(tmp_path, replay='{"bag": "b"}', max_bag_duration_ns=SECOND // 10)
+    run = Lockstep(tmp_path, max_bag_duration_ns=SECOND // 10)
     monkeypatch.setattr("swarmabs_core.record.encode", lambda _: pytest.fail("it has the bytes already"))
     assert run.recorder.start() == (msg.RecordingProgress(0, 0, msg.NEVER),)
     assert set(run.recorder.awaits()) == {*msg.MAIN_TOPICS, msg.STANDING, msg.EVENTS}
@@ -149,7 +149,7 @@ def test_a_lockstep_run_is_recorded_and_reported(told: Told, tmp_path: Path, mon
     assert bag.attachment("run.log") == LOG
     assert len(list((tmp_path / "bag").glob("*.mcap"))) == 4
     made = attached_provenance(bag)
-    assert (made["driver"], made["replay"], made.get("steered")) == ("lockstep", {"bag": "b"}, None)
+    assert (made["driver"], made.get("steered")) == ("lockstep", None)
     assert "packed" not in made
 
 
@@ -187,11 +187,11 @@ def test_a_bag_says_why_it_is_not_complete(
     assert (bag.aborted(), bag.attachment("run.log")) == (why, LOG)
 
 
-def test_ends_that_were_not_planned_and_orders_are_known(told: Told, tmp_path: Path) -> None:
-    run = Lockstep(tmp_path, bag="", logs="", ends=("kill 3 4",), division=0)
+def test_a_run_without_a_bag_has_figures_and_orders_are_known(told: Told, tmp_path: Path) -> None:
+    run = Lockstep(tmp_path, bag="", logs="")
     run.hear(told)
     run.spec.on_exit(None)
-    assert told.of("done")[0]["figures"]["messages"] == sum(len(step.records) for step in run.steps) - 26
+    assert told.of("done")[0]["figures"]["messages"] == sum(len(step.records) for step in run.steps)
     assert not (tmp_path / "bag").exists()
     (tmp_path / "steered").mkdir()
     steered = Lockstep(tmp_path / "steered", steered=True)

@@ -1,7 +1,7 @@
 import pytest
 
 from swarmabs_core.errors import InputError
-from swarmabs_core.membership import UNPLANNED, Change, ChangeKind, Membership, with_ends
+from swarmabs_core.membership import UNPLANNED, Change, ChangeKind, Membership
 from swarmabs_core.messages import EventKind
 
 JOIN, LEAVE, KILL, FREEZE, REMOVE = map(ChangeKind, ("join", "leave", "kill", "freeze", "remove"))
@@ -41,8 +41,6 @@ def test_changes_of_a_step_are_told_by_robot_and_a_robot_may_join_and_leave() ->
     membership = member(Change(5, 3, KILL), Change(6, 2, JOIN), Change(5, 1, LEAVE), Change(8, 2, LEAVE))
     assert [change[0] for change in membership.changes(6)] == [1, 2, 3]
     assert [step for step in range(12) if membership.publishes(2, step)] == [6, 7, 8]
-    planned = (Change(9, 1, KILL), Change(2, 2, JOIN), Change(8, 2, LEAVE))
-    assert with_ends(planned, [Change(5, 2, KILL)]) == (Change(2, 2, JOIN), Change(5, 2, KILL), Change(9, 1, KILL))
 
 
 def test_the_earliest_end_of_a_robot_stands() -> None:

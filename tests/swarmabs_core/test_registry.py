@@ -3,19 +3,16 @@
 import importlib.metadata
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from tests.plugin_packages import BANG_BANG, SCALED, install
 from tests.swarmabs_core.helpers import digest
 
 from swarmabs_config.scenario import Scenario, json_schema, parse_scenario
-from swarmabs_core import law_registry, swarm_law
 from swarmabs_core.controllers import CONTROLLERS, PD, ControllerType, ParentContext, ParentController, StateFeedback
 from swarmabs_core.errors import InputError
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.plant import Friction
-from swarmabs_core.realtime import drive_registry, drives
 from swarmabs_core.registry import PluginError, Registry
 from swarmabs_core.swarm_law import LAWS
 from swarmabs_run.simulation import simulate, simulated_steps
@@ -156,10 +153,3 @@ def test_a_law_that_doubles_the_gains_does_what_doubled_gains_do(packages: Path,
     assert plain == doubled != halved
     assert not vectorisable(scenario("many", "{type: scaled}", {})), "one that is not known on arrays"
     assert vectorisable(scenario("many", "{type: paper}", {}))
-
-
-@pytest.mark.parametrize(("former", "module"), [(law_registry, swarm_law), (drive_registry, drives)])
-def test_packages_find_the_parts_where_they_have_imported_them_from(former: ModuleType, module: ModuleType) -> None:
-    assert {name: getattr(former, name) for name in former.__all__} == {
-        name: getattr(module, name) for name in former.__all__
-    }

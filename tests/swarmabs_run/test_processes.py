@@ -7,12 +7,12 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
+from rich.console import Console
 from tests.processes import until
 
 from swarmabs_core.errors import InputError
@@ -21,8 +21,9 @@ from swarmabs_run import tracing_files
 from swarmabs_run.ending import end_asked, interrupt_once, no_more_interrupts, terminable
 from swarmabs_run.orchestration import run_files
 from swarmabs_run.orchestration.network import FIRST_FREE, profile_xml
-from swarmabs_run.processes import RunProcesses, Snapshot, document, newest_run
+from swarmabs_run.processes import ProcessMonitor, ProcessState
 from swarmabs_run.tracing_files import tracing_files_removed
+from swarmabs_view.terminal import ProcessTable, watch_run
 
 SWARM = [sys.executable, "-m", "swarmabs_cli"]
 NODES = {"plane_sim", "abstraction_observer", "parent_controller", "recorder"}
@@ -37,27 +38,20 @@ def folder_of(tmp_path: Path, name: str = "run") -> Path:
     return logs.parent
 
 
-def test_processes_are_named_by_their_logs_or_modules(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path)
-    running = RunProcesses(folder)
-    logs = folder / "logs"
-    with ExitStack() as stack:
-        for output, words in ((logs / "plane_sim.log", ()), (tmp_path / "plane_sim.log", ("-m", "swarmabs_view"))):
-            stream = stack.enter_context(output.open("w"))
-            waiting = [sys.executable, "-c", "input()", *words]
-            process = stack.enter_context(subprocess.Popen(waiting, stdin=subprocess.PIPE, stdout=stream))
-            stack.callback(process.kill)
-        first, second = (running.snapshot(time, 1).rows for time in (1.0, 2.0))
-        until(lambda: running.snapshot(3.0).rows[0].cpu, "the time that a snapshot takes shows in the next")
-    names = [row.name for row in first]
-    assert (names[0], first[0].pid) == ("orchestrator", os.getpid())
-    assert {"plane_sim", "view"} <= set(names[1:]) and names[1:] == sorted(names[1:])
-    assert [row.name for row in second] == names
-    assert [row.pss is not None for row in first] == [True] + [False] * (len(names) - 1)
-    assert sum(row.pss is not None for row in second) == 2, "another one's turn"
-    found = document(folder, Snapshot(first, None, 0.0))
-    assert (found["run"], found["step"]) == (str(folder), None)
-    assert [row["pid"] for row in found["processes"]] == [row.pid for row in first]
+def test_processes_are_monitored_until_they_are_gone_and_not_mistaken(monkeypatch: pytest.MonkeyPatch) -> None:
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
+        monitor = ProcessMonitor({"child": child.pid, "own": os.getpid(), "nobody": 2**22 + 1})
+        until(lambda: monitor.states()[0].state == "sleeping", "the child waits")
+        until(lambda: monitor.states()[1].cpu, "the time that a query takes shows in the next")
+        alive, _, nobody = monitor.states()
+        assert (alive.name, alive.pid) == ("child", child.pid)
+        assert alive.memory == pytest.approx(psutil.Process(child.pid).memory_info().rss, rel=0.2)
+        assert nobody == ProcessState("nobody", 2**22 + 1, "gone", None, None)
+        child.kill()
+        child.wait()
+        assert monitor.states()[0] == ProcessState("child", child.pid, "gone", None, None)
+    monkeypatch.setattr(psutil.Process, "is_running", lambda _: False)  # the id is that of another process
+    assert [one.state for one in monitor.states()] == ["gone"] * 3
 
 
 def test_progress_is_written_now_and_then(tmp_path: Path) -> None:
@@ -81,27 +75,32 @@ def test_progress_is_written_now_and_then(tmp_path: Path) -> None:
 
 def test_folders_that_are_damaged_or_without_a_run_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is not the folder of a run with processes"):
-        RunProcesses(tmp_path)
-    with pytest.raises(InputError, match=r"no run in .* is running"):
-        newest_run(tmp_path)
+        watch_run(tmp_path)
     folder = folder_of(tmp_path)
     for content in ("", "[]", "{}", "null", '{"orchestrator": null}', '{"orchestrator": "x"}'):
         (folder / "logs" / "network.json").write_text(content, encoding="utf-8")
         with pytest.raises(InputError, match=r"network\.json.*not written by a run"):
-            RunProcesses(folder)
+            watch_run(folder)
 
 
 def test_a_process_that_has_got_the_id_later_is_not_the_run(tmp_path: Path) -> None:
     folder = folder_of(tmp_path)
-    assert RunProcesses(folder).running()
+    assert run_files.is_running(folder)
     network = folder / "logs" / "network.json"
     written = json.loads(network.read_text())
     network.write_text(json.dumps(written | {"started": written["started"] - 1}))
-    for look in (RunProcesses, run_files.environment_of_run):
+    for look in (watch_run, run_files.environment_of_run):
         with pytest.raises(run_files.RunOverError, match="this run is over"):
             look(folder)
-    with pytest.raises(InputError, match="no run in"):
-        newest_run(tmp_path)
+
+
+def drawn(table: ProcessTable, now: float) -> list[str]:
+    """Return the lines of a table that was updated at a time."""
+    console = Console(width=200)
+    with console.capture() as capture:
+        table.update(now)
+        console.print(table)
+    return [line.rstrip() for line in capture.get().splitlines()]
 
 
 def test_a_run_that_says_that_it_is_over_is_over(tmp_path: Path) -> None:
@@ -109,18 +108,24 @@ def test_a_run_that_says_that_it_is_over_is_over(tmp_path: Path) -> None:
     folder = folder_of(tmp_path)
     with pytest.raises(InputError, match="operator commands need a realtime run"), target(folder):
         pass
-    processes = RunProcesses(folder)
+    table = ProcessTable(folder)
     file = run_files.ProgressFile(folder / "logs")
     file.update("running", 0, 100, 10.0)
     file.update("running", 60, 100, 11.0)
-    assert processes.snapshot(11.5).step_rate == pytest.approx(60.0)
-    assert processes.snapshot(20.0).step_rate is None, "the speed of a run that stands still is not known"
+    assert drawn(table, 11.5)[0] == f"{folder}: running, step 60 of 100, 60 steps/s"
+    assert drawn(table, 20.0)[0] == f"{folder}: running, step 60 of 100", "the speed of a run that stalls is not known"
+    run_files.write_processes(folder / "logs", {"plane_sim": 2**22 + 1})
+    _, _, own, gone = drawn(table, 20.0)
+    assert (own.split()[:2], gone.split()) == (
+        ["orchestrator", str(os.getpid())],
+        ["plane_sim", str(2**22 + 1), "gone"],
+    )
     environment = run_files.environment_of_run(folder)
     assert environment["ROS_DOMAIN_ID"] == "5"
     profile = Path(environment["FASTDDS_DEFAULT_PROFILES_FILE"])
     assert profile.read_text() == profile_xml(5, peers=range(12), participant=FIRST_FREE)
     file.over()
-    assert not processes.running()
+    assert not run_files.is_running(folder)
     with pytest.raises(run_files.RunOverError):
         run_files.environment_of_run(folder)
     with pytest.raises(run_files.RunOverError), target(folder):
@@ -134,46 +139,33 @@ def test_the_start_of_a_process_is_the_kernels() -> None:
     assert run_files.start_of(2**22 + 1) is None
 
 
-def top(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
-    words = [*SWARM, "top", *map(str, arguments)]
-    return subprocess.run(words, check=False, capture_output=True, text=True, timeout=60, **options)
-
-
 @pytest.mark.system
 @pytest.mark.timeout(300)
-def test_top_of_a_run(tmp_path: Path, nothing_survives: str) -> None:
-    words = [*SWARM, "run", "--duration", "10000", "--no-bag"]
+def test_a_run_is_watched_in_another_terminal(tmp_path: Path, nothing_survives: str) -> None:
+    words = [*SWARM, "run", "--duration", "10000", "--no-bag", "-o", "run"]
+    watch = [*SWARM, "view", "--live", "run", "--terminal"]
     with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as run:
-        folder = tmp_path / "runs" / "pd_het_4-001"
+        logs = tmp_path / "run" / "logs"
         try:
-            until(
-                lambda: (told := run_files.read_progress(folder / "logs")) is not None and told.step > 100,
-                "steps",
-                60.0,
-            )
-            found = json.loads(top("--json", cwd=tmp_path).stdout)
-            rows = {row["name"]: row for row in found["processes"]}
-            assert rows.keys() == NODES | {"orchestrator", "launcher"}
-            assert (found["run"], found["phase"], found["steps"]) == ("runs/pd_het_4-001", "running", 1_000_000)
-            assert found["step"] > 100 and found["step_rate"] > 0.0
-            children = {child.pid: child.name() for child in psutil.Process(run.pid).children(recursive=True)}
-            assert {row["pid"] for row in rows.values()} == {run.pid, *children}
-            assert all(0 < row["pss"] <= 2 * row["rss"] for row in rows.values())
-            shown = top(folder, "--once").stdout
-            assert all(f"\n{node} " in shown for node in NODES) and "steps/s" in shown
-            # Without an end it ends with the run, as a pager's input or on a terminal.
-            words = [*SWARM, "top", str(folder), "--interval", "0.2"]
-            with subprocess.Popen(words, stdout=subprocess.PIPE) as watching:
-                assert watching.stdout is not None and b"running" in watching.stdout.readline()
+            until(lambda: (told := run_files.read_progress(logs)) is not None and told.step > 100, "steps", 60.0)
+            with subprocess.Popen(watch, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as watching:
+                assert watching.stdout is not None
+                title, heading, *rows = [watching.stdout.readline() for _ in range(4 + len(NODES))]
+                assert title.startswith("run: running, step ") and title.endswith(" steps/s\n")
+                assert heading.split() == ["process", "pid", "CPU", "%", "memory", "MB", "state"]
+                found = {row.split()[0]: row.split() for row in rows}
+                assert found.keys() == NODES | {"orchestrator", "launcher"}
+                children = {child.pid for child in psutil.Process(run.pid).children(recursive=True)}
+                assert {int(pid) for _, pid, *_ in found.values()} <= {run.pid, *children}
+                assert all(float(memory) > 1.0 for _, _, _, memory, _ in found.values())
                 run.send_signal(signal.SIGINT)
-                watching.communicate(timeout=60)
-            assert watching.returncode == 0
+                rest, _ = watching.communicate(timeout=60)
+            assert (watching.returncode, rest.splitlines()[-1:]) == (0, ["run: the run has ended"])
         finally:
             run.send_signal(signal.SIGINT)
             run.communicate(timeout=60)
-    over = top(folder, "--once")
-    text = f"error: {folder}: this run is over\n"
-    assert (over.returncode, over.stderr) == (2, text)
+    over = subprocess.run(watch, cwd=tmp_path, check=False, capture_output=True, text=True, timeout=60)
+    assert (over.returncode, over.stderr) == (2, "error: run: this run is over\n")
 
 
 ASKING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -111,8 +111,8 @@ def test_a_run_that_stalls_fails() -> None:
     scenario = builtin("pd_si_4", SHORT)
     nodes = nodes_in_process(scenario)
     del nodes[NodeName(NodeKind.CONTROLLER)]
-    with pytest.raises(RunError, match="the swarm stalls at step 0; missing: swarm/desired_abstract_state"):
-        list(Simulation(scenario, nodes.values()).steps(name="swarm"))
+    with pytest.raises(RunError, match="the run stalls at step 0; missing: swarm/desired_abstract_state"):
+        list(Simulation(scenario, nodes.values()).steps())
 
 
 def swarm(count: int, seed: int, *, controller: str = "pd") -> Scenario:

@@ -2,17 +2,13 @@
 
 import math
 import random
-import subprocess
-import sys
 from collections.abc import Callable
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
-from tests.processes import until
 from tests.swarmabs_bag.sample_run import make_run, make_step
 from tests.swarmabs_view.conftest import HELLO, told
 
@@ -24,7 +20,6 @@ from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_view import protocol
 from swarmabs_view.facts import Shading, regions
 from swarmabs_view.live import RATE_WINDOW, CurveBuffer, LiveSession, LiveView, StepRate
-from swarmabs_view.sources import ProcessWatch
 
 
 def view_of(steps: int = 0) -> LiveView:
@@ -244,19 +239,6 @@ def test_the_sets_follow_who_takes_part_and_nobody_waits_for_them() -> None:
     late = LiveSession(live)
     late.hello()
     assert told(late.poll(1.0), protocol.Sets) == [alone]
-
-
-def test_processes_are_watched_until_they_are_gone_and_not_mistaken() -> None:
-    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
-        watch = ProcessWatch({"child": child.pid, "nobody": 2**22 + 1})
-        until(lambda: watch.health().processes[0].state == "sleeping", "the child waits")
-        alive, nobody = watch.health().processes
-        assert (alive.name, alive.pid) == ("child", child.pid)
-        assert alive.memory == pytest.approx(psutil.Process(child.pid).memory_info().rss, rel=0.2)
-        assert (nobody.state, nobody.memory) == ("gone", None)
-        child.kill()
-        child.wait()
-        assert watch.health().processes[0].state == "gone"
 
 
 def point(step: int) -> Instant:

@@ -257,6 +257,20 @@ class Flood(Session):
         self.asked += 1
 
 
+@contextmanager
+def unread_page(port: int) -> Iterator[socket.socket]:
+    """Open the connection of a page that reads nothing and has room for little."""
+    with socket.socket() as page:
+        page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        page.connect(("127.0.0.1", port))
+        page.sendall(
+            f"GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nOrigin: http://127.0.0.1:{port}\r\n"
+            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+        )
+        yield page
+
+
 def test_a_page_that_does_not_read_gets_less_and_others_are_served_meanwhile() -> None:
     """However much it asks for: nothing more is made for it than the buffers of its connection hold."""
     sessions: list[Flood] = []
@@ -265,14 +279,7 @@ def test_a_page_that_does_not_read_gets_less_and_others_are_served_meanwhile() -
         sessions.append(Flood())
         return sessions[-1]
 
-    with serving(session) as view, socket.socket() as page:
-        page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        page.connect(("127.0.0.1", view.port))
-        page.sendall(
-            f"GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{view.port}\r\nOrigin: http://127.0.0.1:{view.port}\r\n"
-            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
-        )
+    with serving(session) as view, unread_page(view.port) as page:
         wish = b'{"v": 1, "type": "seek", "step": 3}'
         for _ in range(3000):
             page.sendall(struct.pack("!BB4x", 0x81, 0x80 | len(wish)) + wish)  # masked with zeros
@@ -292,14 +299,7 @@ def test_a_connection_without_a_whole_request_is_closed(said: bytes) -> None:
 
 
 def test_a_page_that_never_reads_is_closed_and_a_loaded_one_stays() -> None:
-    with serving(Flood, patience=0.2) as view, socket.socket() as page:
-        page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        page.connect(("127.0.0.1", view.port))
-        page.sendall(
-            f"GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{view.port}\r\nOrigin: http://127.0.0.1:{view.port}\r\n"
-            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
-        )
+    with serving(Flood, patience=0.2) as view, unread_page(view.port) as page:
         heard = asyncio.run(hear(view, PAUSE, last="state", count=80))
         assert len(heard) == 80, "longer than the patience"
         page.settimeout(20.0)

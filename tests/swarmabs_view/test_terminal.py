@@ -10,6 +10,7 @@ from rich.console import Console
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import find_scenario
+from swarmabs_run.processes import ProcessState
 from swarmabs_run.run import Progress
 from swarmabs_view.terminal import RunPanel
 
@@ -53,6 +54,20 @@ def test_numbers_and_what_is_asked_of_the_plane() -> None:
     assert line(lines, "events") == "step 1: robot 2 dead"
     assert "step 3: robot 2 dead" in lines[-2]
     assert line(drawn(progress(400, None)), "angle") == "+0.5000 rad"
+
+
+def test_the_load_of_the_processes_and_those_that_are_gone_are_shown() -> None:
+    panel = RunPanel(SCENARIO)
+    panel.take(progress(400), ONE_LINE)
+    loads = {"orchestrator": 1.4, "recorder": 20.0, "plane_sim": 30.0, "agent_001": 10.0, "agent_002": 0.0}
+    panel.processes = [ProcessState(name, 5, "sleeping", cpu, 10**6) for name, cpu in loads.items()]
+    panel.processes.append(ProcessState("agent_003", 6, "gone"))
+    console = Console(file=StringIO(), width=120)
+    with console.capture() as capture:
+        console.print(panel)
+    wanted = "6 with 61 % CPU, plane_sim 30 %, recorder 20 %, agent_001 10 %, gone: agent_003"
+    assert line(capture.get().splitlines(), "process") == wanted
+    assert not any(text[2:10].strip() == "process" for text in drawn(progress(400)))  # a simulation has none
 
 
 def test_every_robot_stands_at_its_place_in_its_lane() -> None:

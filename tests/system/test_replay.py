@@ -1,17 +1,17 @@
-"""Playback of a bag over DDS, by this project and by rosbag2, to a node that knows nothing of it.
-
-Replays of single nodes over DDS: `test_smoke`, and the command lines in `tests/frozen`.
-"""
+"""Playback of a bag over DDS, by this project and by rosbag2, to nodes that know nothing of it or are under test."""
 
 import os
+import shlex
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from tests.processes import until
+from tests.processes import SEARCH_PATH, until
 from tests.system.helpers import LONGEST, BagMessage, bag_messages, seconds, started_swarm, swarm
 from tests.system.realtime import Client, started_client
 
@@ -71,6 +71,39 @@ def test_playback_reaches_a_stock_node_with_the_recorded_qos(recorded: Path, ros
         assert offered["/swarm/events"] == [["RELIABLE", "TRANSIENT_LOCAL"]]
         heard = until_heard(client, [m for m in bag_messages(recorded) if m.step <= 80])
     assert done.summary()["messages"] == heard
+
+
+@pytest.mark.parametrize(("nodes", "gain"), [(("agent:1", "observer"), None), (("controller",), 20.0)])
+def test_nodes_under_test_that_are_started_by_hand_answer(
+    nodes: tuple[str, ...], gain: float | None, recorded: Path, ros_network: dict[str, str]
+) -> None:
+    """They are started by the commands that are printed; with the gains of the recording they answer the same."""
+    environment = os.environ | ros_network
+    named = [word for node in nodes for word in ("--node", node)]
+    with (
+        ExitStack() as stack,
+        started_swarm("replay", recorded, *named, "--expect-same", "--json", env=environment) as command,
+    ):
+        assert command.process.stderr is not None
+        lines: list[str] = []
+        while len(lines) < len(nodes):
+            line = command.process.stderr.readline()
+            assert line, "the playback has ended"
+            lines += [line] if line.startswith("  python -m ") else []
+        for line in lines:
+            _, *words = shlex.split(line)
+            words += [] if gain is None else ["-p", f"controller.gains:=[{gain}, 3.0]"]
+            process = stack.enter_context(subprocess.Popen([sys.executable, *words], env=environment | SEARCH_PATH))
+            stack.callback(process.kill)
+        done = command.wait()
+    found = done.summary()
+    states = {"controller": 91, "agent:1": 91, "observer": 2 * 91}
+    assert found["compared"] >= sum(states[node] for node in nodes)
+    assert (done.code, found["same"]) == ((0, True) if gain is None else (1, False)), done.err
+    if gain is not None:
+        first = found["first_difference"]
+        assert (first["step"], first["field"], first["replayed"]) == (0, "torque", pytest.approx(gain * 0.1, rel=1e-15))
+        assert {row["topic"] for row in found["deviations"]} == {"swarm/desired_abstract_state"}
 
 
 def test_playback_in_a_loop_ends_with_ctrl_c(recorded: Path, ros_network: dict[str, str]) -> None:

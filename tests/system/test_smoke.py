@@ -113,15 +113,11 @@ def test_the_bag_says_where_it_comes_from_and_can_run_again(finished: tuple[Path
     assert str(done.summary()["messages"]) in runs.swarm("info", folder, "--json").out
 
 
-def test_a_run_verifies_and_its_nodes_replay_over_dds(finished: tuple[Path, runs.Finished], tmp_path: Path) -> None:
+def test_a_run_verifies(finished: tuple[Path, runs.Finished]) -> None:
     folder, done = finished
     verdict = runs.swarm("verify", folder, "--json")
     assert (verdict.code, verdict.summary()["complete"]) == (0, True), verdict.out
-    words = ("--node", "observer", "--node", "agent:3", "--expect-same", "-o", tmp_path / "again", "--json")
-    again = runs.swarm("replay", folder, *words)
-    assert again.code == 0, again.err
-    replayed = runs.bag_digest(runs.bag_messages(tmp_path / "again"))
-    assert again.summary()["digest"] == done.summary()["digest"] == replayed
+    assert verdict.summary()["digest"] == done.summary()["digest"]
 
 
 FAULTS = "faults=[{at: 0.2, kind: kill, agent: 3}, {at: 0.3, kind: freeze, agent: 2}, {at: 0.4, kind: leave, agent: 1}]"

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from swarmabs_analysis.comparison.messages import side_by_side
-from swarmabs_analysis.replay.source import unplanned_end
 from swarmabs_bag.attached import (
     SCHEMA_VERSION,
     attached_provenance,
@@ -30,6 +29,7 @@ from swarmabs_config.scenario.steered import as_planned
 from swarmabs_core.errors import InputError
 from swarmabs_core.events import EventCode, code_of
 from swarmabs_core.fingerprint import libm_fingerprints
+from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.messages import EVENTS
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.recording import RecordedStep
     from swarmabs_config.scenario import AnyScenario
-    from swarmabs_core.membership import Change
+    from swarmabs_core.messages import SwarmEvent
     from swarmabs_run.run import Outcome
 
 _REPEATABLE = ("lockstep", "simulate")
@@ -180,13 +180,20 @@ def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Ite
                 f"{bag.path}: a setting was changed from outside at step {event.step} ({show(event.detail)}), "
                 f"which cannot be repeated; {_REMEDY}"
             )
-        end = unplanned_end(event)
+        end = _unplanned_end(event)
         if end is not None:
             ends.append(end)
             yield (
                 f"in the bag robot {event.agent_id} fell silent at step {event.step} and was dropped, "
                 "which is not part of the scenario: the repetition kills it at the step before"
             )
+
+
+def _unplanned_end(event: SwarmEvent) -> Change | None:
+    """Return the end of a robot if an event announces that it was dropped as silent."""
+    if code_of(event) is EventCode.SILENT:
+        return Change(event.step - 1, event.agent_id, ChangeKind.KILL)
+    return None
 
 
 def _differences(provenance: Mapping[str, Any], scenario: AnyScenario) -> Iterator[str]:

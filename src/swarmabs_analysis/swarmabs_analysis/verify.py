@@ -10,6 +10,7 @@ from swarmabs_analysis.verification.base import VerificationResult
 from swarmabs_analysis.verification.earlier import are_earlier
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_analysis.verification.realtime import RealtimeVerification
+from swarmabs_analysis.verification.trial import Trial
 from swarmabs_bag.attached import (
     PROVENANCE_FILE,
     SCENARIO_FILE,
@@ -36,12 +37,13 @@ from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.messages import EVENTS, STANDING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from swarmabs_analysis.verification.base import Verification
     from swarmabs_bag.reader import BagReader
     from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.nodes import NodeName
 
 DRIVERS = ("lockstep", "simulate", REALTIME.value)
 """The drivers, as recorded in the provenance, whose bags can be verified."""
@@ -78,8 +80,28 @@ class BagToVerify:
             )
         self._realtime = realtime_world(self._bag) if driver == REALTIME.value else None
 
-    def verify(self, tolerance: float = 0.0, on_step: Callable[[int], None] | None = None) -> VerificationResult:
-        """Verify the bag; damage does not raise but is part of the result.
+    def trial(self, nodes: Sequence[NodeName], overrides: Sequence[str] = ()) -> Trial:
+        """Return the trial of these nodes with changes of the scenario, each ``a.b=value``.
+
+        Raises
+        ------
+        InputError
+            As for `Trial`; or if the run was in real time, where answers depend on when messages arrive.
+        """
+        if self._realtime is not None:
+            raise InputError(
+                f"{self._bag.path} was recorded in real time: the answer of a node depends on when messages arrive, so "
+                "no node can be tested against it; leave out --node"
+            )
+        return Trial(nodes, overrides, attached_scenario(self._bag, overrides), self.scenario)
+
+    def verify(
+        self,
+        tolerance: float = 0.0,
+        on_step: Callable[[int], None] | None = None,
+        trial: Trial | None = None,
+    ) -> VerificationResult:
+        """Verify the bag, or in a `trial` only its nodes; damage does not raise but is part of the result.
 
         After each message or block of messages `on_step` receives the first step that is not verified yet.
         """
@@ -89,6 +111,7 @@ class BagToVerify:
                 tolerance=tolerance,
                 division=None if STANDING in self._bag.topics() else 0,
                 earlier=are_earlier(events_in(self._bag), self.scenario),
+                trial=trial,
             )
             if self._realtime is None
             else RealtimeVerification(on_plane(self.scenario, "real time"), self._realtime, tolerance=tolerance)

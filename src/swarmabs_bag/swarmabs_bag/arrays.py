@@ -47,7 +47,6 @@ def load_arrays(
     namespace: str | None = None,
     damaged: bool = False,
     stride: int = 1,
-    every: int | None = None,
 ) -> RunArrays | Any:  # SystemArrays if the parent system is not the plane
     """Load a bag: a run folder, its ``bag/``, or an MCAP file.
 
@@ -59,8 +58,6 @@ def load_arrays(
         Whether to load a bag without its end, as far as it can be read.
     stride : int
         Only steps that are multiples of it are loaded; the others need no memory. All events are loaded.
-    every : int, optional
-        Earlier name of `stride`.
 
     Raises
     ------
@@ -72,7 +69,7 @@ def load_arrays(
         If the bag is damaged, or a message violates its definition.
     """
     bag = open_bag(path, namespace=namespace, damaged=damaged)
-    return arrays_since(bag, load_messages(bag, stride=every or stride))[0]
+    return arrays_since(bag, load_messages(bag, stride=stride))[0]
 
 
 class LoadedMessages(NamedTuple):

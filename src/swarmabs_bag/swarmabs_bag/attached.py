@@ -67,7 +67,6 @@ def provenance(
     scenario: AnyScenario,
     *,
     driver: str,
-    replay: Mapping[str, object] | None = None,
     realtime: Mapping[str, object] | None = None,
     packed: bool = False,
     steered: bool = False,
@@ -78,8 +77,6 @@ def provenance(
     ----------
     driver : str
         What drove the state machines: ``lockstep``, ``simulate`` or ``realtime``.
-    replay : mapping, optional
-        Nodes and source bag of a replay.
     realtime : mapping, optional
         Mapping from time to steps, and the simulated parts, of a run in real time.
     packed : bool
@@ -99,8 +96,7 @@ def provenance(
     }
     if realtime is not None:
         own["realtime"] = dict(realtime)
-    own |= {name: True for name, holds in (("packed", packed), ("steered", steered)) if holds}
-    return own if replay is None else own | {"replay": dict(replay)}
+    return own | {name: True for name, holds in (("packed", packed), ("steered", steered)) if holds}
 
 
 def attachments(scenario: AnyScenario, made: Mapping[str, object]) -> dict[str, bytes]:

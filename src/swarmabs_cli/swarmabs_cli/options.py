@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from swarmabs_core.nodes import NodeName
+
 RUNS = Path("runs")
 """Parent of the folders of results that are not named by -o."""
 A_PATH = click.Path(path_type=Path)
@@ -88,6 +90,15 @@ def _check_quoted(_context: click.Context, _option: click.Parameter, texts: tupl
                 f"{text!r} has no closing '{end}'; put a value with spaces in quotes: --set '{path}={value[0]}...{end}'"
             )
     return texts
+
+
+def node_option(text: str) -> Decorator:
+    """Return the option ``--node``, given to the command as the parameter `nodes`."""
+    return click.option("--node", "nodes", multiple=True, metavar="NODE", help=text, callback=_nodes)
+
+
+def _nodes(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> tuple[NodeName, ...]:
+    return tuple(map(NodeName.parse, dict.fromkeys(texts)))
 
 
 def output_option(text: str, **settings: Any) -> Decorator:

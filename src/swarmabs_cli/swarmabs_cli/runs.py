@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console, RenderableType
+from rich.console import Console
 
 from swarmabs_bag.errors import remedy
 from swarmabs_bag.figures import tracking_of
 from swarmabs_bag.run_folder import RunFolder, Split
 from swarmabs_cli.options import COMMAND
-from swarmabs_cli.output import print_json, print_tables, print_warnings, results_folder
+from swarmabs_cli.output import print_json, print_warnings, results_folder
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import AnyScenario, Scenario, on_plane
 from swarmabs_config.scenarios import find_scenario, names_bag
@@ -164,12 +164,12 @@ def summed_up(
     """
     try:
         loading = since_start()
-        with shown_progress(scenario) as show:
+        with shown_progress(scenario, folder.path) as show:
             done = run(show)
             no_more_interrupts()
         told = dict(more(done))
         rerun: Any = told.get("rerun_of") or {}
-        outcome = done.judged(repeats="replay" in told or rerun.get("same") is True)
+        outcome = done.judged(repeats=rerun.get("same") is True)
         verdict = {"status": outcome.status, "reason": outcome.reason}
         summary = {**summarise(scenario, done, times(loading, done)), **verdict, **told}
         folder.write_summary(summary)
@@ -183,17 +183,15 @@ def print_summary(
     summary: Mapping[str, Any],
     folder: RunFolder,
     outcome: Outcome,
-    *tables: RenderableType,
+    *,
     as_json: bool,
 ) -> None:
-    """Print the summary of a run, further tables, and the reason if it failed."""
+    """Print the summary of a run, and the reason if it failed."""
     print_warnings(outcome.warnings)
     if as_json:
         print_json(summary)
     else:
         Console(soft_wrap=True, highlight=False).print(summary_table(summary, folder, tracking_of(scenario)))
-        if tables:
-            print_tables(*tables)
         if folder.bag.exists():
             click.echo(f"\n{COMMAND} view {folder.path} --open   # play the run in the browser")
             click.echo(f"{COMMAND} report {folder.path}   # write a report")

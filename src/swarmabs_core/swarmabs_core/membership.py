@@ -79,14 +79,6 @@ class Change:
             ) from None
 
 
-def with_ends(schedule: Iterable[Change], ends: Iterable[Change]) -> tuple[Change, ...]:
-    """Return the scheduled changes combined with unplanned ends, which replace the planned ends of their robots."""
-    unplanned = tuple(ends)
-    ended = {change.agent_id for change in unplanned}
-    kept = (change for change in schedule if change.kind is ChangeKind.JOIN or change.agent_id not in ended)
-    return tuple(sorted((*kept, *unplanned)))
-
-
 @dataclass(slots=True)
 class Span:
     """First and last step in which a robot publishes, and whether its weight stays on the plane afterwards.

@@ -13,9 +13,8 @@ from swarmabs_run.run import DEFAULTS, Outcome, Progress, RunOptions
 from swarmabs_run.simulation import simulated_steps
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
-    from swarmabs_bag.recording import Step
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_run.run import Phase
@@ -30,22 +29,16 @@ def simulate_run(scenario: AnyScenario, folder: RunFolder, options: RunOptions =
     with end_asked() as ended:  # entered before the bag is created, so that an interrupted bag is always completed
         bag = folder.bag if options.record else None
         recording = Recording(scenario, bag, driver="simulate", split=options.split)
-        steps = simulated_steps(scenario)
-        return record_steps(steps, scenario, recording, on_progress=options.on_progress, ended=ended)
+        return _recorded(scenario, recording, options.on_progress, ended)
 
 
-def record_steps(
-    steps: Iterator[Step],
+def _recorded(
     scenario: AnyScenario,
     recording: Recording,
-    *,
-    on_progress: Callable[[Progress], None] | None = None,
-    ended: Callable[[], bool] = lambda: False,
+    on_progress: Callable[[Progress], None] | None,
+    ended: Callable[[], bool],
 ) -> Outcome:
-    """Record steps that this process computes during iteration.
-
-    The recording is always completed, however the steps end; `ended` returns whether the end was requested before.
-    """
+    """Simulate and record; the recording is always completed, however the steps end."""
     begun = reported = time.monotonic()
 
     def report(phase: Phase, now: float) -> None:
@@ -56,18 +49,17 @@ def record_steps(
             on_progress(replace(done, robots=recording.summary()))
 
     try:
-        with end_asked() as asked:
-            for step in steps:
-                recording.add(step)
-                if asked() or ended():
-                    return Outcome("interrupted", "interrupted", recording.abort("interrupted"))
-                now = time.monotonic()
-                if now - reported >= _PROGRESS_INTERVAL:
-                    reported = now
-                    report("running", now)
-            stepping = time.monotonic() - begun
-            report("closing", begun + stepping)
-            figures = recording.close()
+        for step in simulated_steps(scenario):
+            recording.add(step)
+            if ended():
+                return Outcome("interrupted", "interrupted", recording.abort("interrupted"))
+            now = time.monotonic()
+            if now - reported >= _PROGRESS_INTERVAL:
+                reported = now
+                report("running", now)
+        stepping = time.monotonic() - begun
+        report("closing", begun + stepping)
+        figures = recording.close()
     except RunError as error:
         return Outcome("failed", str(error), recording.abort(str(error)))
     return Outcome("ok", None, figures, 0.0, stepping)

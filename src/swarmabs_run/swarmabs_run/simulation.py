@@ -20,7 +20,6 @@ from swarmabs_config.scenarios import as_override
 from swarmabs_core.arrays import RunArrays, RunEvent, run_arrays, run_event, table
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
 from swarmabs_core.errors import RunError
-from swarmabs_core.membership import with_ends
 from swarmabs_core.messages import PLANE_STATE, SYSTEM_FAMILY, TOPIC_OF
 from swarmabs_core.nodes import NodeKind, NodeName
 from swarmabs_core.record import Record
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.recording import RecordedStep, Step
     from swarmabs_core.behaviours import Behaviour
-    from swarmabs_core.membership import Change
     from swarmabs_core.messages import Message, Messages, Topic
     from swarmabs_core.models import AgentConfig, SystemAgentConfig
 
@@ -65,11 +63,11 @@ def nodes_in_process(scenario: AnyScenario, division: int | None = None) -> dict
         NodeName(NodeKind.CONTROLLER): _node(controller, CONTROLLER, also),
     }
     for config in configure.agent_configs(scenario):
-        nodes[NodeName(NodeKind.AGENT, config.agent_id)] = robot_in_process(config)
+        nodes[NodeName(NodeKind.AGENT, config.agent_id)] = _robot(config)
     return nodes
 
 
-def robot_in_process(config: AgentConfig | SystemAgentConfig) -> NodeInProcess:
+def _robot(config: AgentConfig | SystemAgentConfig) -> NodeInProcess:
     """Return the node of a robot."""
     agent = Agent(config)
     feeling = {Option.FEELING} if PLANE_STATE in agent.needs else set()
@@ -124,45 +122,38 @@ class Network:
 
 
 class Simulation:
-    """Nodes connected by a queue: those of a scenario, or some of them with substitutes for the others.
+    """The nodes of a scenario, connected by a queue.
 
-    The nodes start and answer in the given order; the default is all nodes of the scenario. `ends` adds ends of robots
-    that the scenario does not plan; `division` is as for `nodes_in_process`.
+    The nodes start and answer in the given order, by default that of `nodes_in_process`; `division` is as for that.
     """
 
     def __init__(
         self,
         scenario: AnyScenario,
         nodes: Iterable[NodeInProcess] | None = None,
-        ends: Iterable[Change] = (),
         division: int | None = None,
     ) -> None:
         self._network = Network(nodes_in_process(scenario, division).values() if nodes is None else nodes)
-        schedule = with_ends(configure.schedule(scenario), ends)
         self._collector = RunCollector(
             configure.members(scenario),
-            schedule,
+            configure.schedule(scenario),
             scenario.steps,
             memory=2,
             division=configure.division(scenario) if division is None else division,
             family=scenario.family,
         )
 
-    def steps(self, on_idle: Callable[[], Messages] = tuple, name: str = "run") -> Iterator[RecordedStep]:
+    def steps(self) -> Iterator[RecordedStep]:
         """Run, and yield every step as a bag would hold it.
 
-        When no messages are pending, `on_idle` supplies the next ones; if it returns none, the run ends. Raises
-        `RunError` if the run fails, such as when the plane turns over, or stalls; `name` names the run in that error.
+        Raises `RunError` if the run fails, such as when the plane turns over, or stalls.
         """
-        network = self._network
-        network.start()
-        while network.pending:
-            for message in network.deliver():
-                yield from self._collector.add(Record.of(message))
-            network.pending.extend(on_idle())
+        self._network.start()
+        for message in self._network.deliver():
+            yield from self._collector.add(Record.of(message))
         if not self._collector.finished:
             missing = ", ".join(self._collector.missing())
-            raise RunError(f"the {name} stalls at step {self._collector.step}; missing: {missing}")
+            raise RunError(f"the run stalls at step {self._collector.step}; missing: {missing}")
 
 
 def simulated_steps(scenario: AnyScenario) -> Iterator[Step]:

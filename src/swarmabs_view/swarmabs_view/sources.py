@@ -15,8 +15,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import psutil
-
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.recorded_swarm import read_swarm
 from swarmabs_bag.run_folder import RunFolder
@@ -30,6 +28,7 @@ from swarmabs_run.orchestration.run_files import (
     read_processes,
     read_progress,
 )
+from swarmabs_run.processes import ProcessMonitor
 from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
 from swarmabs_view.live import MOST_PLACES, MOST_POINTS, LiveSession, LiveView
@@ -64,39 +63,6 @@ NICENESS = 5
 """Lower priority than that of the run, for machines with few cores."""
 SUMMARY_SECONDS = 10.0
 """Time within which a run must write its summary after its orchestrator has ended, s."""
-
-
-class ProcessWatch:
-    """State of the processes of a run, from the operating system.
-
-    A process id that was reused by another process counts as gone.
-    """
-
-    def __init__(self, processes: Mapping[str, int]) -> None:
-        self._pids = dict(processes)
-        self._watched: dict[str, psutil.Process] = {}
-        for name, pid in self._pids.items():
-            try:
-                watched = psutil.Process(pid)
-                watched.cpu_percent(None)  # the first call starts the measurement
-            except psutil.Error:
-                continue
-            self._watched[name] = watched
-
-    def health(self) -> Health:
-        """Return the state of the processes, with the processor time since the last call."""
-        return Health(processes=[self._one(name, pid) for name, pid in self._pids.items()])
-
-    def _one(self, name: str, pid: int) -> Process:
-        watched = self._watched.get(name)
-        try:
-            if watched is not None and watched.is_running():
-                with watched.oneshot():
-                    state, cpu, memory = watched.status(), watched.cpu_percent(None), watched.memory_info().rss
-                return Process(name=name, pid=pid, state=str(state), cpu=cpu, memory=memory)
-        except psutil.Error:
-            self._watched.pop(name, None)
-        return Process(name=name, pid=pid, state="gone", cpu=None, memory=None)
 
 
 class RunView:
@@ -190,9 +156,10 @@ class RunView:
         )
 
     async def _watch(self, processes: Mapping[str, int]) -> None:
-        watch = ProcessWatch(processes)
+        monitor = ProcessMonitor(processes)
         while True:
-            self._live.health = await asyncio.to_thread(watch.health)
+            states = await asyncio.to_thread(monitor.states)
+            self._live.health = Health(processes=[Process(**state._asdict()) for state in states])
             await asyncio.sleep(HEALTH_INTERVAL)
 
     async def _pause(self) -> None:

@@ -1,4 +1,4 @@
-"""Progress of a run: a panel that is redrawn on a terminal, or periodic lines elsewhere."""
+"""A run on a terminal: its progress and its processes, redrawn in place, or periodic lines elsewhere."""
 
 from __future__ import annotations
 
@@ -14,22 +14,31 @@ from rich import box
 from rich.console import Console, Group
 from rich.live import Live
 from rich.panel import Panel
+from rich.table import Table
 from rich.text import Text
 
 from swarmabs_bag.figures import tracking_of
 from swarmabs_bag.recorder.swarm_summary import LETTERS, THOUSAND
+from swarmabs_config.graph import SILENCE
+from swarmabs_run.orchestration.run_files import RunOverError, is_running, read_processes, read_progress
+from swarmabs_run.processes import GONE, ProcessMonitor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
 
     from rich.console import ConsoleOptions, RenderResult
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_config.scenario import AnyScenario
+    from swarmabs_run.processes import ProcessState
     from swarmabs_run.run import Progress
 
 _TERMINAL_INTERVAL, _LINE_INTERVAL = 0.2, 5.0
 """Time between two updates of the panel, and between two lines, s."""
+PROCESS_INTERVAL = 2.0
+"""Time between two queries of the processes, s."""
+_BUSIEST = 3
 LEAST_WIDTH, LEAST_HEIGHT = 50, 9
 """Smaller terminals get a single line."""
 WIDEST = 100
@@ -65,8 +74,11 @@ class ProgressDisplay(Protocol):
 
 
 @contextmanager
-def shown_progress(scenario: AnyScenario) -> Iterator[ProgressDisplay]:
-    """Show the progress of a run on standard error inside the block; pass it to the yielded display."""
+def shown_progress(scenario: AnyScenario, folder: Path | None = None) -> Iterator[ProgressDisplay]:
+    """Show the progress of a run on standard error inside the block; pass it to the yielded display.
+
+    The panel also shows the processes of the run, if it has any and its folder is given.
+    """
     console = Console(stderr=True, highlight=False)
     if not sys.stderr.isatty() or console.is_dumb_terminal:  # such a terminal cannot move the cursor back
         yield _Lines(scenario)
@@ -74,7 +86,92 @@ def shown_progress(scenario: AnyScenario) -> Iterator[ProgressDisplay]:
     panel = RunPanel(scenario)
     # Drawn by the display itself, not by a thread, because this process forks the launcher.
     with Live(panel, console=console, auto_refresh=False, transient=True) as live:
-        yield _Terminal(scenario, panel, live)
+        yield _Terminal(scenario, panel, live, folder)
+
+
+def watch_run(folder: Path) -> None:
+    """Show progress and processes of a run that another command has started, on standard output until the run ends.
+
+    Raises
+    ------
+    InputError
+        If the folder is not that of a run in progress.
+    """
+    if not is_running(folder):
+        raise RunOverError(folder)
+    console = Console(highlight=False)
+    table = ProcessTable(folder)
+    if not console.is_terminal or console.is_dumb_terminal:
+        while _wait(folder, _LINE_INTERVAL):
+            table.update(time.monotonic())
+            console.print(table)
+    else:
+        with Live(table, console=console, auto_refresh=False, transient=True) as live:
+            while _wait(folder, PROCESS_INTERVAL):
+                table.update(time.monotonic())
+                live.refresh()
+    console.print(f"{folder}: the run has ended", markup=False)
+
+
+def _wait(folder: Path, seconds: float) -> bool:
+    """Wait until the time, s, is over or the run has ended; return whether it is still running."""
+    deadline = time.monotonic() + seconds
+    while is_running(folder):
+        left = deadline - time.monotonic()
+        if left <= 0.0:
+            return True
+        time.sleep(min(left, _TERMINAL_INTERVAL))
+    return False
+
+
+class Processes:
+    """The processes of the run in a folder, from the time on at which all are ready."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._monitor: ProcessMonitor | None = None
+
+    def states(self) -> list[ProcessState]:
+        """Return the state of each process, none if they are not ready or the run has none."""
+        if self._monitor is None:
+            pids = read_processes(self._folder)
+            if pids is None:
+                return []
+            self._monitor = ProcessMonitor(pids)
+        return self._monitor.states()
+
+
+class ProcessTable:
+    """Renders progress and processes of the run in a folder; it has no clock and does not print."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._processes = Processes(folder)
+        self._states: list[ProcessState] = []
+        self._title = f"{folder}: starting"
+
+    def update(self, now: float) -> None:
+        """Read progress and processes at a time (s, monotonic); processor time counts from the previous update."""
+        self._states = self._processes.states()
+        progress = read_progress(self._folder / "logs")
+        if progress is not None:
+            rate = progress.step_rate if now - progress.told_at < SILENCE else None
+            speed = "" if rate is None else f", {rate:.0f} steps/s"
+            self._title = f"{self._folder}: {progress.phase}, step {progress.step} of {progress.steps}{speed}"
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Draw a title, and a row for each process."""
+        yield Text(self._title, style="bold")
+        table = Table(box=None, pad_edge=False)
+        table.add_column("process", no_wrap=True)
+        for name in ("pid", "CPU %", "memory MB"):
+            table.add_column(name, justify="right", no_wrap=True)
+        table.add_column("state", no_wrap=True)
+        for row in self._states:
+            cpu = "" if row.cpu is None else f"{row.cpu:.1f}"
+            memory = "" if row.memory is None else f"{row.memory / 1e6:.1f}"
+            table.add_row(Text(row.name), str(row.pid), cpu, memory, row.state)
+        yield table
 
 
 def describe(progress: Progress, scenario: AnyScenario) -> str:
@@ -96,16 +193,20 @@ def describe(progress: Progress, scenario: AnyScenario) -> str:
 
 
 class _Terminal:
-    def __init__(self, scenario: AnyScenario, panel: RunPanel, live: Live) -> None:
+    def __init__(self, scenario: AnyScenario, panel: RunPanel, live: Live, folder: Path | None) -> None:
         self._scenario, self._panel, self._live = scenario, panel, live
+        self._processes = None if folder is None else Processes(folder)
         self._news = Warnings().of
-        self._shown = 0.0
+        self._shown = self._asked = 0.0
 
     def __call__(self, progress: Progress) -> None:
         self.warn(self._news(progress))
         now = time.monotonic()
         if now - self._shown >= _TERMINAL_INTERVAL:
             self._shown = now
+            if self._processes is not None and progress.phase == "running" and now - self._asked >= PROCESS_INTERVAL:
+                self._asked = now
+                self._panel.processes = self._processes.states()
             self._panel.take(progress, describe(progress, self._scenario))
             self._live.refresh()
 
@@ -146,12 +247,19 @@ class Warnings:
 
 
 class RunPanel:
-    """Renders a run as a panel, or as one line in little space; it has no clock and does not print."""
+    """Renders a run as a panel, or as one line in little space; it has no clock and does not print.
+
+    Attributes
+    ----------
+    processes : list of ProcessState
+        The processes of the run; empty if it has none.
+    """
 
     def __init__(self, scenario: AnyScenario) -> None:
         self._scenario = scenario
         self._tracking = tracking_of(scenario)
         self._kinds = {agent.id: agent.kind for agent in scenario.agents}
+        self.processes: list[ProcessState] = []
         self._errors: list[float | None] = [None] * _BINS
         self._progress: Progress | None = None
         self._line = f"{scenario.name}: starting"
@@ -188,6 +296,8 @@ class RunPanel:
             _line("error", self._sparkline(width - _LABEL - 12, progress, ascii_only=ascii_only)),
             _line("speed", self._speed(progress)),
         ]
+        if self.processes:
+            lines.append(_line("process", _load(self.processes)))
         seen = progress.robots
         if seen is not None:
             lines.append(_line("robots", _counts(seen)))
@@ -289,6 +399,16 @@ class RunPanel:
 
 def _line(label: str, content: Text) -> Text:
     return Text.assemble((f"{label[: _LABEL - 1]:<{_LABEL}}", "bold"), content, no_wrap=True, overflow="ellipsis")
+
+
+def _load(processes: Sequence[ProcessState]) -> Text:
+    """Describe how many processes there are, their load, the busiest of them, and those that are gone."""
+    busiest = sorted((one for one in processes if one.cpu), key=lambda one: -(one.cpu or 0.0))[:_BUSIEST]
+    load = sum(one.cpu or 0.0 for one in processes)
+    parts = [f"{len(processes)} with {load:.0f} % CPU", *(f"{one.name} {one.cpu:.0f} %" for one in busiest)]
+    text = Text(", ".join(parts))
+    gone = [one.name for one in processes if one.state == GONE]
+    return text.append(f", gone: {', '.join(gone)}", style="red") if gone else text
 
 
 def _counts(seen: SwarmSummary) -> Text:

@@ -1,4 +1,4 @@
-"""Terminal tables of the differences of two bags, or of a replay and its recording."""
+"""Terminal tables of the differences of two bags, or of nodes under test and their recording."""
 
 from __future__ import annotations
 
@@ -146,6 +146,12 @@ def _named(topic: str, field: str, system: SystemTables | None) -> str:
     return _shown(f"{field} {named[index].name}, {named[index].unit}") if index < len(named) else field
 
 
+def deviation_table(rows: Iterable[Mapping[str, Any]]) -> ResponsiveTable:
+    """Return a table of the deviations of the nodes under test from a recording; see `_deviations`."""
+    columns = {"differing": "differ", "largest": "largest", "step": "at step", "agent": "robot"}
+    return _deviations(rows, columns)
+
+
 def _deviations(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> ResponsiveTable:
     """Return the deviations of fields, grouped by topic.
 
@@ -205,29 +211,3 @@ def _value(value: Any, missing: bool) -> str:  # noqa: FBT001 - private, called 
 def _shown(text: str) -> str:
     """Return text from a file, safe for the terminal."""
     return escape(printable(shorten(text, 200)))
-
-
-def replay_parts(result: Mapping[str, Any]) -> tuple[RenderableType, ...]:
-    """Return the result of a replay: that it is the same, or the first difference and the deviation of each field."""
-    compared = f"{', '.join(result['nodes'])}: {result['compared']} messages compared with the recording"
-    if result["same"]:
-        return (Text(f"{compared}; same digest"),)
-    first = result["first_difference"]
-    if first is None:
-        return (Text(f"{compared}; no difference"),)
-    robot = f" of robot {first['agent']}" if first["agent"] else ""
-    text = (
-        f"{compared}; first difference: step {first['step']}, {first['topic']}{robot}, {_changed(first)}\n"
-        "open loop: these are the answers of the nodes to the recorded messages; no other node reacts to them"
-    )
-    columns = {"differing": "differ", "largest": "largest", "step": "at step", "agent": "robot"}
-    return Text(text), _deviations(result["deviations"], columns)
-
-
-def _changed(first: Mapping[str, Any]) -> str:
-    """Describe how a message differs."""
-    if first["replayed"] is None:
-        return "the message is missing in the replay"
-    if first["recorded"] is None:
-        return "the message is missing in the recording"
-    return f"{first['field']} is {first['replayed']!r}, was {first['recorded']!r}"

@@ -1,9 +1,10 @@
-"""Playback of a bag: each message at its time, with its recorded bytes and QoS."""
+"""Playback of a bag: each message, but those of nodes under test, at its time, with its recorded bytes and QoS."""
 
 from __future__ import annotations
 
 import importlib
 import time
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -22,8 +23,11 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from swarmabs_bag.errors import UnknownTypeError
 from swarmabs_bag.metadata import load_yaml
 from swarmabs_bag.schemas import message_schema
+from swarmabs_config.graph import requested
 from swarmabs_config.model.errors import printable, shorten, show
-from swarmabs_core.errors import InputError
+from swarmabs_core.cdr import decode
+from swarmabs_core.errors import InputError, RunError
+from swarmabs_ros.endpoints import receiver
 from swarmabs_ros.start import SwarmNode, initialise
 
 if TYPE_CHECKING:
@@ -32,16 +36,24 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.publisher import Publisher
 
+    from swarmabs_analysis.replay.answers import Answers
     from swarmabs_bag.metadata import BagChannel
     from swarmabs_bag.reader import BagReader
+    from swarmabs_bag.records import StoredMessage
 
 SLICE = 0.1
 """Longest time between two checks whether the playback must end, s."""
 ACKNOWLEDGED = 2.0
 """Time that reliable readers have at the end to acknowledge messages, s."""
+PATIENCE = 30.0
+"""Longest time for an answer of nodes under test that have answered before, s."""
+REPEATED = 1.0
+"""Time without an answer of nodes under test after which the last messages are published again, s."""
 USUAL_QOS = 10
 """Depth of the QoS used if the bag gives none: reliable, volatile."""
 NAME = "replay"
+_DEPTH = 1000
+"""Messages of a topic of nodes under test that are kept until they are read."""
 _LONGEST_NAME = 100
 _MOST_NAMED = 5
 _POLICIES = {
@@ -63,8 +75,8 @@ T = TypeVar("T")
 class Pace:
     """The part of a bag to play, and how fast and often.
 
-    The rate is recorded time per real time; `start` (s) counts from the first message, `duration` (s) is recorded time,
-    by default all of it; with `loop` the playback repeats endlessly.
+    The rate, which may be infinite, is recorded time per real time; `start` (s) counts from the first message,
+    `duration` (s) is recorded time, by default all of it; with `loop` the playback repeats endlessly.
     """
 
     rate: float = 1.0
@@ -190,41 +202,52 @@ def play(
     topics: Collection[Playable],
     pace: Pace,
     *,
+    answers: Answers | None = None,
     wait: bool = False,
     asked_to_end: Callable[[], bool] = lambda: False,
 ) -> int:
     """Publish the messages of a bag, each at its time, and return their number.
 
-    With `wait` the playback starts when every topic has a reader; it ends early when `asked_to_end` returns True.
+    With `answers`, those of nodes under test are left out, and no later message is published before the nodes have
+    published theirs. With `wait` the playback starts when every topic has a reader; it ends early when `asked_to_end`
+    returns True.
 
     Raises
     ------
     DamagedBagError
         If the bag is damaged; everything before the damage has been published.
+    RunError
+        If nodes under test do not answer any more.
     """
-    initialise(NAME, ["--ros-args", "--disable-external-lib-logs"])
+    initialise(NAME, ["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={_namespace(bag)}"])
     node: Node = SwarmNode(NAME)
     try:
         publishers = {
             topic.channel: node.create_publisher(topic.message_class, topic.channel.name, topic.qos) for topic in topics
         }
+        tested = None if answers is None else _NodesUnderTest(node, bag, answers)
 
-        def read() -> Iterator[tuple[int, tuple[Publisher, bytes]]]:
-            for channel, message in bag.stored_messages():
-                if (publisher := publishers.get(channel)) is not None:
-                    yield message.log_time, (publisher, message.payload)
+        def read() -> Iterator[tuple[int, tuple[BagChannel, StoredMessage]]]:
+            for channel, message in bag.stored_messages() if answers is None else answers.in_causal_order(bag):
+                if channel in publishers or (answers is not None and channel.topic in answers.topics):
+                    yield message.log_time, (channel, message)
 
         while wait and not asked_to_end() and not all(p.get_subscription_count() for p in publishers.values()):
             time.sleep(SLICE / 5.0)
         count = 0
         begun = time.monotonic()
-        for due, (publisher, payload) in pace.schedule(bag.start, read):
+        for due, (channel, message) in pace.schedule(bag.start, read):
             while (left := begun + due - time.monotonic()) > 0.0 and not asked_to_end():
                 time.sleep(min(left, SLICE))
             if asked_to_end():
                 break
-            publisher.publish(payload)
+            if tested is not None and tested.publish(channel, message):
+                tested.wait(asked_to_end)
+                continue
+            publishers[channel].publish(message.payload)
             count += 1
+            if tested is not None:
+                tested.played(message.log_time, publishers[channel], message.payload)
         if not asked_to_end():
             for publisher in publishers.values():
                 publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
@@ -232,6 +255,73 @@ def play(
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _namespace(bag: BagReader) -> str:
+    """Return the namespace of the swarm that is read."""
+    return (bag.namespace or "/").rstrip("/") or "/"
+
+
+class _NodesUnderTest:
+    """Waits for what nodes under test publish, and repeats the last messages if a node does not answer.
+
+    A node may have started after its messages were published; messages are numbered, so it ignores repetitions.
+    """
+
+    def __init__(self, node: Node, bag: BagReader, answers: Answers) -> None:
+        self._bag = bag
+        self._answers = answers
+        subscriptions = {topic: requested(topic, depth=_DEPTH, reliable=True) for topic in answers.topics}
+        self._receiver = receiver(node, subscriptions, "wait_set")
+        self._recent: deque[tuple[int, Publisher, bytes]] = deque()
+        self._times: deque[int] = deque(maxlen=2)
+        self._answered = False
+
+    def publish(self, channel: BagChannel, message: StoredMessage) -> bool:
+        """Return whether nodes under test publish a recorded message; errors as for `BagReader.decode`."""
+        topic = channel.topic
+        return topic is not None and any(
+            self._answers.replaces(decoded)
+            for _, _, decoded in self._bag.decode([(topic, message.log_time, message.payload)])
+        )
+
+    def played(self, log_time: int, publisher: Publisher, payload: bytes) -> None:
+        """Keep a message that was played, until those of the second next step are."""
+        if not self._times or log_time != self._times[-1]:
+            self._times.append(log_time)
+            while self._recent and self._recent[0][0] < self._times[0]:
+                self._recent.popleft()
+        self._recent.append((log_time, publisher, payload))
+
+    def wait(self, asked_to_end: Callable[[], bool]) -> None:
+        """Wait until the nodes have published what is expected; the first time this may take as long as it takes.
+
+        Raises
+        ------
+        RunError
+            If they do not answer any more.
+        """
+        since = repeated = time.monotonic()
+        while self._lacking() and not asked_to_end():
+            self._receiver.wait(self._answers.topics, SLICE)
+            now = time.monotonic()
+            if self._answered and now - since > PATIENCE:
+                raise RunError(
+                    f"no answer for {PATIENCE:g} s: {self._answers.missing()[0]} is missing; see the log of its node"
+                )
+            if now - repeated > REPEATED:
+                repeated = now
+                for _, publisher, payload in self._recent:
+                    publisher.publish(payload)
+
+    def _lacking(self) -> bool:
+        """Process what has arrived; return whether something expected is missing."""
+        for topic in self._answers.topics:
+            while (data := self._receiver.take(topic)) is not None:
+                self._answers.hear(decode(topic.message, data))
+        lacking = bool(self._answers.missing())
+        self._answered = self._answered or not lacking
+        return lacking
 
 
 def recorded_profiles(text: str) -> list[QoSProfile]:

@@ -56,6 +56,8 @@ class VerificationResult:
         For a run in real time, what repairs could not recover of its bag; which messages that was is not known.
     second_senders : dict
         For a run in real time, the first and the last step in which a second sender spoke, by what it spoke for.
+    trial : dict
+        For a trial of nodes, these, the overrides and the deviations; `messages` are then those that were compared.
     """
 
     bag: str = ""
@@ -72,6 +74,7 @@ class VerificationResult:
     not_checkable: Counter[str] = field(default_factory=Counter)
     lost: str | None = None
     second_senders: dict[str, tuple[int, int]] = field(default_factory=dict)
+    trial: dict[str, Any] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
@@ -104,6 +107,7 @@ class VerificationResult:
             "not_checkable": dict(self.not_checkable.most_common()),
             "lost": self.lost,
             "second_senders": {of: list(steps) for of, steps in self.second_senders.items()},
+            **self.trial,
         }
 
 

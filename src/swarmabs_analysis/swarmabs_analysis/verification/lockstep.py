@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
 
     from swarmabs_analysis.verification.base import Finding
+    from swarmabs_analysis.verification.trial import Trial
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.messages import Message, Messages
 
@@ -125,7 +126,8 @@ class LockstepVerification(Verification):
     """Verifies a run in lockstep, where the step of a message determines its inputs: all messages of that step.
 
     The `division` is that of the recorded nodes, by default that of the scenario. `earlier` tells whether its events
-    are those of a version before the ranges of coordinates; see `are_earlier`.
+    are those of a version before the ranges of coordinates; see `are_earlier`. With a `trial` its nodes are compared
+    with the recording to the end, and all other messages are taken as they are.
     """
 
     def __init__(
@@ -135,8 +137,10 @@ class LockstepVerification(Verification):
         tolerance: float = 0.0,
         division: int | None = None,
         earlier: bool = False,
+        trial: Trial | None = None,
     ) -> None:
         super().__init__(tolerance, scenario.step_ns)
+        self._trial = trial
         self.found.expected_steps = scenario.steps + 1
         self._scenario = scenario
         family = scenario.family
@@ -151,6 +155,8 @@ class LockstepVerification(Verification):
             config = configure.parent_config(scenario)
             parent = Parent(config, EarlierEnds(config.coordinates))
             self._nodes[PARENT] = self._nodes[PARENT]._replace(behaviour=parent)
+        if trial is not None:
+            self._nodes |= trial.in_process(self._division)
         self._expected: dict[Topic, dict[int, Message]] = {}
         self._told: dict[int, dict[bytes, SwarmEvent]] = {}
         self._late: dict[bytes, SwarmEvent] = {}
@@ -158,7 +164,7 @@ class LockstepVerification(Verification):
         self._failure = ""  # why the run could not continue, if the bag shows it
         self._ended = False
         self._recomputation: BlockRecomputation | None = None
-        if isinstance(scenario, Scenario) and on_columns(scenario) and not tolerance:
+        if isinstance(scenario, Scenario) and on_columns(scenario) and not tolerance and trial is None:
             self._recomputation = BlockRecomputation(scenario, self._nodes)
         self._held: Block | None = None  # the last step of the blocks so far: late events may belong to it
         self._before: Block | RecordedStep | None = None  # the last verified step
@@ -287,6 +293,11 @@ class LockstepVerification(Verification):
             if known is None or known.step is None or first.step < known.step:
                 found.difference = missing(first)
         found.digest = self._digest.hexdigest()
+        if self._trial is not None:
+            compared = self._trial.finish()
+            found.messages = sum(topic.compared for topic in compared.topics)
+            found.difference = found.difference or compared.first
+            found.trial = self._trial.to_dict()
 
     def _ready(self, newest: int) -> bool:
         """Return whether all messages of the step are present, or can no longer follow those of a newest step."""
@@ -309,6 +320,8 @@ class LockstepVerification(Verification):
 
     def _take_late(self, found: Record | Difference, step: int) -> None:
         """Handle a message of a step that was already judged: only an event may be that late."""
+        if self._trial is not None and isinstance(found, Record) and found.topic is EVENTS:
+            return
         if isinstance(found, Record) and found.payload in self._late and self._is(found, self._late[found.payload]):
             del self._late[found.payload]
             self.found.messages += 1
@@ -317,6 +330,9 @@ class LockstepVerification(Verification):
 
     def _differs(self, stored: Record, expected: Message) -> Difference | None:
         """Compare a message; its log time must be that of its step, regardless of the robot's clock."""
+        if self._trial is not None:
+            self._trial.compare(stored, expected)
+            return None
         return judge(stored, expected, self.found.tolerance, expected.step * self._scenario.step_ns)
 
     def _is(self, stored: Record, expected: Message) -> bool:
@@ -340,7 +356,11 @@ class LockstepVerification(Verification):
     def _connect(self) -> dict[Topic, list[Callable[[Message], Messages]]]:
         """Return the handlers of the state machines by topic, in the order in which they answer."""
         blocks = self._recomputation
-        nodes = {name: node.behaviour.handle for name, node in self._nodes.items()}
+        nodes: dict[NodeName, Callable[[Message], Messages]] = {
+            name: node.behaviour.handle for name, node in self._nodes.items()
+        }
+        if self._trial is not None:
+            nodes = {name: self._trial.hearing(name, handle) for name, handle in nodes.items()}
         if blocks is not None:
             nodes[CONTROLLER] = blocks.control
         return {
@@ -415,8 +435,10 @@ class LockstepVerification(Verification):
         return whole
 
     def _events(self, slot: Slot) -> Iterator[Finding]:
-        """Yield the findings on the events of the step; missing ones may still follow."""
+        """Yield the findings on the events of the step; missing ones may still follow. A trial compares none."""
         expected = self._told.pop(self.step, {})
+        if self._trial is not None:
+            return
         others = []
         for stored in slot.get(EVENTS):
             event = expected.get(stored.payload)

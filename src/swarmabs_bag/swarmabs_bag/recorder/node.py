@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from functools import partial
@@ -18,7 +17,6 @@ from swarmabs_config.scenario import SystemScenario, load_scenario
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import InputError
-from swarmabs_core.membership import Change, with_ends
 from swarmabs_core.messages import (
     EVENTS,
     NEVER,
@@ -42,7 +40,7 @@ from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from swarmabs_bag.blocks import Block
     from swarmabs_bag.recorder.recording import RealtimeRecording
@@ -66,15 +64,6 @@ BATCH = 0.25, 0.5
 
 PARAMETERS = (
     *COMMON,
-    Parameter("replay", "", "description of the replay as JSON for the provenance; empty: not a replay"),
-    Parameter("ends", (), "ends of robots that the replayed run's scenario does not plan, each 'KIND AGENT STEP'"),
-    Parameter(
-        "division",
-        -1,
-        "number of steps from a change on in which the observer of the replayed run tells how the abstract state "
-        "divides; -1: that of the scenario",
-        minimum=-1,
-    ),
     PACKED,
     STEERED,
 )
@@ -145,16 +134,12 @@ class Recorder:
     ----------
     on_step : callable
         Receives the numbers of the steps that were recorded.
-    ends : iterable of Change
-        Ends of robots that the scenario does not plan.
     packed : bool
         Whether it receives the robots' states as one message per step.
     steered : bool
         Whether the run is steerable.
     on_events : callable, optional
         Receives the events that were recorded.
-    division : int, optional
-        As for `RunCollector`, by default that of the scenario.
     """
 
     def __init__(
@@ -162,25 +147,22 @@ class Recorder:
         scenario: AnyScenario,
         recording: Recording,
         on_step: Callable[[range], None],
-        ends: Iterable[Change] = (),
         *,
         packed: bool = False,
         steered: bool = False,
         on_events: Callable[[Sequence[SwarmEvent]], None] = lambda _: None,
-        division: int | None = None,
     ) -> None:
         self._period_ns = scenario.step_ns
         self._recording = recording
         self._on_step, self._on_events = on_step, on_events
-        schedule = with_ends(configure.schedule(scenario), ends)
         family = scenario.family
         self._collector = RunCollector(
             configure.members(scenario),
-            schedule,
+            configure.schedule(scenario),
             scenario.steps,
             steered=steered,
             drops=scenario.lockstep.on_stall == "drop",
-            division=configure.division(scenario) if division is None else division,
+            division=configure.division(scenario),
             family=family,
             system=scenario.named.hash if isinstance(scenario, SystemScenario) else None,
         )
@@ -295,20 +277,16 @@ class Recorder:
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     """Return the behaviour, the endpoints, and the functions called on idle and on exit."""
     scenario = scenario_of(settings)
-    bag, replay = settings.text("bag"), settings.text("replay")
+    bag = settings.text("bag")
     packed, steered = settings.flag(PACKED.name), settings.flag(STEERED.name)
-    told = settings.integer("division")
-    division = None if told < 0 else told
     recording = Recording(
         scenario,
         Path(bag) if bag else None,
         driver="lockstep",
         namespace=settings.namespace,
         split=split_of(settings),
-        replay=json.loads(replay) if replay else None,
         packed=packed,
         steered=steered,
-        division=division,
     )
     reporter = Reporter(recording, status, settings.text("logs"))
     planned = {change.step for change in configure.schedule(scenario)}
@@ -316,16 +294,13 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     def report(steps: range) -> None:
         reporter.progress(at_once=not planned.isdisjoint(steps) or steps.stop > scenario.steps)
 
-    ends = [Change.parse(text) for text in settings.texts("ends")]
     recorder = Recorder(
         scenario,
         recording,
         report,
-        ends,
         packed=packed,
         steered=steered,
         on_events=partial(send_events, status, "recorded"),
-        division=division,
     )
     return NodeSpec(
         recorder,

@@ -75,12 +75,10 @@ class Recording(_Recording[RunFigures]):
     ----------
     folder : Path, optional
         Folder of the bag; None if only figures are needed.
-    driver, replay, packed, steered
+    driver, packed, steered
         As for `swarmabs_bag.attached.provenance`.
     namespace, split
         As for `BagWriter`.
-    division : int, optional
-        As for `swarmabs_bag.collector.RunCollector`, by default that of the scenario.
 
     Raises
     ------
@@ -96,16 +94,14 @@ class Recording(_Recording[RunFigures]):
         driver: str,
         namespace: str = "/",
         split: Split = ONE_FILE,
-        replay: Mapping[str, object] | None = None,
         packed: bool = False,
         steered: bool = False,
-        division: int | None = None,
     ) -> None:
         self._reference = configure.reference(scenario)
-        made = provenance(scenario, driver=driver, replay=replay, packed=packed, steered=steered)
+        made = provenance(scenario, driver=driver, packed=packed, steered=steered)
         figures, family = RunFigures(self._reference, tracking_of(scenario)), scenario.family
-        divides = division != 0 and configure.may_change(scenario, steered=steered)
-        topics = (*family.once, *family.main, *((STANDING,) if divides else ()), EVENTS)
+        divides = (STANDING,) if configure.may_change(scenario, steered=steered) else ()
+        topics = (*family.once, *family.main, *divides, EVENTS)
         super().__init__(
             scenario, folder, figures, made, topics=topics, qos=OFFERED[LOCKSTEP], namespace=namespace, split=split
         )

@@ -2,140 +2,113 @@
 
 from __future__ import annotations
 
+import math
 import os
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
-from swarmabs_analysis.comparison.table import replay_parts
+from swarmabs_analysis.comparison.table import deviation_table
+from swarmabs_analysis.replay.answers import Answers
 from swarmabs_analysis.replay.playback import Pace, choose_topics, play, shown
-from swarmabs_analysis.replay.run import ReplayRun
-from swarmabs_analysis.replay.source import open_source
+from swarmabs_analysis.replay.start import start_commands
 from swarmabs_bag.reader import open_bag
-from swarmabs_cli.options import (
-    Number,
-    bag_argument,
-    examples,
-    json_option,
-    namespace_option,
-    output_option,
-    set_option,
-)
-from swarmabs_cli.output import print_json, print_warnings, results_folder
-from swarmabs_cli.runs import print_summary, summed_up
+from swarmabs_cli.options import Number, bag_argument, examples, json_option, namespace_option, node_option
+from swarmabs_cli.output import print_json, print_tables, print_warnings
 from swarmabs_core.errors import InputError
-from swarmabs_core.nodes import NodeName
 from swarmabs_run.ending import end_asked
-from swarmabs_run.run import Outcome
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import Any
+
+    from swarmabs_core.nodes import NodeName
 
 _POSITIVE = Number(0.0, min_open=True, max=1e6)
-_WITH_NODE = ("output", "overrides", "in_process", "expect_same")
-_WITHOUT_NODE = ("rate", "start", "loop", "topics", "wait", "network")
 
 
-@click.command(
-    epilog=examples(
-        "replay runs/pd_het_4-001 --node controller --set controller.gains=[4,3]", "replay runs/pd_het_4-001 --rate 2"
-    )
-)
+@click.command(epilog=examples("replay runs/pd_het_4-001 --rate 2", "replay runs/pd_het_4-001 --node controller"))
 @bag_argument
-@click.option(
-    "--node", "nodes", multiple=True, metavar="NODE", help="controller, observer, parent or agent:N; repeatable."
-)
-@click.option("--in-process", is_flag=True, help="With --node: replay in one process, without DDS.")
-@set_option("With --node: change a value for these nodes; repeatable.")
-@click.option("--expect-same", is_flag=True, help="With --node: exit with 1 if the digest differs.")
-@output_option("Folder of the replay.  [default: runs/NAME-replay-NNN]")
-@click.option("--duration", type=_POSITIVE, metavar="SECONDS", help="Recorded time to replay.  [default: all]")
-@click.option("--rate", type=_POSITIVE, help="Without --node: recorded time per real time.  [default: 1]")
+@node_option("Leave this node to be tested: controller, observer, parent or agent:N; repeatable.")
+@click.option("--expect-same", is_flag=True, help="With --node: exit with 1 if an answer differs.")
+@click.option("--rate", type=_POSITIVE, help="Recorded time per real time.  [default: 1; with --node: any]")
 @click.option("--start", type=Number(0.0), metavar="SECONDS", help="Without --node: recorded time at which to start.")
+@click.option("--duration", type=_POSITIVE, metavar="SECONDS", help="Recorded time to play.  [default: all]")
 @click.option("--loop", is_flag=True, help="Without --node: start over at the end, until Ctrl-C.")
-@click.option("--topics", metavar="NAME,NAME", help="Without --node: topics to play.  [default: all]")
+@click.option("--topics", metavar="NAME,NAME", help="Topics to play.  [default: all]")
 @click.option("--wait", is_flag=True, help="Without --node: wait until every topic has a subscriber.")
-@click.option("--network", is_flag=True, help="Without --node: publish to other machines, too.")
+@click.option("--network", is_flag=True, help="Publish to other machines, too.")
 @namespace_option
 @json_option
-def replay(bag: Path, nodes: tuple[str, ...], *, as_json: bool, **options: Any) -> int:
-    """Play a bag, or re-execute selected nodes against it.
-
-    With --node, the named nodes are re-executed in lockstep on the recorded messages of all other nodes, without loss;
-    the result is a new bag and a report of the differences. The replay is open loop: recorded nodes do not react.
-
-    Without --node, every message is published at its recorded time in the current ROS domain.
-    """
-    wrong = next((name for name in (_WITHOUT_NODE if nodes else _WITH_NODE) if options[name]), None)
-    if wrong is not None:
-        option = {"overrides": "--set", "output": "--output"}.get(wrong, "--" + wrong.replace("_", "-"))
-        remedy = "cannot be combined with --node; remove one of them" if nodes else "needs --node; add it"
-        raise InputError(f"{option} {remedy}")
-    return _replay(bag, nodes, as_json=as_json, **options) if nodes else _play(bag, as_json=as_json, **options)
-
-
-def _replay(
+def replay(
     bag: Path,
-    names: tuple[str, ...],
+    nodes: tuple[NodeName, ...],
     *,
-    overrides: tuple[str, ...],
-    output: Path | None,
-    duration: float | None,
-    in_process: bool,
     expect_same: bool,
-    namespace: str | None,
-    as_json: bool,
-    **_: object,
-) -> int:
-    """Try nodes out on a recording; return the exit code."""
-    nodes = tuple(dict.fromkeys(NodeName.parse(name) for name in names))
-    source = open_source(bag, namespace=namespace)
-    if duration is not None:
-        overrides = (*overrides, f"duration={duration!r}")
-    made = ReplayRun(source, nodes, overrides, source.scenario(nodes, overrides))
-    scenario = made.scenario
-    folder = results_folder(output, f"{scenario.name}-replay")
-
-    def compare(outcome: Outcome) -> dict[str, object]:
-        return {"replay": made.result(folder, outcome.figures.get("digest")) if outcome.status == "ok" else None}
-
-    run = made.in_process if in_process else made.live
-    outcome, summary = summed_up(scenario, folder, lambda show: run(folder, show), compare)
-    result = summary["replay"]
-    tables = replay_parts(result) if result is not None else ()
-    print_summary(scenario, summary, folder, outcome, *tables, as_json=as_json)
-    failed = outcome.status != "ok" or (expect_same and result is not None and not result["same"])
-    return 1 if failed else 0
-
-
-def _play(
-    path: Path,
-    *,
-    duration: float | None,
     rate: float | None,
     start: float | None,
+    duration: float | None,
     loop: bool,
     topics: str | None,
     wait: bool,
     network: bool,
     namespace: str | None,
     as_json: bool,
-    **_: object,
 ) -> int:
-    """Play a bag; return the exit code."""
-    pace = Pace(1.0 if rate is None else rate, start or 0.0, duration, loop)
-    bag = open_bag(path, namespace=namespace, several=True)
+    """Play a bag, for displays or for nodes under test.
+
+    Every message is published at its recorded time in the current ROS domain, except for those of the nodes that are
+    named by --node: start these yourself, in any language. The playback waits for each of their answers, and reports
+    how they differ from the recording. A replay is open loop: recorded nodes do not react.
+    """
+    for name, value in {"start": start, "loop": loop, "wait": wait}.items() if nodes else ():
+        if value:
+            raise InputError(f"--{name} cannot be combined with --node; remove one of them")
+    if expect_same and not nodes:
+        raise InputError("--expect-same needs --node; add it")
+    pace = Pace(rate or (math.inf if nodes else 1.0), start or 0.0, duration, loop)
+    recorded = open_bag(bag, namespace=namespace, several=not nodes)
+    answers = Answers(recorded, nodes) if nodes else None
     if not network:  # a range that is set already, such as by the environment of a run, is kept
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    wanted = topics.split(",") if topics else ()
-    playable, warnings = choose_topics(bag, wanted, one_swarm=namespace is not None)
+    playable, warnings = choose_topics(
+        recorded, topics.split(",") if topics else (), one_swarm=namespace is not None or bool(nodes)
+    )
     print_warnings(warnings)
+    if answers is not None:
+        playable = [topic for topic in playable if topic.channel.topic not in answers.not_played]
     names = [topic.channel.name for topic in playable]
     with end_asked() as asked:
-        click.echo(
-            f"playing {', '.join(map(shown, names))} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}", err=True
-        )
-        count = play(bag, playable, pace, wait=wait, asked_to_end=asked)
+        domain = os.environ.get("ROS_DOMAIN_ID") or 0
+        click.echo(f"playing {', '.join(map(shown, names))} in ROS domain {domain}", err=True)
+        if nodes:
+            click.echo("waiting for the nodes under test; with the settings of the recording they start with", err=True)
+            with suppress(InputError):  # a bag of rosbag2 has no scenario
+                for command in start_commands(recorded, nodes):
+                    click.echo(f"  {command}", err=True)
+        count = play(recorded, playable, pace, answers=answers, wait=wait, asked_to_end=asked)
+    result = {} if answers is None else answers.to_dict()
     if as_json:
-        print_json({"bag": str(bag.path), "topics": names, "messages": count})
+        print_json({"bag": str(recorded.path), "topics": names, "messages": count, **result})
     else:
         click.echo(f"{count} messages published")
-    return 0
+        if result:
+            _print_result(result)
+    return 1 if expect_same and not result["same"] else 0
+
+
+def _print_result(result: Mapping[str, Any]) -> None:
+    """Print how the answers of the nodes under test differ from the recording."""
+    compared = f"{', '.join(result['nodes'])}: {result['compared']} messages compared with the recording"
+    first = result["first_difference"]
+    if first is None:
+        click.echo(f"{compared}; {'no difference' if result['same'] else 'the last answers are missing'}")
+        return
+    robot = f" of robot {first['agent']}" if first["agent"] else ""
+    click.echo(
+        f"{compared}; first difference: step {first['step']}, {first['topic']}{robot}, {first['field']} is "
+        f"{first['replayed']!r}, was {first['recorded']!r}"
+    )
+    print_tables(deviation_table(result["deviations"]))

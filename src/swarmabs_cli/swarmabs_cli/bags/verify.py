@@ -8,17 +8,35 @@ from pathlib import Path
 
 import click
 
+from swarmabs_analysis.comparison.table import deviation_table
 from swarmabs_analysis.verification.base import VerificationResult
-from swarmabs_analysis.verify import open_to_verify
+from swarmabs_analysis.verify import BagToVerify, open_to_verify
 from swarmabs_bag.errors import repair_command
-from swarmabs_cli.options import Number, bags_argument, examples, json_option, named_scenario_option, namespace_option
-from swarmabs_cli.output import print_documents, printable
+from swarmabs_cli.options import (
+    Number,
+    bags_argument,
+    examples,
+    json_option,
+    named_scenario_option,
+    namespace_option,
+    node_option,
+    set_option,
+)
+from swarmabs_cli.output import print_documents, print_tables, printable
+from swarmabs_core.errors import InputError
+from swarmabs_core.nodes import NodeName
 
 _LINE_INTERVAL = 2.0
 
 
-@click.command(epilog=examples("verify runs/pd_het_4-001"))
+@click.command(
+    epilog=examples(
+        "verify runs/pd_het_4-001", "verify runs/pd_het_4-001 --node controller --set controller.gains=[4,3]"
+    )
+)
 @bags_argument
+@node_option("Recompute only this node: controller, observer, parent or agent:N; repeatable.")
+@set_option("With --node: change a value for these nodes; repeatable.")
 @click.option(
     "--tolerance",
     type=Number(min=0.0, max=1.0, max_open=True),
@@ -30,20 +48,35 @@ _LINE_INTERVAL = 2.0
 @named_scenario_option()
 @json_option
 def verify(
-    bags: tuple[Path, ...], *, tolerance: float, namespace: str | None, scenario: str | None, as_json: bool
+    bags: tuple[Path, ...],
+    *,
+    nodes: tuple[NodeName, ...],
+    overrides: tuple[str, ...],
+    tolerance: float,
+    namespace: str | None,
+    scenario: str | None,
+    as_json: bool,
 ) -> int:
     """Recompute every message of a bag and compare bit for bit.
 
     Each message is recomputed from the recorded scenario and the messages before it. The first difference is reported
     with topic, step, robot and field. A BAG is the folder of a run, its bag folder, or an .mcap file.
+
+    With --node, only the messages of the named nodes are recomputed, if necessary with other settings, and the
+    deviation of each field is reported. The nodes receive recorded messages: nothing reacts to what they answer.
     """
+    if overrides and not nodes:
+        raise InputError("--set needs --node; add it")
+    if tolerance and nodes:
+        raise InputError("--tolerance cannot be combined with --node; remove one of them")
     # Open all bags first, so that invalid input is rejected before any verification starts.
     opened = [open_to_verify(path, namespace=namespace, scenario=scenario) for path in bags]
+    trials = [bag.trial(nodes, overrides) if nodes and isinstance(bag, BagToVerify) else None for bag in opened]
     verdicts = [
         bag
         if isinstance(bag, VerificationResult)
-        else bag.verify(tolerance, _shown(bag.scenario.name, bag.scenario.steps))
-        for bag in opened
+        else bag.verify(tolerance, _shown(bag.scenario.name, bag.scenario.steps), trial)
+        for bag, trial in zip(opened, trials, strict=True)
     ]
     if as_json:
         documents = [verdict.to_dict() for verdict in verdicts]
@@ -51,6 +84,8 @@ def verify(
     else:
         for verdict in verdicts:
             click.echo(describe(verdict))
+            if verdict.trial.get("deviations"):
+                print_tables(deviation_table(verdict.trial["deviations"]))
     return 0 if all(verdict.ok for verdict in verdicts) else 1
 
 
@@ -60,6 +95,9 @@ def describe(verdict: VerificationResult) -> str:
     if verdict.scenario is not None:
         how = f"agree within {verdict.tolerance:g}" if verdict.tolerance else "agree bit for bit"
         of = "" if verdict.expected_steps is None else f" of {verdict.expected_steps}"
+        if verdict.trial:
+            nodes = ", ".join(verdict.trial["nodes"])
+            how = f"of {nodes} are compared" if verdict.difference is not None else f"of {nodes} agree bit for bit"
         lines.append(f"  {verdict.messages} messages of {verdict.steps}{of} steps {how}")
     if verdict.not_checkable:
         lines.append(f"  not checkable: {sum(verdict.not_checkable.values())} messages")

@@ -48,7 +48,8 @@ class LockstepRun(ProcessRun):
         """Drive the processes to their end; afterwards the run can no longer be steered."""
         try:
             outcome = super().drive(machine, domain, begun)
-            return replace(outcome, packed=self._options.packs(len(self._scenario.agents)))
+            packed = any(process.parameters.get("packed") for process in self._plan)
+            return replace(outcome, packed=packed)
         finally:
             (self._folder.path / SOCKET).unlink(missing_ok=True)
 

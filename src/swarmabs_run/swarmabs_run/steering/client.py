@@ -83,7 +83,10 @@ class SteeringClient:
             self._socket.sendall(json.dumps(asked).encode() + b"\n")
             line = self._lines.readline(LONGEST_ANSWER)
         except TimeoutError:
-            raise RunError(f"{self._run}: the run does not answer; check its processes with 'swarm top'") from None
+            raise RunError(
+                f"{self._run}: the run does not answer; check its processes with "
+                f"'swarm view --live {self._run} --terminal'"
+            ) from None
         except ConnectionError:
             line = b""
         if not line.endswith(b"\n"):

@@ -1,0 +1,44 @@
+"""How nodes of a recorded run are started to be tested against it."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+from swarmabs_bag.attached import attached_scenario
+from swarmabs_bag.run_folder import RunFolder
+from swarmabs_config.graph import CONTROLLER, OBSERVER, agent_name
+from swarmabs_core.messages import STANDING
+from swarmabs_core.nodes import NodeKind
+from swarmabs_run.orchestration.plan import plan
+from swarmabs_run.run import RunOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+    from swarmabs_bag.reader import BagReader
+    from swarmabs_core.nodes import NodeName
+
+_PROCESSES = {NodeKind.OBSERVER: OBSERVER, NodeKind.CONTROLLER: CONTROLLER}
+
+
+def start_commands(bag: BagReader, nodes: Collection[NodeName]) -> Iterator[str]:
+    """Yield for each node the command that starts it with the parameters of the recorded run.
+
+    Raises
+    ------
+    InputError
+        As for `attached_scenario`.
+    """
+    scenario = attached_scenario(bag).resolved()
+    processes = {process.name: process for process in plan(scenario, RunFolder(bag.path), RunOptions(packed=False))}
+    names = {**_PROCESSES, NodeKind.PARENT: scenario.family.node}
+    # In a playback there are no recorder to wait for, and no fixed number of counterparts.
+    changed: dict[str, object] = {"recording_window": 0, "match": ()}
+    if STANDING not in bag.topics():
+        changed["division"] = 0
+    for node in nodes:
+        process = processes[agent_name(node.agent_id) if node.kind is NodeKind.AGENT else names[node.kind]]
+        process.parameters.update({name: value for name, value in changed.items() if name in process.parameters})
+        arguments = process.arguments((bag.namespace or "/").rstrip("/") or "/")
+        yield shlex.join(["python", "-m", process.module, *arguments])

@@ -1,0 +1,146 @@
+"""Trials: selected nodes of a recorded run with other settings, and what they answer to the recorded messages."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from swarmabs_analysis.comparison.messages import MessageComparison
+from swarmabs_config import configure
+from swarmabs_config.scenario import SystemScenario
+from swarmabs_core.errors import InputError
+from swarmabs_core.messages import SystemDescription
+from swarmabs_core.nodes import NodeKind
+from swarmabs_core.publishers import publisher_of
+from swarmabs_core.record import Record
+from swarmabs_core.systems import SystemTables
+from swarmabs_run.simulation import nodes_in_process
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.messages import Message, Messages
+    from swarmabs_core.nodes import NodeName
+    from swarmabs_core.systems.interface import NamedSystem
+    from swarmabs_run.simulation import NodeInProcess
+
+_MOST_NAMED = 20
+
+
+class Trial:
+    """Nodes of a recorded run with the settings of a changed scenario.
+
+    A trial is open loop: the nodes receive recorded messages only and keep their own memory. Their messages, without
+    events, are compared with the recorded ones.
+
+    Parameters
+    ----------
+    nodes : sequence of NodeName
+        The nodes under test.
+    overrides : sequence of str
+        The changes that `scenario` includes, each ``a.b=value``.
+    scenario, recorded : Scenario or SystemScenario
+        The changed scenario, and that of the recording.
+
+    Raises
+    ------
+    InputError
+        If the scenario lacks a node, or a change contradicts the recorded messages.
+    """
+
+    def __init__(
+        self, nodes: Sequence[NodeName], overrides: Sequence[str], scenario: AnyScenario, recorded: AnyScenario
+    ) -> None:
+        self.nodes = tuple(dict.fromkeys(nodes))
+        self.overrides = tuple(overrides)
+        self._scenario = scenario
+        self._changed, self._recorded = _system(scenario), _system(recorded)
+        self._comparison = MessageComparison()
+        _check_nodes(self.nodes, recorded)
+        _check_changes(scenario, recorded)
+
+    def in_process(self, division: int) -> dict[NodeName, NodeInProcess]:
+        """Return the nodes under test; `division` is as for `nodes_in_process`."""
+        nodes = nodes_in_process(self._scenario, division)
+        return {name: nodes[name] for name in self.nodes}
+
+    def hearing(self, name: NodeName, handle: Callable[[Message], Messages]) -> Callable[[Message], Messages]:
+        """Return the function by which a node receives recorded messages.
+
+        Nodes under test receive them as if they referred to the changed parent system.
+        """
+        if name not in self.nodes or self._changed == self._recorded:
+            return handle
+        return lambda message: handle(_referring(message, self._changed))
+
+    def compare(self, stored: Record, answer: Message) -> None:
+        """Compare the answer of a node with the recorded message, if the node is under test."""
+        if publisher_of(answer) in self.nodes:
+            self._comparison.take(stored, Record.of(_referring(answer, self._recorded)))
+
+    def finish(self) -> MessageComparison:
+        """Return the comparison of all answers."""
+        return self._comparison.finish()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return nodes, overrides and deviations as plain data for JSON."""
+        return {
+            "nodes": list(map(str, self.nodes)),
+            "overrides": list(self.overrides),
+            "deviations": deviations(self._comparison),
+        }
+
+
+def deviations(comparison: MessageComparison) -> list[dict[str, Any]]:
+    """Return the deviation of each field that differs, with its topic, as plain data for JSON."""
+    return [{"topic": topic.topic, **asdict(field)} for topic in comparison.topics for field in topic.fields]
+
+
+def _check_nodes(nodes: Sequence[NodeName], recorded: AnyScenario) -> None:
+    members = sorted(configure.members(recorded))
+    for node in nodes:
+        if node.kind is NodeKind.AGENT and node.agent_id not in members:
+            more = " ..." if len(members) > _MOST_NAMED else ""
+            ids = ", ".join(map(str, members[:_MOST_NAMED]))
+            raise InputError(f"--node {node}: the scenario has no robot {node.agent_id}; it has {ids}{more}")
+
+
+def _check_changes(scenario: AnyScenario, recorded: AnyScenario) -> None:
+    for what in _contradicted(scenario, recorded):
+        raise InputError(f"--set changes the {what}, but the messages of the other nodes are recorded; use run instead")
+
+
+def _contradicted(scenario: AnyScenario, recorded: AnyScenario) -> Iterator[str]:
+    """Yield what a changed scenario must have in common with the recorded one and has not."""
+    for what, of in (
+        ("control period", lambda given: given.step_ns),
+        ("duration", lambda given: given.steps),
+        ("robots", configure.members),
+        ("faults that end robots or let them join", configure.schedule),
+        ("reaction to silent robots", lambda given: given.lockstep.on_stall),
+        ("quantities of the parent system", _quantities),
+    ):
+        if of(scenario) != of(recorded):
+            yield what
+
+
+def _system(scenario: AnyScenario) -> NamedSystem | None:
+    """Return the parent system of a scenario, None for the plane."""
+    return scenario.named if isinstance(scenario, SystemScenario) else None
+
+
+def _quantities(scenario: AnyScenario) -> SystemTables | None:
+    """Return names and units in the messages of a scenario's parent system, None for the plane."""
+    system = _system(scenario)
+    return None if system is None else SystemTables.read(system.description)._replace(settings={})
+
+
+def _referring(message: Message, system: NamedSystem | None) -> Message:
+    """Return a message as if it referred to a parent system."""
+    fields: Any = message
+    if system is None or getattr(message, "system", system.hash) == system.hash:
+        return message
+    also = {"description": system.description} if isinstance(message, SystemDescription) else {}
+    changed: Message = fields._replace(system=system.hash, **also)
+    return changed
