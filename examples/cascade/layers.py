@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from coupling import Coupled, Following, TiltDrive, carried, led
 
-from swarmabs_bag.collector import RunCollector
+from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_config import configure
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
@@ -23,7 +23,7 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_bag.run.recording import RecordedStep
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Message

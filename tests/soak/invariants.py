@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.recording import Digest, RecordedStep
+from swarmabs_bag.run.recording import Digest, RecordedStep
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.errors import RunError

@@ -15,7 +15,7 @@ from tests.soak.invariants import last_fault, lockstep_violations, violations
 from tests.soak.scenarios import scenarios
 from tests.swarmabs_core.helpers import builtin
 
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError

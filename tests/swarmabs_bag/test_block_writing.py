@@ -12,11 +12,11 @@ from tests.swarmabs_bag.sample_run import PERIOD
 from tests.swarmabs_bag.test_blocks import in_blocks, run
 from tests.swarmabs_bag.test_writer import Clock, Disk, on_disk
 
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import BagWriteError
 from swarmabs_bag.reader import open_bag
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.writer import CHUNK_BYTES, BagWriter
 from swarmabs_bag.run_folder import ONE_FILE, Split
-from swarmabs_bag.writer import CHUNK_BYTES, BagWriter
 from swarmabs_core.messages import EVENTS, STANDING
 
 pytestmark = pytest.mark.usefixtures("systems")

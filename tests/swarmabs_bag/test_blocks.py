@@ -10,11 +10,11 @@ import pytest
 from tests.swarmabs_bag.test_systems import BEAM, LIFT, SHEET
 from tests.swarmabs_core.helpers import agent_state, builtin
 
-from swarmabs_bag import blocks
-from swarmabs_bag.blocks import Block, gathered_steps
-from swarmabs_bag.figures import RunFigures, tracking_of
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
-from swarmabs_bag.recording import Digest, RecordedStep, Step
+from swarmabs_bag.run import blocks
+from swarmabs_bag.run.blocks import Block, gathered_steps
+from swarmabs_bag.run.figures import RunFigures, tracking_of
+from swarmabs_bag.run.recording import Digest, RecordedStep, Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core import messages as msg

@@ -14,11 +14,11 @@ from tests.swarmabs_bag.test_systems import BEAM, LIFT, SHEET
 from tests.swarmabs_core.helpers import agent_state, builtin
 from tests.swarmabs_ros.nodes import settings_from
 
-from swarmabs_bag.blocks import Block
-from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.recorder import node
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.gatherer import RunCollector
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_config import configure
 from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_config.scenario import parse_scenario

@@ -6,11 +6,11 @@ from random import Random
 import pytest
 from tests.swarmabs_bag.sample_run import bag_writer, make_run, make_step, write_bag
 
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.grouping import Published
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.steps import recorded_steps
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.grouping import Published
+from swarmabs_bag.run.ordering import recorded_steps
 from swarmabs_core import messages as msg
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import TOPIC_OF

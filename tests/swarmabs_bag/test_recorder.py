@@ -21,9 +21,9 @@ from swarmabs_bag.errors import BagWriteError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder import node, realtime
 from swarmabs_bag.recorder.swarm_summary import EVENT_CHARACTERS, SummaryTracker, SwarmSummary, describe_event
-from swarmabs_bag.recording import RecordedStep
-from swarmabs_bag.swarm_state import SILENT_STEPS
-from swarmabs_bag.writer import BagWriter
+from swarmabs_bag.run.recording import RecordedStep
+from swarmabs_bag.run.writer import BagWriter
+from swarmabs_bag.shown.swarm_state import SILENT_STEPS
 from swarmabs_config.graph import RECORDING_STEPS
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenarios import find_scenario

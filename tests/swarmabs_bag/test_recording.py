@@ -9,10 +9,18 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from tests.swarmabs_core.helpers import Run, agent_state, builtin, digest
 
-from swarmabs_bag.collector import RunCollector
-from swarmabs_bag.figures import RealtimeFigures, RunFigures
-from swarmabs_bag.realtime import MEMORY, QUIET_STEPS, SECOND_WRITER, TWO_MESSAGES, Dispute, RealtimeCollector, disputed
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.figures import RealtimeFigures, RunFigures
+from swarmabs_bag.run.gatherer import RunCollector
+from swarmabs_bag.run.realtime_gatherer import (
+    MEMORY,
+    QUIET_STEPS,
+    SECOND_WRITER,
+    TWO_MESSAGES,
+    Dispute,
+    RealtimeCollector,
+    disputed,
+)
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_config import configure
 from swarmabs_config.graph import STANDBY_TOPICS, own_topic
 from swarmabs_core import messages as msg

@@ -16,19 +16,19 @@ from tests.swarmabs_ros.nodes import settings_from
 
 from swarmabs_bag.attached import attached_provenance, attached_scenario, description_of
 from swarmabs_bag.bag_summary import desired_angle, summarise_bag
-from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.examination import recorded_steps
-from swarmabs_bag.figures import RunFigures, Tracking
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.recorded_swarm import RecordedSystem, read_swarm
 from swarmabs_bag.recorder import node
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
-from swarmabs_bag.recording import RecordedStep
 from swarmabs_bag.repair import repair_bag
-from swarmabs_bag.swarm_state import ShownSystemRobot, SwarmState, SystemIdentity, SystemSwarmState, state_of
+from swarmabs_bag.repair.examination import recorded_steps
+from swarmabs_bag.run.figures import RunFigures, Tracking
+from swarmabs_bag.run.gatherer import RunCollector
+from swarmabs_bag.run.recording import RecordedStep
+from swarmabs_bag.shown.recorded_swarm import RecordedSystem, read_swarm
+from swarmabs_bag.shown.swarm_state import ShownSystemRobot, SwarmState, SystemIdentity, SystemSwarmState, state_of
 from swarmabs_config import configure
 from swarmabs_config.scenario import AnyScenario, parse_scenario
 from swarmabs_config.scenarios import find_scenario

@@ -11,7 +11,7 @@ import pytest
 from mcap.reader import make_reader
 from tests.swarmabs_cli.conftest import document, last_command, ran, refused, rewritten
 
-from swarmabs_bag.writer import BAG_FILE
+from swarmabs_bag.run.writer import BAG_FILE
 
 STEP, AGENT = 7, 3
 CHANGED = ["swarm/agent_state", STEP, AGENT, "command"]

@@ -15,7 +15,7 @@ from tests.swarmabs_bag.mcap_files import rewritten as copied
 from tests.swarmabs_cli.conftest import document, flipped, last_command, ran, refused, rewritten
 
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.writer import BAG_FILE
+from swarmabs_bag.run.writer import BAG_FILE
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_run.simulation import Simulation
 

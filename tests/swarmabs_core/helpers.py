@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmabs_bag.recording import Digest, RecordedStep
+from swarmabs_bag.run.recording import Digest, RecordedStep
 from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_core import messages as msg
 from swarmabs_run.simulation import Simulation

@@ -12,10 +12,10 @@ import pytest
 from tests.swarmabs_core.helpers import Run, builtin, digest
 
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.recording import Digest, Step
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.recording import Digest, Step
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenario import Scenario, dump_scenario, parse_scenario
 from swarmabs_core.errors import InputError, RunError

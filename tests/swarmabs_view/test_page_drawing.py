@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import Page, expect
 from tests.swarmabs_view.conftest import HELLO, PageServer, curves
 
-from swarmabs_bag.swarm_state import Abstract, Instant, ShownRobot
+from swarmabs_bag.shown.swarm_state import Abstract, Instant, ShownRobot
 from swarmabs_view.protocol import Event, Events, Frame, RobotInfo, State
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple, cast
 from tests.swarmabs_ros.nodes import settings_from
 from tests.transport.network import Act, Inbox, Outbox, Reports, Script, turns
 
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.recorder.node import Recorder
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, RECORDER, ROBOT, Endpoints

@@ -17,7 +17,7 @@ from tests.swarmabs_core.helpers import builtin
 from tests.transport.network import Act, Script, script, scripts
 from tests.transport.swarm import AGENTS, FROZEN, LONGEST_RUN, Cast, Swarm
 
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER
 from swarmabs_config.scenario.steered import as_planned
 from swarmabs_core.behaviours import Agent, Request

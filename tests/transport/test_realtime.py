@@ -13,8 +13,9 @@ from tests.transport.network import LARGEST, Act, Script, script, scripts, turns
 from tests.transport.swarm import AGENTS
 
 from swarmabs_analysis.verification.realtime import RealtimeVerification
-from swarmabs_bag.realtime import RealtimeCollector, RealtimeWorld
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.realtime_world import RealtimeWorld
+from swarmabs_bag.run.realtime_gatherer import RealtimeCollector
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
 from swarmabs_config.graph import CONTROLLER, agent_name

@@ -8,7 +8,7 @@ from tests.swarmabs_core.helpers import builtin
 from tests.transport.network import Act, script
 from tests.transport.swarm import AGENTS, Cast, Node, Swarm
 
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import (
     ABSTRACT_STATE,

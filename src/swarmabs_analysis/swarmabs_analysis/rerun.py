@@ -22,8 +22,8 @@ from swarmabs_bag.attached import (
 )
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.recording import Digest
-from swarmabs_bag.steps import recorded_steps
+from swarmabs_bag.run.ordering import recorded_steps
+from swarmabs_bag.run.recording import Digest
 from swarmabs_config import configure
 from swarmabs_config.model.errors import printable, shorten, show
 from swarmabs_config.scenario.steered import as_planned
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from swarmabs_bag.reader import BagReader
-    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_bag.run.recording import RecordedStep
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.membership import Change
     from swarmabs_run.run import Outcome

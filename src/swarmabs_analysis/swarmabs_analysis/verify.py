@@ -22,10 +22,11 @@ from swarmabs_bag.attached import (
     supply_scenario,
     versions,
 )
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import RECORDED, realtime_world
+from swarmabs_bag.realtime_world import realtime_world
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.realtime_gatherer import RECORDED
 from swarmabs_config import configure
 from swarmabs_config.graph import REALTIME
 from swarmabs_config.model.errors import show

@@ -10,9 +10,9 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.attached import scenario_of
-from swarmabs_bag.blocks import Block, gathered_steps
-from swarmabs_bag.collector import RunCollector
-from swarmabs_bag.figures import PLANE_TRACKING, RunFigures, Tracking
+from swarmabs_bag.run.blocks import Block, gathered_steps
+from swarmabs_bag.run.figures import PLANE_TRACKING, RunFigures, Tracking
+from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, ROBOT, Option, endpoints
 from swarmabs_config.scenario import AnyScenario, dump_scenario, parse_scenario
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from os import PathLike
 
-    from swarmabs_bag.recording import RecordedStep, Step
+    from swarmabs_bag.run.recording import RecordedStep, Step
     from swarmabs_core.behaviours import AgentConfig, Behaviour
     from swarmabs_core.behaviours.systems import SystemAgentConfig
     from swarmabs_core.membership import Change

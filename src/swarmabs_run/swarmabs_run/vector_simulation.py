@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from swarmabs_bag.blocks import BLOCK_BYTES, BLOCK_SECONDS, Block
+from swarmabs_bag.run.blocks import BLOCK_BYTES, BLOCK_SECONDS, Block
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario, SystemScenario
 from swarmabs_core.abstraction import is_degenerate
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_bag.recording import Step
+    from swarmabs_bag.run.recording import Step
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.messages import AnyParentState, Family, Messages
     from swarmabs_core.systems.interface import Quantity

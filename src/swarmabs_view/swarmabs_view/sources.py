@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 import psutil
 
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.recorded_swarm import read_swarm
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_bag.swarm_state import SwarmState, state_of
+from swarmabs_bag.shown.recorded_swarm import read_swarm
+from swarmabs_bag.shown.swarm_state import SwarmState, state_of
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_run.orchestration.run_files import RunOverError, environment_of_run, is_running, read_processes
@@ -41,7 +41,7 @@ with tracing_files_removed():
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from swarmabs_bag.swarm_state import AnyInstant
+    from swarmabs_bag.shown.swarm_state import AnyInstant
     from swarmabs_view.playback import Recording
     from swarmabs_view.protocol import Placed, Session
 

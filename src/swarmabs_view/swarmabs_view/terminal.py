@@ -16,8 +16,8 @@ from rich.live import Live
 from rich.panel import Panel
 from rich.text import Text
 
-from swarmabs_bag.figures import tracking_of
 from swarmabs_bag.recorder.swarm_summary import LETTERS, THOUSAND
+from swarmabs_bag.run.figures import tracking_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -24,9 +24,9 @@ from swarmabs_analysis.comparison.bags import Comparison, SettingDifference, com
 from swarmabs_analysis.comparison.messages import FieldDeviation, MessageComparison, TopicComparison
 from swarmabs_analysis.difference import Difference
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import AgentState, EventKind, Message, PlaneState, SwarmEvent
 from swarmabs_core.record import Record

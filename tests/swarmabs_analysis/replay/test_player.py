@@ -7,7 +7,7 @@ import pytest
 from tests.swarmabs_core.helpers import builtin
 
 from swarmabs_analysis.replay.player import Player
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_core import messages as msg
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
 from swarmabs_core.errors import RunError

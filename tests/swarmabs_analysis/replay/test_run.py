@@ -15,9 +15,9 @@ from swarmabs_analysis.replay.run import ReplayRun, replayed_steps
 from swarmabs_analysis.replay.source import open_source
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.recording import RecordedStep
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import RunFolder, new_run_folder
-from swarmabs_bag.writer import BagWriter
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_core import messages as msg
 from swarmabs_core.cdr import encode

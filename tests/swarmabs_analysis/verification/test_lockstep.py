@@ -17,9 +17,9 @@ from swarmabs_analysis.difference import Difference
 from swarmabs_analysis.verification.base import Verification, VerificationResult
 from swarmabs_analysis.verification.earlier import are_earlier
 from swarmabs_analysis.verification.lockstep import LockstepVerification
-from swarmabs_bag.blocks import Block
-from swarmabs_bag.grouping import Published, TopicMessages, in_blocks
-from swarmabs_bag.stored import ChunkContent
+from swarmabs_bag.mcap.stored import ChunkContent
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.grouping import Published, TopicMessages, in_blocks
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core import desired_state, messages as msg

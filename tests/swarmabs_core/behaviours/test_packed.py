@@ -11,7 +11,7 @@ import pytest
 from tests.swarmabs_bag.test_systems import BEAM, LIFT, SHEET
 from tests.swarmabs_core.helpers import PERIOD_NS, agent_state, builtin
 
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core import messages as msg, plant

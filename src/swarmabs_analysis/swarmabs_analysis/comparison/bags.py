@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from swarmabs_analysis.comparison.messages import MessageComparison, compare_steps
 from swarmabs_analysis.difference import plain
 from swarmabs_bag.attached import attached_provenance, attached_scenario, description_of, is_realtime
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.figures import PLANE_TRACKING, RealtimeFigures, RunFigures, tracking_of
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.steps import REALTIME_WINDOW, recorded_steps
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.figures import PLANE_TRACKING, RealtimeFigures, RunFigures, tracking_of
+from swarmabs_bag.run.ordering import REALTIME_WINDOW, recorded_steps
 from swarmabs_config import configure
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS, SYSTEM_FAMILY
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_analysis.difference import Difference
-    from swarmabs_bag.figures import Reference
     from swarmabs_bag.reader import BagReader
-    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_bag.run.figures import Reference
+    from swarmabs_bag.run.recording import RecordedStep
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.record import Record
     from swarmabs_core.systems import SystemTables

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias, overload
 import numpy as np
 
 from swarmabs_analysis.difference import MESSAGE, Difference, Side, component_of, differing_fields
-from swarmabs_bag.blocks import Block
-from swarmabs_bag.recording import RecordedStep
-from swarmabs_bag.steps import ORDER
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.ordering import ORDER
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_core.arrays import raw
 from swarmabs_core.messages import EVENTS
 from swarmabs_core.record import Record

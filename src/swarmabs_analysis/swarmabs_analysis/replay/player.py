@@ -29,7 +29,7 @@ from swarmabs_core.publishers import PUBLISHER, NodeKind, NodeName, publisher_of
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_bag.run.recording import RecordedStep
     from swarmabs_core.record import Record
 
 

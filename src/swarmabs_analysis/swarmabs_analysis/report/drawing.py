@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from swarmabs_analysis.figures.responses import SUBSCRIPTS, same_limits
 from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, ROBOTS, SOLID
 from swarmabs_analysis.report.percentile_bands import density, draw_bands
-from swarmabs_bag.colours import ABSENT, FAILED, KINDS, PLANE, REFERENCE, SAFE_STOP, TORQUE
+from swarmabs_bag.shown.colours import ABSENT, FAILED, KINDS, PLANE, REFERENCE, SAFE_STOP, TORQUE
 from swarmabs_core.messages import EventKind, RobotKind, said
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 

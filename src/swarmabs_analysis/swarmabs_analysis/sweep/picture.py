@@ -17,8 +17,8 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
-from swarmabs_bag.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
-from swarmabs_bag.figures import TOLERANCE
+from swarmabs_bag.run.figures import TOLERANCE
+from swarmabs_bag.shown.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
 from swarmabs_config.scenario import SystemScenario, parse_scenario
 from swarmabs_config.theory_setting import setting
 from swarmabs_core.systems.components import labelled

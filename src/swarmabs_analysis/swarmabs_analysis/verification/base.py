@@ -14,7 +14,7 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from swarmabs_bag.blocks import Block
+    from swarmabs_bag.run.blocks import Block
     from swarmabs_core.messages import Topic
 
 Finding: TypeAlias = "Difference | str | None"

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_bag.blocks import Block
+from swarmabs_bag.run.blocks import Block
 from swarmabs_config import configure
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.arrays import LAYOUT, raw

@@ -14,8 +14,8 @@ from swarmabs_analysis.difference import MESSAGE, Difference, judge, missing, su
 from swarmabs_analysis.verification.base import Verification
 from swarmabs_analysis.verification.blocks import BlockRecomputation
 from swarmabs_analysis.verification.earlier import EarlierEnds
-from swarmabs_bag.blocks import Block
-from swarmabs_bag.recording import Digest, RecordedStep
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.recording import Digest, RecordedStep
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.behaviours import Observer, Parent

@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.recorder.recording import Recording
+from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_bag.run_folder import Split
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, RECORDER
@@ -43,9 +43,9 @@ from swarmabs_ros.status import StatusChannel
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from swarmabs_bag.blocks import Block
     from swarmabs_bag.recorder.recording import RealtimeRecording
-    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_bag.run.blocks import Block
+    from swarmabs_bag.run.recording import RecordedStep
     from swarmabs_config.scenario import AnyScenario
 
 COMMON = (

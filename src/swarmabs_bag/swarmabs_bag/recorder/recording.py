@@ -6,13 +6,14 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from swarmabs_bag.attached import attachments, provenance
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import BagWriteError
-from swarmabs_bag.figures import RealtimeFigures, RunFigures, tracking_of
-from swarmabs_bag.realtime import RealtimeCollector, RealtimeWorld, recorded
+from swarmabs_bag.realtime_world import RealtimeWorld
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.figures import RealtimeFigures, RunFigures, tracking_of
+from swarmabs_bag.run.realtime_gatherer import RealtimeCollector, recorded
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import ONE_FILE, Split
-from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_config.realtime import bounds
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
-    from swarmabs_bag.recording import Step
+    from swarmabs_bag.run.recording import Step
     from swarmabs_config.scenario import AnyScenario, Scenario
     from swarmabs_core.record import Record
 
@@ -80,7 +81,7 @@ class Recording(_Recording[RunFigures]):
     namespace, split
         As for `BagWriter`.
     division : int, optional
-        As for `swarmabs_bag.collector.RunCollector`, by default that of the scenario.
+        As for `swarmabs_bag.run.gatherer.RunCollector`, by default that of the scenario.
 
     Raises
     ------

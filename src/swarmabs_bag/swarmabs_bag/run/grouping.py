@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.run.blocks import Block
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from swarmabs_bag.stored import StoredMessages
+    from swarmabs_bag.mcap.stored import StoredMessages
     from swarmabs_core.messages import Family, Topic
 
 _MOST_BYTES = 2**24

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_bag.recording import RecordedStep, digest_head
+from swarmabs_bag.run.recording import RecordedStep, digest_head
 from swarmabs_core.arrays import Tables, canonical_table, raw
 from swarmabs_core.cdr import SECOND, decode
 from swarmabs_core.messages import FAMILIES, PLANE_FAMILY, Topic
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_bag.recording import Step
+    from swarmabs_bag.run.recording import Step
     from swarmabs_core.messages import AnyParentState, AnyRobotState, SwarmEvent
 
 BLOCK_BYTES = 2**18

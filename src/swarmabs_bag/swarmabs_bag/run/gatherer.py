@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_bag.arrivals import Arrivals
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.arrivals import Arrivals
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError, refuse_other_system
 from swarmabs_core.behaviours.steering import Orders
@@ -43,7 +43,7 @@ from swarmabs_core.steering import DISTURBANCE, REFERENCE, STEERER, change_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from swarmabs_bag.blocks import Block
+    from swarmabs_bag.run.blocks import Block
     from swarmabs_core.membership import Change
 
 

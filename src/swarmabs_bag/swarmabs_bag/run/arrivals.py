@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_bag.blocks import Block
+from swarmabs_bag.run.blocks import Block
 from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_core.arrays import PADDING, constant, layout_of, raw
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, overload
 
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.blocks import Block
+from swarmabs_bag.run.recording import RecordedStep
 from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, EVENTS, FAMILIES, MAIN_TOPICS, STANDING
 
 if TYPE_CHECKING:
