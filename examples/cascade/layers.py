@@ -23,7 +23,7 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from swarmabs_bag.run.recording import RecordedStep
+    from swarmabs_bag.run.step import Step
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Message
@@ -192,7 +192,7 @@ class CascadeSimulation:
         behaviours: tuple[Behaviour, ...] = (observer, plane, controller, *agents)
         self._behaviours.extend((namespace, behaviour) for behaviour in behaviours)
 
-    def steps(self) -> Iterator[tuple[str, RecordedStep]]:
+    def steps(self) -> Iterator[tuple[str, Step]]:
         """Run the simulation, and yield every step of every layer with its namespace.
 
         Raises

@@ -58,8 +58,7 @@ def summarise_bag(path: Path, namespace: str | None) -> dict[str, Any]:
     unknown = (nan,) * len(tracking.followed)
     figures = RunFigures((lambda _: unknown) if scenario is None else configure.reference(scenario), tracking)
     try:
-        found = bag.records() if is_realtime(bag) else bag.steps()
-        for step in recorded_steps(found, str(path), realtime=is_realtime(bag)):
+        for step in recorded_steps(bag.steps(), str(path), realtime=is_realtime(bag)):
             figures.add(step)
     except DisorderError:
         return dict.fromkeys(figures.summary())

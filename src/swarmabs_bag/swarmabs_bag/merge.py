@@ -30,8 +30,8 @@ from swarmabs_bag.repair.completeness import LockstepCompleteness, RealtimeCompl
 from swarmabs_bag.repair.spans import Spans
 from swarmabs_bag.run.gatherer import MEMORY as LOCKSTEP_MEMORY
 from swarmabs_bag.run.metadata import REPAIRED_KEY, load_yaml
-from swarmabs_bag.run.ordering import ORDER
 from swarmabs_bag.run.realtime_gatherer import RealtimeCollector
+from swarmabs_bag.run.step import ORDER
 from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import ONE_FILE, Split, find_bag
 from swarmabs_config import configure

@@ -15,7 +15,7 @@ from swarmabs_run.simulation import simulated_steps
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from swarmabs_bag.run.recording import Step
+    from swarmabs_bag.run.step import Step
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_run.run import Phase

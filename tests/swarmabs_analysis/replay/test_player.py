@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
-from tests.swarmabs_core.helpers import builtin
+from tests.swarmabs_core.helpers import builtin, singly
 
 from swarmabs_analysis.replay.player import Player
-from swarmabs_bag.run.recording import RecordedStep
+from swarmabs_bag.run.step import Step
 from swarmabs_core import messages as msg
 from swarmabs_core.behaviours.base import StepAheadError, UnexpectedMessageError
 from swarmabs_core.errors import RunError
@@ -15,11 +15,11 @@ from swarmabs_core.publishers import CONTROLLER, OBSERVER, PARENT, NodeKind, Nod
 from swarmabs_run.simulation import Simulation
 
 ROBOT = NodeName(NodeKind.AGENT, 3)
-STEPS = list(Simulation(builtin("pd_het_4", "duration=0.1", "faults=[{at: 0.05, kind: kill, agent: 3}]")).steps())
+STEPS = singly(Simulation(builtin("pd_het_4", "duration=0.1", "faults=[{at: 0.05, kind: kill, agent: 3}]")).steps())
 LAST = len(STEPS) - 1
 
 
-def player(*live: NodeName, window: int = 0, last: int = LAST, steps: Sequence[RecordedStep] = STEPS) -> Player:
+def player(*live: NodeName, window: int = 0, last: int = LAST, steps: Sequence[Step] = STEPS) -> Player:
     return Player(iter(steps), live, last_step=last, window=window)
 
 
@@ -156,7 +156,7 @@ def test_a_recording_that_is_too_short_is_an_error_and_a_late_event_is_played_la
     with pytest.raises(RunError, match="the recording ends with step 0, before step 3"):
         tried.handle(recorded(0, msg.DESIRED_ABSTRACT_STATE))
     late = next(r for r in STEPS[6].records if r.topic is msg.EVENTS)
-    tried = started(CONTROLLER, steps=[*STEPS[:2], RecordedStep(0, (late,)), *STEPS[2:]])
+    tried = started(CONTROLLER, steps=[*STEPS[:2], Step.of(0, (late,)), *STEPS[2:]])
     tried.handle(recorded(0, msg.DESIRED_ABSTRACT_STATE))
     answer = tried.handle(recorded(1, msg.DESIRED_ABSTRACT_STATE))
     assert answer[0] == late.message

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 from tests.swarmabs_analysis.figures.conftest import record
-from tests.swarmabs_core.helpers import builtin, digest
+from tests.swarmabs_core.helpers import builtin, digest, singly
 
 from swarmabs_analysis.comparison.table import replay_parts
 from swarmabs_analysis.replay import source as source_module
@@ -15,7 +15,7 @@ from swarmabs_analysis.replay.run import ReplayRun, replayed_steps
 from swarmabs_analysis.replay.source import open_source
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.run.recording import RecordedStep
+from swarmabs_bag.run.step import Step
 from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import RunFolder, new_run_folder
 from swarmabs_config.scenario import Scenario, dump_scenario
@@ -50,7 +50,7 @@ ALL = (*msg.MAIN_TOPICS, msg.STANDING, msg.EVENTS)
 EARLIER = (*msg.MAIN_TOPICS, msg.EVENTS)
 """The topics of bags without the division of the abstract state."""
 NODE = (NodeName.parse("controller"),)
-STEPS = list(Simulation(builtin("pd_het_4", *SETTINGS)).steps())
+STEPS = singly(Simulation(builtin("pd_het_4", *SETTINGS)).steps())
 
 
 def write(folder: Path, records: Iterable[Record], *settings: str, topics: tuple[msg.Topic, ...] = ALL) -> Path:
@@ -63,7 +63,7 @@ def write(folder: Path, records: Iterable[Record], *settings: str, topics: tuple
     return folder
 
 
-def records(until: int, steps: Sequence[RecordedStep] = STEPS) -> list[Record]:
+def records(until: int, steps: Sequence[Step] = STEPS) -> list[Record]:
     return [record for step in steps[:until] for record in step.records]
 
 
@@ -87,7 +87,7 @@ def test_a_run_that_ended_early_is_replayed_as_far_as_its_steps_are_complete(tmp
 
 def of_the_first_steps(folder: Path, *settings: str) -> Scenario:
     """Return the scenario of a replay of what ended after 20 steps."""
-    steps = list(Simulation(builtin("pd_het_4", *settings)).steps())
+    steps = singly(Simulation(builtin("pd_het_4", *settings)).steps())
     return open_source(write(folder, records(21, steps), *settings)).scenario(NODE, ())
 
 
@@ -197,16 +197,16 @@ def names(*texts: str) -> list[NodeName]:
     return [NodeName.parse(text) for text in texts]
 
 
-def run(*overrides: str) -> tuple[Scenario, list[RecordedStep]]:
+def run(*overrides: str) -> tuple[Scenario, list[Step]]:
     scenario = builtin("pd_het_4", "duration=1", *overrides).resolved()
-    return scenario, list(Simulation(scenario).steps())
+    return scenario, singly(Simulation(scenario).steps())
 
 
-def only(steps: list[RecordedStep], topic: msg.Topic) -> list[Record]:
+def only(steps: list[Step], topic: msg.Topic) -> list[Record]:
     return [each for each in records(len(steps), steps) if each.topic is topic]
 
 
-def torque(steps: list[RecordedStep]) -> float:
+def torque(steps: list[Step]) -> float:
     """Return the torque that is asked for first."""
     desired = only(steps, msg.DESIRED_ABSTRACT_STATE)[0].message
     assert isinstance(desired, msg.DesiredAbstractState)
@@ -217,17 +217,17 @@ def torque(steps: list[RecordedStep]) -> float:
 def test_the_same_code_gives_the_same_messages_and_events(case: str) -> None:
     scenario, recorded = run(*RUNS[case])
     for nodes in NODES:
-        assert list(replayed_steps(scenario, names(*nodes), iter(recorded))) == recorded, nodes
+        assert singly(replayed_steps(scenario, names(*nodes), iter(recorded))) == recorded, nodes
 
 
 def test_a_robot_that_was_dropped_is_dropped_again() -> None:
     """To all others it is the same as if it had been killed by plan."""
     _, steps = run("faults=[{at: 0.5, kind: kill, agent: 3}]", "lockstep.on_stall=drop")
-    recorded = [RecordedStep(step.step, tuple(map(silenced, step.records))) for step in steps]
+    recorded = [Step.of(step.step, tuple(map(silenced, step.records))) for step in steps]
     scenario = builtin("pd_het_4", "duration=1", "lockstep.on_stall=drop").resolved()
     end = Change(50, 3, ChangeKind.KILL)
     for nodes in NODES:
-        assert list(replayed_steps(scenario, names(*nodes), iter(recorded), [end])) == recorded, nodes
+        assert singly(replayed_steps(scenario, names(*nodes), iter(recorded), [end])) == recorded, nodes
 
 
 @pytest.mark.parametrize("nodes", NODES)
@@ -237,7 +237,7 @@ def test_an_earlier_bag_is_replayed_without_the_division_that_it_lacks(
 ) -> None:
     settings = (*SETTINGS, f"lockstep.on_stall={on_stall}")
     scenario = builtin("pd_het_4", *settings).resolved()
-    steps = list(Simulation(scenario, division=0).steps())
+    steps = singly(Simulation(scenario, division=0).steps())
     source = open_source(write(tmp_path / "bag", records(61, steps), *settings, topics=EARLIER))
     assert list(source.steps()) == steps
     replay, folder = ReplayRun(source, tuple(names(*nodes)), (), scenario), new_run_folder(tmp_path / "run")
@@ -255,7 +255,7 @@ def test_changed_gains_are_what_the_node_would_have_said_and_nobody_reacts() -> 
     """The PD law asks for kp times the angle of a plane at rest; all others say what they said."""
     scenario, recorded = run()
     changed = builtin("pd_het_4", "duration=1", "controller.gains=[20, 3]").resolved()
-    replayed = list(replayed_steps(changed, names("controller"), iter(recorded)))
+    replayed = singly(replayed_steps(changed, names("controller"), iter(recorded)))
     assert torque(replayed) == pytest.approx(20 * scenario.plane.angle, rel=1e-15)
     for before, after in zip(recorded, replayed, strict=True):
         said = [r.topic for r, other in zip(before.records, after.records, strict=True) if r != other]
@@ -266,8 +266,8 @@ def test_nodes_under_test_hear_each_other() -> None:
     """A plane that begins at another angle is what the controller beside it sees."""
     _, recorded = run()
     changed = builtin("pd_het_4", "duration=1", "plane.angle=0.2").resolved()
-    alone = list(replayed_steps(changed, names("plane"), iter(recorded)))
-    both = list(replayed_steps(changed, names("plane", "controller"), iter(recorded)))
+    alone = singly(replayed_steps(changed, names("plane"), iter(recorded)))
+    both = singly(replayed_steps(changed, names("plane", "controller"), iter(recorded)))
     first = only(both, msg.PLANE_STATE)[0].message
     assert isinstance(first, msg.PlaneState)
     assert first.angle == 0.2
@@ -287,11 +287,10 @@ def test_a_node_that_cannot_go_on_fails_the_replay() -> None:
 def test_a_recording_that_lacks_a_robot_stalls_and_says_who() -> None:
     scenario, recorded = run()
     incomplete = [
-        RecordedStep(step.step, tuple(r for r in step.records if r.agent_id != 2 or step.step < 30))
-        for step in recorded
+        Step.of(step.step, tuple(r for r in step.records if r.agent_id != 2 or step.step < 30)) for step in recorded
     ]
     with pytest.raises(RunError, match="the replay stalls at step 30; missing: agent 2"):
-        list(replayed_steps(scenario, names("observer"), iter(incomplete)))
+        singly(replayed_steps(scenario, names("observer"), iter(incomplete)))
 
 
 def planned(recorded: Path, *nodes: str) -> dict[str, ProcessPlan]:

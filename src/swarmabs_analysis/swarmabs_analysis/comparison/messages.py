@@ -7,14 +7,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
 from math import inf
-from typing import TYPE_CHECKING, Any, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from swarmabs_analysis.difference import MESSAGE, Difference, Side, component_of, differing_fields
-from swarmabs_bag.run.blocks import Block
-from swarmabs_bag.run.ordering import ORDER
-from swarmabs_bag.run.recording import RecordedStep
+from swarmabs_bag.run.step import ORDER, Step
 from swarmabs_core.arrays import raw
 from swarmabs_core.messages import EVENTS
 from swarmabs_core.record import Record
@@ -22,6 +20,7 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from swarmabs_bag.run.step import Rows
     from swarmabs_core.messages import Topic
 
     Counts: TypeAlias = NDArray[np.integer[Any]]
@@ -32,69 +31,46 @@ _MOST_EVENTS = 100_000
 """Most events of one run that wait for an equal event in the other."""
 
 
-@overload
-def side_by_side(
-    a: Iterable[RecordedStep], b: Iterable[RecordedStep]
-) -> Iterator[tuple[RecordedStep | None, RecordedStep | None]]: ...
-@overload
-def side_by_side(
-    a: Iterable[RecordedStep | Block], b: Iterable[RecordedStep | Block]
-) -> Iterator[tuple[RecordedStep | None, RecordedStep | None] | tuple[Block, Block]]: ...
-def side_by_side(
-    a: Iterable[RecordedStep | Block], b: Iterable[RecordedStep | Block]
-) -> Iterator[tuple[RecordedStep | None, RecordedStep | None] | tuple[Block, Block]]:
-    """Yield two runs step by step, with None for a step that one of them lacks; both must be in ascending order.
+def side_by_side(a: Iterable[Step], b: Iterable[Step]) -> Iterator[tuple[Step | None, Step | None]]:
+    """Yield two runs side by side, the same steps of each, with None for those that one of them lacks.
 
-    Where both have blocks, yield parts of these with the same steps.
+    Both must be in ascending order.
     """
     left, right = _Ahead(a), _Ahead(b)
-    while (step := min(left.step, right.step)) < inf:
-        ours, theirs = left.block, right.block
-        if ours is not None and theirs is not None and left.step == right.step:
-            count = min(len(ours), len(theirs))
-            yield left.part(count), right.part(count)
+    while (first := min(left.first, right.first)) < inf:
+        if left.first == right.first:
+            count = min(left.count, right.count)
+            yield left.take(count), right.take(count)
         else:
-            yield left.single(step), right.single(step)
+            ahead, other = (left, right) if left.first == first else (right, left)
+            steps = ahead.take(min(ahead.count, other.first - first))
+            yield (steps, None) if ahead is left else (None, steps)
 
 
 class _Ahead:
-    """The steps of a run of which the first is known, as `step`, infinite at the end; as `block` if it is in one."""
+    """The steps of a run that come next: number of the `first` one, infinite at the end, and how many are known."""
 
-    def __init__(self, steps: Iterable[RecordedStep | Block]) -> None:
+    def __init__(self, steps: Iterable[Step]) -> None:
         self._steps = iter(steps)
-        self.step = -inf
-        self.block: Block | None = None
-        self._next()
+        self._next: Step | None = next(self._steps, None)
 
-    def _next(self) -> None:
-        self._found = next(self._steps, None)
-        self._begin()
+    @property
+    def first(self) -> float:
+        return inf if self._next is None else self._next.first
 
-    def _begin(self) -> None:
-        found = self._found
-        self.block = found if isinstance(found, Block) else None
-        self.step = inf if found is None else found.first if isinstance(found, Block) else found.step
+    @property
+    def count(self) -> int:
+        return 0 if self._next is None else len(self._next)
 
-    def part(self, count: int) -> Block:
-        """Remove and return the first steps of the block."""
-        block = self.block
-        assert block is not None  # noqa: S101 - the caller has looked
-        if count == len(block):
-            self._next()
-        else:
-            self._found = block[count:]
-            self._begin()
-        return block[:count]
-
-    def single(self, step: float) -> RecordedStep | None:
-        """Remove and return the first step if it has this number, None if not."""
-        if self.step != step:
-            return None
-        if self.block is not None:
-            return next(self.part(1).recorded())
-        found = self._found
-        self._next()
-        return found if isinstance(found, RecordedStep) else None
+    def take(self, count: float) -> Step:
+        """Remove and return so many steps, at most the known ones."""
+        steps = self._next
+        assert steps is not None  # noqa: S101 - the caller has looked
+        if count == len(steps):
+            self._next = next(self._steps, None)
+            return steps
+        self._next = steps[int(count) :]
+        return steps[: int(count)]
 
 
 @dataclass
@@ -238,27 +214,61 @@ class MessageComparison:
             topic.field(difference.field).add(deviation, one.message.step, one.agent_id)
             self._note(one, difference)
 
-    def take_blocks(self, one: Block, other: Block) -> None:
-        """Compare the messages of A and B in the same steps; both have the same robots and layouts."""
-        for topic, table in one.tables.items():
-            found = self._topics.setdefault(topic, TopicComparison(topic.name))
-            found.compared += table.size
-            differ = (raw(table) != raw(other.tables[topic])).any(axis=-1)
-            if not differ.any():
-                continue
-            ours, theirs = table[differ], other.tables[topic][differ]
-            found.differing += len(ours)
-            steps = ours["step"]
-            agents = ours["agent_id"] if "agent_id" in (ours.dtype.names or ()) else np.zeros(len(ours), dtype=int)
-            for name, x, y in _columns(topic, ours, theirs):
-                bits = x.view(np.int64) != y.view(np.int64) if x.dtype == np.float64 else x != y
-                if bits.any():
-                    with np.errstate(all="ignore"):
-                        deviations = np.abs(x - y)[bits] if x.dtype == np.float64 else None
-                    found.field(name).add_several(deviations, steps[bits], agents[bits])
-            if self._place is None or (steps[0], ORDER[topic], agents[0]) < self._place:
-                mine, its = (Record.heard(topic, rows[:1].tobytes()) for rows in (ours, theirs))
-                self._note(mine, next(_differences(mine, its)))
+    def take_steps(self, one: Step | None, other: Step | None) -> None:
+        """Compare the messages of A and B in the same steps, None if one of them lacks these."""
+        ours, theirs = (step.tables if step else {} for step in (one, other))
+        for topic in ORDER:
+            rows, its = ours.get(topic), theirs.get(topic)
+            if rows is None or its is None:
+                self._lacking(topic, rows, its)
+            elif rows.ndim == 1 or np.array_equal(rows["agent_id"][0], its["agent_id"][0]):
+                self._take_rows(topic, rows, its)
+            else:
+                ids, others = rows["agent_id"][0], its["agent_id"][0]
+                here, there = np.isin(ids, others), np.isin(others, ids)
+                self._lacking(topic, rows[:, ~here], None)
+                self._lacking(topic, None, its[:, ~there])
+                self._take_rows(topic, rows[:, here], its[:, there])
+
+    def _lacking(self, topic: Topic, rows: Rows | None, others: Rows | None) -> None:
+        """Count messages on a topic that only A or B has."""
+        there = others if rows is None else rows
+        if there is None or not there.size:
+            return
+        counts = self._topics.setdefault(topic, TopicComparison(topic.name))
+        counts.missing_in_a += there.size if rows is None else 0
+        counts.missing_in_b += there.size if others is None else 0
+        sides = (None, MESSAGE) if rows is None else (MESSAGE, None)
+        first = Record.heard(topic, there.ravel()[:1].tobytes())
+        self._note(first, Difference.of(first.message, MESSAGE, *sides))
+
+    def _take_rows(self, topic: Topic, rows: Rows, others: Rows) -> None:
+        """Compare messages of A and B on a topic at the same places."""
+        if not rows.size:
+            return
+        if rows.dtype != others.dtype or rows.dtype.names is None:
+            for mine, its in zip(*(_heard(topic, messages) for messages in (rows, others)), strict=True):
+                self.take(mine, its)
+            return
+        rows, others = np.ascontiguousarray(rows), np.ascontiguousarray(others)
+        counts = self._topics.setdefault(topic, TopicComparison(topic.name))
+        counts.compared += rows.size
+        differ = (raw(rows) != raw(others)).any(axis=-1)
+        if not differ.any():
+            return
+        ours, theirs = rows[differ], others[differ]
+        counts.differing += len(ours)
+        steps = ours["step"]
+        agents = ours["agent_id"] if "agent_id" in (ours.dtype.names or ()) else np.zeros(len(ours), dtype=int)
+        for name, x, y in _columns(topic, ours, theirs):
+            bits = x.view(np.int64) != y.view(np.int64) if x.dtype == np.float64 else x != y
+            if bits.any():
+                with np.errstate(all="ignore"):
+                    deviations = np.abs(x - y)[bits] if x.dtype == np.float64 else None
+                counts.field(name).add_several(deviations, steps[bits], agents[bits])
+        if self._place is None or (steps[0], ORDER[topic], agents[0]) < self._place:
+            mine, its = (Record.heard(topic, some[:1].tobytes()) for some in (ours, theirs))
+            self._note(mine, next(_differences(mine, its)))
 
     def _note(self, record: Record, difference: Difference) -> None:
         place = (record.message.step, ORDER[record.topic], record.agent_id)
@@ -292,47 +302,32 @@ def _columns(
             yield from ((f"{name}[{n}]", x[n], y[n]) for n in range(len(x))) if x.ndim > 1 else ((name, x, y),)
 
 
-def compare_steps(a: Iterable[RecordedStep | Block], b: Iterable[RecordedStep | Block]) -> MessageComparison:
+def _heard(topic: Topic, rows: Rows) -> Iterator[Record]:
+    """Yield messages of a table one after the other."""
+    return (Record.heard(topic, row.tobytes()) for row in rows.ravel())
+
+
+def compare_steps(a: Iterable[Step], b: Iterable[Step]) -> MessageComparison:
     """Compare two runs message by message.
 
-    Both are read in parallel; only the current step and the events that have no counterpart yet are kept in memory.
+    Both are read in parallel; only the current steps and the events that have no counterpart yet are kept in memory.
 
-    The steps must be as `recorded_steps` yields them: those of main topics in ascending order, each once; events in
-    separate steps, in any order.
+    The steps must be as `recorded_steps` yields them: in ascending order, each once, but for late events.
     """
-    found = MessageComparison()
-    events = _Events(found)
-    for x, y in side_by_side(_main_steps(a, events, "A"), _main_steps(b, events, "B")):
-        if isinstance(x, Block) and isinstance(y, Block):
-            if x.alike(y):
-                found.take_blocks(x, y)
-            else:
-                for ours, theirs in zip(x.recorded(), y.recorded(), strict=True):
-                    _take_step(found, ours, theirs)
-        elif not isinstance(x, Block) and not isinstance(y, Block):
-            _take_step(found, x, y)
+    comparison = MessageComparison()
+    events = _Events(comparison)
+    for x, y in side_by_side(_without_events(a, events, "A"), _without_events(b, events, "B")):
+        comparison.take_steps(x, y)
     events.finish()
-    return found.finish()
+    return comparison.finish()
 
 
-def _take_step(found: MessageComparison, a: RecordedStep | None, b: RecordedStep | None) -> None:
-    """Compare the messages of a step."""
-    ours, theirs = ({_place(record): record for record in step.records} if step else {} for step in (a, b))
-    for place in sorted(ours.keys() | theirs.keys()):
-        found.take(ours.get(place), theirs.get(place))
-
-
-def _place(record: Record) -> tuple[int, str, int]:
-    """Return the place of a message in its step; topics of different families have places of their own."""
-    return ORDER[record.topic], record.topic.name, record.agent_id
-
-
-def _main_steps(steps: Iterable[RecordedStep | Block], events: _Events, side: Side) -> Iterator[RecordedStep | Block]:
+def _without_events(steps: Iterable[Step], events: _Events, side: Side) -> Iterator[Step]:
+    """Yield steps, and put their events aside."""
     for step in steps:
-        if isinstance(step, RecordedStep) and step.records[0].topic is EVENTS:
-            for record in step.records:
-                events.add(record, side)
-        else:
+        for payload in step.told:
+            events.add(Record.heard(EVENTS, payload), side)
+        if step.tables:
             yield step
 
 

@@ -29,7 +29,7 @@ from swarmabs_core.publishers import PUBLISHER, NodeKind, NodeName, publisher_of
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from swarmabs_bag.run.recording import RecordedStep
+    from swarmabs_bag.run.step import Step
     from swarmabs_core.record import Record
 
 
@@ -81,7 +81,7 @@ class Player:
 
     def __init__(
         self,
-        steps: Iterator[RecordedStep],
+        steps: Iterator[Step],
         live: Collection[NodeName],
         *,
         last_step: int,

@@ -11,7 +11,7 @@ from swarmabs_analysis.replay.player import Player, answered, played
 from swarmabs_analysis.replay.source import complete_steps
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.run.recording import Digest, RecordedStep
+from swarmabs_bag.run.step import Digest, Step
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, agent_name
 from swarmabs_core.behaviours import LifeSpan, Observer
@@ -141,15 +141,15 @@ class ReplayRun:
             "deviations": [{"topic": topic.topic, **asdict(field)} for topic in found.topics for field in topic.fields],
         }
 
-    def _answers(self, steps: Iterable[RecordedStep]) -> Iterator[RecordedStep]:
+    def _answers(self, steps: Iterable[Step]) -> Iterator[Step]:
         """Yield the messages of the nodes under test, without events."""
         live = frozenset(self.nodes)
         for step in steps:
             answers = tuple(r for r in step.records if r.topic is not EVENTS and publisher_of(r.message) in live)
             if answers:
-                yield RecordedStep(step.step, answers)
+                yield Step.of(step.step, answers)
 
-    def _recorded(self, digest: Digest) -> Iterator[RecordedStep]:
+    def _recorded(self, digest: Digest) -> Iterator[Step]:
         """Yield the recorded steps that are replayed, and update the digest."""
         last = -1
         for step in self.source.steps():
@@ -172,10 +172,10 @@ def _without(topic: Topic, process: ProcessPlan) -> ProcessPlan:
 def replayed_steps(
     scenario: AnyScenario,
     live: Collection[NodeName],
-    recorded: Iterator[RecordedStep],
+    recorded: Iterator[Step],
     ends: Collection[Change] = (),
     division: int | None = None,
-) -> Iterator[RecordedStep]:
+) -> Iterator[Step]:
     """Connect a player and the nodes under test by a queue, and yield every step as recorded in a bag.
 
     The recorded run must be in order and include the scenario's last step; `ends` are the unplanned ends of its robots,

@@ -9,7 +9,7 @@ from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_bag.run.metadata import dump_yaml
-from swarmabs_bag.run.recording import Digest, RecordedStep
+from swarmabs_bag.run.step import Digest, Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import InputError
@@ -57,7 +57,7 @@ class ReplaySource:
         """For how many steps from a change on the recorded observer tells how the abstract state divides."""
         return _division(self.bag, self.recorded)
 
-    def steps(self, played: AnyScenario | None = None) -> Iterator[RecordedStep]:
+    def steps(self, played: AnyScenario | None = None) -> Iterator[Step]:
         """Yield the complete steps in order, for a scenario; an event that was recorded late is yielded late too."""
         return complete_steps(self.bag, self.recorded, self.ends, played)
 
@@ -141,7 +141,7 @@ def unplanned_end(message: Message) -> Change | None:
 
 def complete_steps(
     bag: BagReader, scenario: AnyScenario, ends: Collection[Change] = (), played: AnyScenario | None = None
-) -> Iterator[RecordedStep]:
+) -> Iterator[Step]:
     """Yield the complete steps of a bag in order, up to one that lacks a message for the next `WINDOW` steps.
 
     The scenario defines whose states a complete step has; `ends` are the unplanned ends known in advance. Messages
@@ -152,16 +152,16 @@ def complete_steps(
     topics = (*family.once, *family.main, STANDING, EVENTS)
     division = _division(bag, scenario)
     collector = RunCollector(configure.members(scenario), schedule, scenario.steps, division=division, family=family)
-    held: RecordedStep | None = None  # the events of a step follow its other messages
+    held: Step | None = None  # the events of a step follow its other messages
     waiting = 0
     for record in bag.records(topics):
         complete = collector.add(_of_system(record, system))
         waiting = 0 if complete else waiting + 1
         if waiting > WINDOW * (len(scenario.agents) + len(family.main)):
             break
-        for step in complete:
+        for step in (single for steps in complete for single in steps.singly()):
             if held is not None and step.step == held.step:
-                held = _with_events(held, step)
+                held = Step(held.first, held.tables, tuple(sorted(held.told + step.told)))
             elif held is not None and step.step < held.step:
                 yield step  # an event that was recorded late
             else:
@@ -184,13 +184,6 @@ def _of_system(record: Record, system: NamedSystem | None) -> Record:
         return record
     also = {"description": system.description} if isinstance(message, SystemDescription) else {}
     return Record.of(message._replace(system=system.hash, **also))
-
-
-def _with_events(step: RecordedStep, more: RecordedStep) -> RecordedStep:
-    """Return a step with further events."""
-    main = [record for record in step.records if record.topic is not EVENTS]
-    events = [record for record in (*step.records, *more.records) if record.topic is EVENTS]
-    return RecordedStep(step.step, (*main, *sorted(events, key=lambda record: record.payload)))
 
 
 def _quantities(scenario: Any) -> object:

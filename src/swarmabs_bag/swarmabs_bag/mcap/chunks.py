@@ -50,14 +50,26 @@ class Column(NamedTuple):
     payloads: NDArray[np.void]
 
 
+class _Group(NamedTuple):
+    """A group of M messages: its records, a field for each column; their channels, begins and ends, bytes, (M,)."""
+
+    layout: np.dtype[np.void]
+    channels: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    ends: NDArray[np.int64]
+
+
 @lru_cache(maxsize=64)
-def _group_layout(columns: tuple[tuple[int, int], ...]) -> np.dtype[np.void]:
-    """Return the message records of a group, a field for each column, given by number of messages and size."""
+def _group(columns: tuple[tuple[int, int, int], ...]) -> _Group:
+    """Return a group of columns, each given by channel, number of messages and size of a payload."""
     fields: list[Any] = []
-    for number, (count, size) in enumerate(columns):
+    for number, (_, count, size) in enumerate(columns):
         record: list[Any] = [("head", f"V{_MESSAGE_HEAD.size}"), ("sequence", "<u4"), ("times", "<u8", (2,))]
         fields.append((str(number), np.dtype([*record, ("payload", f"V{size}")]), (count,)))
-    return np.dtype(fields)
+    channels, counts, sizes = np.array(columns, dtype=np.int64).T
+    sizes = np.repeat(_BEFORE_PAYLOAD + sizes, counts)
+    ends = np.cumsum(sizes)
+    return _Group(np.dtype(fields), np.repeat(channels, counts), ends - sizes, ends)
 
 
 class MessageRecords:
@@ -79,21 +91,18 @@ class MessageRecords:
     __slots__ = ("_begins", "_channels", "_ends", "_times", "data")
 
     def __init__(self, times: NDArray[np.int64], columns: Sequence[Column]) -> None:
-        layout = _group_layout(tuple((c.payloads.shape[1], c.payloads.itemsize) for c in columns))
-        rows = np.empty(len(times), dtype=layout)
-        for name, (channel, sequence, payloads) in zip(layout.names or (), columns, strict=True):
+        group = _group(tuple((c.channel, c.payloads.shape[1], c.payloads.itemsize) for c in columns))
+        rows = np.empty(len(times), dtype=group.layout)
+        for name, (channel, sequence, payloads) in zip(group.layout.names or (), columns, strict=True):
             records, size = rows[name], payloads.itemsize
             records["head"] = np.void(_message_head(channel, size))
             records["sequence"] = np.arange(sequence, sequence + payloads.size).reshape(records.shape) & _SEQUENCE_MASK
             records["times"] = times[:, np.newaxis, np.newaxis]
             records["payload"] = payloads.view(f"V{size}").reshape(records.shape)
         self.data = memoryview(rows.view(np.uint8))
-        of_group = [(c.channel, _BEFORE_PAYLOAD + c.payloads.itemsize) for c in columns for _ in c.payloads[0]]
-        channels, sizes = np.array(of_group, dtype=np.int64).T
-        self._channels = np.tile(channels, len(times))
-        self._ends = np.cumsum(np.tile(sizes, len(times)))
-        self._begins = self._ends - np.tile(sizes, len(times))
-        self._times = np.repeat(times, len(of_group))
+        starts = np.arange(len(times))[:, np.newaxis] * rows.itemsize
+        self._begins, self._ends = (starts + group.begins).ravel(), (starts + group.ends).ravel()
+        self._channels, self._times = group.channels, times
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -110,17 +119,17 @@ class MessageRecords:
 
     def times(self, first: int, stop: int) -> NDArray[np.int64]:
         """Return the log times of messages `first` to `stop` - 1, ns."""
-        return self._times[first:stop]
+        return self._times[np.arange(first, stop) // len(self._channels)]
 
     def entries(self, first: int, stop: int, offset: int) -> Iterator[tuple[int, bytes]]:
         """Yield each channel of messages `first` to `stop` - 1, in order, with the entries of its message index.
 
         `offset` is that of the first record in its chunk.
         """
-        channels = self._channels[first:stop]
-        entries = np.stack((self._times[first:stop], self._begins[first:stop] - self._begins[first] + offset), axis=1)
-        appearing, places = np.unique(channels, return_index=True)
-        for channel in appearing[np.argsort(places)].tolist():
+        channels = self._channels[np.arange(first, stop) % len(self._channels)]
+        offsets = self._begins[first:stop] - self._begins[first] + offset
+        entries = np.stack((self.times(first, stop), offsets), axis=1)
+        for channel in dict.fromkeys(channels[: len(self._channels)].tolist()):
             yield channel, entries[channels == channel].tobytes()
 
 

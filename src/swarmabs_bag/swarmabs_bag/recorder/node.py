@@ -44,8 +44,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from swarmabs_bag.recorder.recording import RealtimeRecording
-    from swarmabs_bag.run.blocks import Block
-    from swarmabs_bag.run.recording import RecordedStep
+    from swarmabs_bag.run.step import Step
     from swarmabs_config.scenario import AnyScenario
 
 COMMON = (
@@ -232,7 +231,7 @@ class Recorder:
         self._credited = written
         return (self._credit(),)
 
-    def _taken(self, topic: Topic, payloads: Sequence[bytes]) -> Iterator[RecordedStep | Block]:
+    def _taken(self, topic: Topic, payloads: Sequence[bytes]) -> Iterator[Step]:
         """Take serialized messages, and yield the steps that are complete then; packed ones part by part."""
         if topic is STEERING:
             yield from self._steer(payloads)
@@ -255,7 +254,7 @@ class Recorder:
         elif steps > self._batch[1]:
             self._gathering = max(shortest, 0.5 * self._gathering)
 
-    def _steer(self, payloads: Sequence[bytes]) -> Iterator[RecordedStep | Block]:
+    def _steer(self, payloads: Sequence[bytes]) -> Iterator[Step]:
         for payload in payloads:
             order = decode(Steering, payload)
             assert isinstance(order, Steering)  # noqa: S101 - `decode` returns this type
@@ -264,7 +263,6 @@ class Recorder:
                 if known.action == Action.REFERENCE:
                     self._recording.offset(known.step, known.value)
             yield from steps
-            yield from self._collector.ready()
 
     def _still_here(self) -> Messages:
         newest = self._collector.newest

@@ -14,7 +14,7 @@ from swarmabs_core.ranges import crossing_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from swarmabs_bag.run.recording import Step
+    from swarmabs_bag.run.step import Step
     from swarmabs_bag.shown.swarm_state import RobotStatus
     from swarmabs_core.messages import Message
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_bag.run.blocks import Block
 from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_core.arrays import PADDING, constant, layout_of, raw
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND
@@ -15,7 +14,7 @@ from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import Status
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Sequence
     from typing import Any
 
     from numpy.typing import NDArray
@@ -129,6 +128,39 @@ class Arrivals:
         self._tables[topic] = table
         return table
 
+    def put(self, topic: Topic, agent_id: int, step: int, payload: bytes) -> bool:
+        """Add a message in canonical form, of a held step; `agent_id` is 0 unless it is the state of a robot.
+
+        Returns False if it differs from another in its place; then nothing is added.
+
+        Raises
+        ------
+        MalformedMessageError
+            If its lists are not as long as those of the first message of the topic.
+        """
+        table = self._tables.get(topic) or self._begun(topic, payload)
+        if table is None or len(payload) != table.layout.itemsize:
+            raise MalformedMessageError(topic.message.__name__, "lists of other lengths than in the messages before it")
+        place = self._place(agent_id, step)
+        if not table.known[place]:
+            table.rows[place] = np.void(payload)
+            table.known[place] = True
+            self.newest = max(self.newest, step)
+        return bool(table.rows[place].tobytes() == payload)
+
+    def get(self, topic: Topic, agent_id: int, step: int) -> bytes | None:
+        """Return a message of a held step, None if it is not there; parameters as for `put`."""
+        table = self._tables.get(topic)
+        if table is None or (agent_id and agent_id not in self._members):
+            return None
+        place = self._place(agent_id, step)
+        return table.rows[place].tobytes() if table.known[place] else None
+
+    def _place(self, agent_id: int, step: int) -> int:
+        """Return the place of a message in its table."""
+        place = step % self._capacity
+        return place * len(self._members) + int(np.searchsorted(self._members, agent_id)) if agent_id else place
+
     def _columns(self, states: Rows) -> Integers:
         return np.searchsorted(self._members, states["agent_id"])
 
@@ -171,29 +203,30 @@ class Arrivals:
 
     def complete(self, step: int) -> int:
         """Return the number of steps from a step on of which all messages are there, with the robots of this step."""
-        tables, place = self._tables, step % self._capacity
-        if self.newest < step or not all(topic in tables for topic in self._family.main):
-            return 0
+        tables, place, coordinated = self._tables, step % self._capacity, self._family.main[1:]
         # That one of the few messages is missing is found faster than whether that of a robot is.
-        if not all(tables[topic].known[place] for topic in self._family.main[1:]):
-            return 0
-        if not self._membership.publishing(step):
+        if self.newest < step or not all(topic in tables and tables[topic].known[place] for topic in coordinated):
             return 0
         places = np.arange(step, self.newest + 1) % self._capacity
-        there = self._by_step(self._family.robot, tables[self._family.robot].known, step, places).all(axis=1)
-        for topic in self._family.main[1:]:
+        there = np.ones(len(places), dtype=bool)
+        if self._membership.publishing(step):
+            if (states := tables.get(self._family.robot)) is None:
+                return 0
+            there = self._by_step(self._family.robot, states.known, step, places).all(axis=1)
+        for topic in coordinated:
             there &= tables[topic].known[places]
         gaps = np.flatnonzero(~there)
         return int(gaps[0]) if len(gaps) else len(there)
 
-    def block(self, step: int, count: int) -> Block:
-        """Return so many complete steps from a step on, with the robots of this step."""
+    def tables(self, step: int, count: int) -> dict[Topic, Rows]:
+        """Return the messages of so many complete steps from a step on, with the robots of this step; see `Step`."""
         places = np.arange(step, step + count) % self._capacity
         tables = {}
         for topic, table in self._tables.items():
             rows = self._by_step(topic, table.rows, step, places).view(table.layout)
-            tables[topic] = rows if topic is self._family.robot else rows[:, 0]
-        return Block(tables)
+            if rows.size:
+                tables[topic] = rows if topic is self._family.robot else rows[:, 0]
+        return tables
 
     def _by_step(self, topic: Topic, values: NDArray[Any], step: int, places: Integers) -> NDArray[Any]:
         """Return a copy of values of a table, in rows for these steps and columns for the robots of a step."""
@@ -202,14 +235,6 @@ class Arrivals:
         if topic is not self._family.robot or len(robots) == len(self._members):
             return table[places]
         return table[np.ix_(places, np.searchsorted(self._members, robots))]
-
-    def messages(self, step: int) -> Iterator[tuple[Topic, bytes]]:
-        """Return topic and bytes of the messages of a held step."""
-        place = step % self._capacity
-        for topic, table in self._tables.items():
-            known = table.known.reshape(self._capacity, -1)[place]
-            for row in table.rows.reshape(self._capacity, -1)[place][known]:
-                yield topic, row.tobytes()
 
     def forget(self, step: int, count: int = 1) -> None:
         """Forget the messages of so many steps from a step on."""

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmabs_bag.run.arrivals import Arrivals
-from swarmabs_bag.run.recording import RecordedStep
+from swarmabs_bag.run.step import Step, rows_of
 from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError, refuse_other_system
 from swarmabs_core.behaviours.steering import Orders
 from swarmabs_core.cdr import decode, split
-from swarmabs_core.errors import ProtocolError
+from swarmabs_core.errors import MalformedMessageError, ProtocolError
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
     EVENTS,
@@ -28,7 +28,6 @@ from swarmabs_core.messages import (
     AnyRobotState,
     EventKind,
     Family,
-    Message,
     Status,
     Steering,
     SwarmEvent,
@@ -43,7 +42,6 @@ from swarmabs_core.steering import DISTURBANCE, REFERENCE, STEERER, change_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from swarmabs_bag.run.blocks import Block
     from swarmabs_core.membership import Change
 
 
@@ -62,22 +60,11 @@ class UnplannedChangeError(ProtocolError):
         )
 
 
-class _Slot:
-    """The received messages of a step."""
-
-    __slots__ = ("agents", "events", "main")
-
-    def __init__(self) -> None:
-        self.main: dict[Topic, Record] = {}
-        self.agents: dict[int, Record] = {}
-        self.events: dict[bytes, Record] = {}
-
-
 class RunCollector:
     """Orders the messages of a run, which may arrive at any time and repeatedly.
 
-    They are added one by one, or in batches of a topic. Of each step the messages are held in one place: as arrays, if
-    all came in batches and are ordinary, or else as records.
+    They are added one by one, or in batches of a topic. Messages on main topics are held as arrays, the few others of a
+    step as bytes.
 
     Parameters
     ----------
@@ -124,7 +111,9 @@ class RunCollector:
         self._settings: dict[int, str] = {}
         self._step = 0
         self._newest = -1
-        self._slots: dict[int, _Slot] = {}
+        self._others: dict[int, dict[Topic, bytes]] = {}
+        self._events: dict[int, dict[bytes, SwarmEvent]] = {}
+        self._early: dict[int, list[Record]] = {}
 
     @property
     def step(self) -> int:
@@ -141,8 +130,8 @@ class RunCollector:
         """Whether all steps are complete."""
         return self._step > self._last_step
 
-    def add(self, record: Record) -> list[RecordedStep]:
-        """Add the record of a message; return the steps held as records that are complete then.
+    def add(self, record: Record) -> list[Step]:
+        """Add the record of a message; return the steps that are complete then.
 
         Raises
         ------
@@ -154,7 +143,13 @@ class RunCollector:
             If it comes from a robot that is not a member.
         NegativeTimeError
             If its time, which determines the order in the bag, is before the beginning of the run.
+        MalformedMessageError
+            If its lists are not as long as those of the messages before it.
         """
+        return [*self._add(record), *self.ready()]
+
+    def _add(self, record: Record) -> list[Step]:
+        """Hold a message; return it as a step of its own if it is an event of a step that was complete before."""
         topic, message = record.topic, record.message
         if self._system is not None:
             refuse_other_system(message, self._system)
@@ -164,138 +159,159 @@ class RunCollector:
         if message.stamp < 0 and not getattr(message, "agent_id", 0):  # a robot's clock may be wrong
             raise NegativeTimeError(topic.name, step, message.stamp)
         self._newest = max(self._newest, step)
-        slot = self._slots.get(step) or self._apart(step)
-        if isinstance(message, ROBOT_STATES):
-            self._add_agent(slot, record, message)
-        elif isinstance(message, SwarmEvent):
-            return self._add_event(slot, record, message)
+        if isinstance(message, SwarmEvent):
+            return self._add_event(record.payload, message)
+        if step < self._step + KEPT_STEPS:
+            self._hold(record)
         else:
-            known = slot.main.get(topic)
-            if known is None:
-                slot.main[topic] = record
-            elif known.payload != record.payload:
-                raise ConflictError(topic.name, step)
-        return self._complete() if step == self._step else []
+            self._early.setdefault(step, []).append(record)
+        return []
 
-    def add_all(self, topic: Topic, payloads: Sequence[bytes]) -> Iterator[RecordedStep | Block]:
+    def add_all(self, topic: Topic, payloads: Sequence[bytes]) -> Iterator[Step]:
         """Add serialized messages of a topic, in order of arrival; yield the steps that are complete then.
 
-        Errors as for `add`, and `MalformedMessageError`. The robots' states may also come as `SwarmStates`.
+        Errors as for `add`. The robots' states may also come as `SwarmStates`.
         """
         joined = topic is SWARM_STATES
         if joined:
             topic, payloads = self._family.robot, [_states_in(data) for data in payloads]
         apart = self._arrange(topic, payloads, joined=joined)
         if apart is None:
-            apart = [each for data in payloads for each in split(topic.message, data)] if joined else payloads
-        yield from self.ready()
-        for payload in apart:
-            yield from self.add(Record.heard(topic, payload))
+            apart = [state for data in payloads for state in split(topic.message, data)] if joined else payloads
+        try:
+            for payload in apart:
+                if topic in self._family.main or topic is EVENTS:  # what is complete before this message has come
+                    yield from self.ready()
+                yield from self._add(Record.heard(topic, payload))
+        except (ProtocolError, MalformedMessageError):
             yield from self.ready()
+            raise
+        yield from self.ready()
 
     def _arrange(self, topic: Topic, payloads: Sequence[bytes], *, joined: bool) -> Sequence[bytes] | None:
-        """Take ordinary messages; return those of steps that are held as records, None if all must be added singly."""
-        messages = self._arrivals.read(topic, payloads, joined=joined) if topic in self._family.main else None
+        """Hold ordinary messages; return those of steps far ahead, None if all must be added singly."""
+        if topic not in self._family.main or not payloads:
+            return None
+        messages = self._arrivals.read(topic, payloads, joined=joined)
         if messages is None:
             return None
         steps = messages["step"].astype(np.int64)
         wanted = (steps >= max(0, self._step - self._memory)) & (steps <= self._last_step)
-        taken = wanted & (steps < self._step + KEPT_STEPS)
-        if self._slots:
-            taken &= ~np.isin(steps, list(self._slots))
-        if taken.all():
-            return [] if self._arrivals.add(topic, messages) else None
-        added = self._arrivals.add(topic, messages[taken])
-        return [message.tobytes() for message in messages[wanted & ~taken]] if added else None
-
-    def ready(self) -> Iterator[RecordedStep | Block]:
-        """Yield the steps that are complete and that no other method has returned."""
-        while (block := self._block()) is not None:
-            yield block
-            yield from self._complete()
-
-    def _block(self) -> Block | None:
-        """Return the complete steps held as arrays, as far as the robots and what was ordered stay the same."""
-        step, membership = self._step, self._membership
-        count = self._arrivals.complete(step)
-        if not count or (not step and self._family.once):
+        near = wanted & (steps < self._step + KEPT_STEPS)
+        if not self._arrivals.add(topic, messages if near.all() else messages[near]):
             return None
-        until = membership.undivided_until(step, self._division)
-        if self._orders is not None:
-            until = min(until, self._orders.known + 1, *(at for at in self._settings if at >= step))
-        count = min(count, until - step)
-        if count <= 0:
-            return None
-        block = self._arrivals.block(step, count)
-        self._advance(count)
-        return block
+        return [message.tobytes() for message in messages[wanted & ~near]]
 
-    def _advance(self, count: int) -> None:
-        for step in range(self._step, self._step + count):
-            self._slots.pop(step - self._memory, None)
-        self._arrivals.forget(self._step + KEPT_STEPS, count)
-        self._step += count
+    def _hold(self, record: Record) -> None:
+        """Hold a message of a step that is not far ahead."""
+        topic, message = record.topic, record.message
+        if isinstance(message, ROBOT_STATES):
+            self._hold_state(record, message)
+        elif topic in self._family.main:
+            if not self._arrivals.put(topic, 0, message.step, record.payload):
+                raise ConflictError(topic.name, message.step)
+        elif self._others.setdefault(message.step, {}).setdefault(topic, record.payload) != record.payload:
+            raise ConflictError(topic.name, message.step)
 
-    def _apart(self, step: int) -> _Slot:
-        """Hold the messages of a step as records."""
-        slot = self._slots[step] = self._slot(step)
-        if step < self._step + KEPT_STEPS:
-            self._arrivals.forget(step)
-        return slot
-
-    def _slot(self, step: int) -> _Slot:
-        """Return the messages of a step as records, however they are held."""
-        slot = self._slots.get(step)
-        if slot is None:
-            slot = _Slot()
-            for topic, payload in self._arrivals.messages(step) if step < self._step + KEPT_STEPS else ():
-                record = Record.heard(topic, payload)
-                if record.agent_id:
-                    slot.agents[record.agent_id] = record
-                else:
-                    slot.main[topic] = record
-        return slot
-
-    def steer(self, order: Steering) -> tuple[list[Steering], list[RecordedStep]]:
-        """Add the request of a step; return the requests known up to now, and steps as `add` does."""
-        assert self._orders is not None  # noqa: S101 - only steerable runs receive requests
-        found = self._orders.add(order)
-        for known in found:
-            if (change := change_of(known)) is not None:
-                for membership in filter(None, (self._membership, self._planned)):
-                    membership.plan(change)
-            elif known.action != Action.NONE:
-                self._settings[known.step] = REFERENCE if known.action == Action.REFERENCE else DISTURBANCE
-        return found, self._complete()
-
-    def _add_agent(self, slot: _Slot, record: Record, state: AnyRobotState) -> None:
-        agent_id = state.agent_id
-        known = slot.agents.get(agent_id)
-        if known is not None:
-            if known.payload != record.payload:
-                raise ConflictError(f"{record.topic.name} of agent {agent_id}", state.step)
-            return
-        if not self._membership.publishes(agent_id, state.step):
+    def _hold_state(self, record: Record, state: AnyRobotState) -> None:
+        """Hold the state of a robot, unless it does not take part in this step."""
+        topic, agent_id, step = record.topic, state.agent_id, state.step
+        there = self._arrivals.get(topic, agent_id, step)
+        if there is None and not self._membership.publishes(agent_id, step):
             if agent_id not in self._membership:
                 raise UnknownAgentError(agent_id)
             return
-        slot.agents[agent_id] = record
-        if state.status == Status.LEFT:
-            self._membership.end(agent_id, state.step, stays=False, reason="left")
+        if not self._arrivals.put(topic, agent_id, step, record.payload):
+            raise ConflictError(f"{topic.name} of agent {agent_id}", step)
+        if there is None and state.status == Status.LEFT:
+            self._membership.end(agent_id, step, stays=False, reason="left")
 
-    def _add_event(self, slot: _Slot, record: Record, event: SwarmEvent) -> list[RecordedStep]:
-        if record.payload in slot.events:
+    def _add_event(self, payload: bytes, event: SwarmEvent) -> list[Step]:
+        """Add an event; return it as a step of its own if its step is already complete."""
+        events = self._events.setdefault(event.step, {})
+        if payload in events:
             return []
-        slot.events[record.payload] = record
+        events[payload] = event
         self._membership.apply(event.kind, event.agent_id, event.step, event.detail)
-        if event.step < self._step:  # its step is already recorded, so the event follows late
-            if self._is_void(event):
-                return []
-            self._refuse_unplanned(event)
-            return [RecordedStep(event.step, (record,), slot.main[self._family.parent].message.stamp)]
-        return self._complete()
+        if event.step >= self._step or self._is_void(event):
+            return []
+        self._refuse_unplanned(event)
+        parent = self._arrivals.get(self._family.parent, 0, event.step)
+        time = None if parent is None else decode(self._family.parent.message, parent).stamp
+        return [Step(event.step, {}, (payload,), time)]
 
-    def _refuse_unplanned(self, event: Message) -> None:
+    def ready(self) -> Iterator[Step]:
+        """Yield the steps that are complete and that no other method has returned."""
+        self._admit()
+        while count := self._complete():
+            for event in self._events.get(self._step + count - 1, {}).values():
+                self._refuse_unplanned(event)
+            yield self._take(count)
+            self._admit()
+
+    def _complete(self) -> int:
+        """Return the number of complete steps, as far as they are alike and only the last one has events."""
+        step, orders = self._step, self._orders
+        count = 0 if self.finished else self._arrivals.complete(step)
+        if not count or not self._others_there(step) or not (orders is None or self._announced(step, orders)):
+            return 0
+        end = min(step + count, self._last_step + 1, self._membership.constant_until(step))
+        end = min(end, *(at + 1 for at, events in self._events.items() if at >= step and events), end)
+        if orders is not None:
+            end = min(end, orders.known + 1, *(at for at in self._settings if at > step), end)
+        if not step and self._family.once:
+            return 1
+        if not self._membership.divides(step, self._division):
+            return min(end, self._membership.undivided_until(step + 1, self._division)) - step
+        size = len(self._others[step][STANDING])
+        divided = step + 1
+        while divided < end and self._membership.divides(divided, self._division):
+            if len(self._others.get(divided, {}).get(STANDING, b"")) != size:
+                break
+            divided += 1
+        return divided - step
+
+    def _others_there(self, step: int) -> bool:
+        """Return whether the messages of a step on other than the main topics have arrived."""
+        others = self._others.get(step, {})
+        return all(topic in others for topic in self._coordinated(step) if topic not in self._family.main)
+
+    def _take(self, count: int) -> Step:
+        """Return so many complete steps, and go on to the next one."""
+        step = self._step
+        tables = self._arrivals.tables(step, count)
+        for topic in self._coordinated(step):
+            if topic not in self._family.main:
+                payloads = [self._others[number][topic] for number in range(step, step + count)]
+                tables[topic] = rows_of(topic, payloads)
+        events = self._events.get(step + count - 1, {})
+        told = tuple(payload for payload, event in sorted(events.items()) if not self._is_void(event))
+        self._step += count
+        self._arrivals.forget(step + KEPT_STEPS, count)
+        for number in range(step - self._memory, step - self._memory + count):
+            self._others.pop(number, None)
+            self._events.pop(number, None)
+        return Step(step, tables, told)
+
+    def _admit(self) -> None:
+        """Hold the messages that were far ahead when they arrived and no longer are."""
+        for step in sorted(step for step in self._early if step < self._step + KEPT_STEPS):
+            for record in self._early.pop(step):
+                self._hold(record)
+
+    def steer(self, order: Steering) -> tuple[list[Steering], list[Step]]:
+        """Add the request of a step; return the requests known up to now, and steps as `add` does."""
+        assert self._orders is not None  # noqa: S101 - only steerable runs receive requests
+        requests = self._orders.add(order)
+        for request in requests:
+            if (change := change_of(request)) is not None:
+                for membership in filter(None, (self._membership, self._planned)):
+                    membership.plan(change)
+            elif request.action != Action.NONE:
+                self._settings[request.step] = REFERENCE if request.action == Action.REFERENCE else DISTURBANCE
+        return requests, list(self.ready())
+
+    def _refuse_unplanned(self, event: SwarmEvent) -> None:
         """Accept an event unless it tells a change of the membership that no node of this swarm can have announced.
 
         Raises
@@ -303,7 +319,7 @@ class RunCollector:
         ConflictError
             If it does.
         """
-        if self._planned is None or not isinstance(event, SwarmEvent) or event.agent_id not in self._planned:
+        if self._planned is None or event.agent_id not in self._planned:
             return
         span = self._planned.span(event.agent_id)
         at = {
@@ -318,14 +334,18 @@ class RunCollector:
         """Return human-readable names of what is missing for the current step."""
         if self.finished:
             return ()
-        slot = self._slot(self._step)
-        topics = [topic.name for topic in self._coordinated() if topic not in slot.main]
-        ordered = self._orders is None or self._step <= self._orders.known
+        step, others = self._step, self._others.get(self._step, {})
+        topics = [
+            topic.name
+            for topic in self._coordinated(step)
+            if topic not in others and self._arrivals.get(topic, 0, step) is None
+        ]
+        ordered = self._orders is None or step <= self._orders.known
         return (*(() if ordered else (STEERER,)), *(f"agent {i}" for i in self.missing_agents()), *topics)
 
-    def _coordinated(self) -> tuple[Topic, ...]:
-        """Return the topics with one message in the current step, in the order of a bag after the robots' states."""
-        family, step = self._family, self._step
+    def _coordinated(self, step: int) -> tuple[Topic, ...]:
+        """Return the topics with one message in a step, in the order of a bag after the robots' states."""
+        family = self._family
         divided = self._membership.divides(step, self._division)
         return (*(() if step else family.once), *family.main[1:-1], *((STANDING,) if divided else ()), family.desired)
 
@@ -333,50 +353,21 @@ class RunCollector:
         """Return the robots whose state is missing in the current step."""
         if self.finished:
             return ()
-        slot = self._slot(self._step)
-        return tuple(i for i in self._membership.publishing(self._step) if i not in slot.agents)
+        step, robot = self._step, self._family.robot
+        return tuple(i for i in self._membership.publishing(step) if self._arrivals.get(robot, i, step) is None)
 
-    def _complete(self) -> list[RecordedStep]:
-        steps = []
-        while not self.finished and (slot := self._slots.get(self._step)) is not None:
-            expected = self._membership.publishing(self._step)
-            coordinated = self._coordinated()
-            if not all(topic in slot.main for topic in coordinated):
-                break
-            if any(i not in slot.agents for i in expected):
-                break
-            if self._orders is not None and not self._announced(slot, self._orders):
-                break
-            for record in slot.events.values():
-                self._refuse_unplanned(record.message)
-            steps.append(
-                RecordedStep(
-                    self._step,
-                    (
-                        *(slot.main[topic] for topic in coordinated if topic in self._family.once),
-                        *(slot.agents[i] for i in expected),
-                        *(slot.main[topic] for topic in coordinated if topic not in self._family.once),
-                        *(r for _, r in sorted(slot.events.items()) if not self._is_void(r.message)),
-                    ),
-                )
-            )
-            self._advance(1)
-        return steps
-
-    def _announced(self, slot: _Slot, orders: Orders) -> bool:
-        """Return whether the request of the current step is known, and announced by the nodes that it concerns."""
-        if self._step > orders.known:
+    def _announced(self, step: int, orders: Orders) -> bool:
+        """Return whether the request of a step is known, and announced by the nodes that it concerns."""
+        if step > orders.known:
             return False
-        events = [record.message for record in slot.events.values()]
-        told = {(e.agent_id, e.kind) for e in events if isinstance(e, SwarmEvent)}
-        if not all((agent_id, kind) in told for agent_id, kind, _ in self._membership.changes(self._step)):
+        events = self._events.get(step, {}).values()
+        told = {(event.agent_id, event.kind) for event in events}
+        if not all((agent_id, kind) in told for agent_id, kind, _ in self._membership.changes(step)):
             return False
-        setting = self._settings.get(self._step)
-        return setting is None or any(
-            isinstance(e, SwarmEvent) and e.kind == EventKind.STEERING and e.detail == setting for e in events
-        )
+        setting = self._settings.get(step)
+        return setting is None or any(event.kind == EventKind.STEERING and event.detail == setting for event in events)
 
-    def _is_void(self, event: Message) -> bool:
+    def _is_void(self, event: SwarmEvent) -> bool:
         """Return whether an event comes from a robot that does not know that it no longer takes part."""
         if self._orders is None:
             return False
