@@ -137,11 +137,11 @@ class BagReader:
 
     def steps(self) -> Iterator[Step | Record]:
         """Yield what `records` does for all topics, complete steps together where possible; errors as for it."""
-        for found in self.whole_steps():
-            if isinstance(found, Step):
-                yield found
+        for read in self.whole_steps():
+            if isinstance(read, Step):
+                yield read
             else:
-                yield from self._heard([found[:2] + found[3:]])
+                yield from self._heard([(read.topic, read.time, read.payload)])
 
     def records(self, topics: Collection[Topic] | None = None) -> Iterator[Record]:
         """Yield the swarm's messages with canonical bytes, in file order; parameters and errors as for `messages`."""

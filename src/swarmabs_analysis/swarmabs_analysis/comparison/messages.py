@@ -106,34 +106,22 @@ class FieldDeviation:
         """Initialise the sum."""
         self._squares = 0.0
 
-    def add(self, deviation: float | None, step: int, agent: int) -> None:
-        """Add the deviation of a message, None if the field has none."""
-        self.differing += 1
-        if deviation is None:
-            return
-        if not math.isfinite(deviation):
-            self.undefined += 1
-            return
-        self._squares += deviation * deviation
-        if self.largest is None or deviation > self.largest:
-            self.largest, self.step, self.agent = deviation, step, agent
-
-    def add_several(self, deviations: NDArray[np.float64] | None, steps: Counts, agents: Counts) -> None:
-        """Add the deviations of messages as `add` does one after the other, None if the field has none."""
+    def add(self, deviations: NDArray[np.float64] | None, steps: Counts, agents: Counts) -> None:
+        """Add the deviations of messages, None if the field has none."""
         self.differing += len(steps)
         if deviations is None:
             return
         finite = np.isfinite(deviations)
-        known = deviations[finite]
-        self.undefined += len(steps) - len(known)
-        if not len(known):
+        numbers = deviations[finite]
+        self.undefined += len(steps) - len(numbers)
+        if not len(numbers):
             return
         with np.errstate(over="ignore"):
             # Unlike `sum`, `cumsum` adds one term after the other.
-            self._squares = float(np.cumsum(np.concatenate(([self._squares], known * known)))[-1])
-        place = int(np.argmax(known))
-        if self.largest is None or known[place] > self.largest:
-            self.largest = float(known[place])
+            self._squares = float(np.cumsum(np.concatenate(([self._squares], numbers * numbers)))[-1])
+        place = int(np.argmax(numbers))
+        if self.largest is None or numbers[place] > self.largest:
+            self.largest = float(numbers[place])
             self.step, self.agent = int(steps[finite][place]), int(agents[finite][place])
 
     def finish(self, compared: int) -> None:
@@ -211,7 +199,8 @@ class MessageComparison:
         for difference in _differences(one, other):
             x, y = difference.a, difference.b
             deviation = abs(x - y) if isinstance(x, float) and isinstance(y, float) else None
-            topic.field(difference.field).add(deviation, one.message.step, one.agent_id)
+            deviations = None if deviation is None else np.array([deviation])
+            topic.field(difference.field).add(deviations, np.array([one.message.step]), np.array([one.agent_id]))
             self._note(one, difference)
 
     def take_steps(self, one: Step | None, other: Step | None) -> None:
@@ -265,7 +254,7 @@ class MessageComparison:
             if bits.any():
                 with np.errstate(all="ignore"):
                     deviations = np.abs(x - y)[bits] if x.dtype == np.float64 else None
-                counts.field(name).add_several(deviations, steps[bits], agents[bits])
+                counts.field(name).add(deviations, steps[bits], agents[bits])
         if self._place is None or (steps[0], ORDER[topic], agents[0]) < self._place:
             mine, its = (Record.heard(topic, some[:1].tobytes()) for some in (ours, theirs))
             self._note(mine, next(_differences(mine, its)))
@@ -277,8 +266,8 @@ class MessageComparison:
 
     def finish(self) -> MessageComparison:
         """Compute the results, and return the comparison."""
-        for topic, found in self._topics.items():
-            found.finish(topic.message._fields)
+        for topic, comparison in self._topics.items():
+            comparison.finish(topic.message._fields)
         self.topics = tuple(self._topics[topic] for topic in ORDER if topic in self._topics)
         return self
 
@@ -334,8 +323,8 @@ def _without_events(steps: Iterable[Step], events: _Events, side: Side) -> Itera
 class _Events:
     """Pairs the events of two runs, independent of their place in the bags."""
 
-    def __init__(self, found: MessageComparison) -> None:
-        self._found = found
+    def __init__(self, comparison: MessageComparison) -> None:
+        self._comparison = comparison
         self._waiting: dict[Side, dict[bytes, list[Record]]] = {"A": {}, "B": {}}
         self._count = 0
 
@@ -343,7 +332,7 @@ class _Events:
         others = self._waiting["B" if side == "A" else "A"]
         like = others.get(record.payload)
         if like is not None:
-            self._found.take(record, like.pop())
+            self._comparison.take(record, like.pop())
             self._count -= 1
             if not like:
                 del others[record.payload]
@@ -358,15 +347,15 @@ class _Events:
         left, right = (_by_place(self._waiting[side]) for side in ("A", "B"))
         for place in sorted(left.keys() | right.keys()):
             for one, other in zip_longest(left.get(place, []), right.get(place, [])):
-                self._found.take(one, other)
+                self._comparison.take(one, other)
         self._waiting = {"A": {}, "B": {}}
         self._count = 0
 
 
 def _by_place(waiting: dict[bytes, list[Record]]) -> dict[tuple[int, int, int], list[Record]]:
-    found: dict[tuple[int, int, int], list[Record]] = {}
+    by_place: dict[tuple[int, int, int], list[Record]] = {}
     for payload in sorted(waiting):
         for record in waiting[payload]:
             event: Any = record.message
-            found.setdefault((event.step, event.agent_id, event.kind), []).append(record)
-    return found
+            by_place.setdefault((event.step, event.agent_id, event.kind), []).append(record)
+    return by_place

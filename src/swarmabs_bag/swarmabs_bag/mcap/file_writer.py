@@ -78,11 +78,11 @@ class McapFile:
         contents = self._chunk.take()
         chunk = contents.packed()
         record = encoded(chunk)
-        found = no_statistics()
-        found.channel_message_counts = contents.counts()
-        found.message_count = sum(found.channel_message_counts.values())
-        found.message_start_time, found.message_end_time = contents.start, contents.end
-        self._index.add_chunk(chunk, self._index.data_end, len(record), found)
+        statistics = no_statistics()
+        statistics.channel_message_counts = contents.counts()
+        statistics.message_count = sum(statistics.channel_message_counts.values())
+        statistics.message_start_time, statistics.message_end_time = contents.start, contents.end
+        self._index.add_chunk(chunk, self._index.data_end, len(record), statistics)
         entry = self._index.chunks[-1]
         self._write(record)
         for channel, listed in contents.indexes():

@@ -33,16 +33,16 @@ class _Table:
     ----------
     layout : dtype
         The layout of each of them.
-    rows, known : ndarray, (places,)
+    rows, filled : ndarray, (places,)
         The messages as plain bytes, and whether they are there.
     """
 
-    __slots__ = ("_content", "_expected", "_fixed", "known", "layout", "rows")
+    __slots__ = ("_content", "_expected", "_fixed", "filled", "layout", "rows")
 
     def __init__(self, layout: np.dtype[np.void], first: bytes, places: int) -> None:
         self.layout = layout
         self.rows: Rows = np.empty(places, np.dtype((np.void, layout.itemsize)))
-        self.known = np.zeros(places, dtype=bool)
+        self.filled = np.zeros(places, dtype=bool)
         self._content = np.full(layout.itemsize, 255, dtype=np.uint8)
         for name, (kind, offset, *_) in (layout.fields or {}).items():
             if name.startswith(PADDING):
@@ -54,9 +54,9 @@ class _Table:
 
     def read(self, payloads: bytes) -> Rows | None:
         """Return joined messages in canonical form; None if a head, the length of a list or a time is malformed."""
-        found = np.frombuffer(payloads, np.uint8).reshape(-1, self.layout.itemsize) & self._content
-        messages: Rows = found.view(self.layout)[:, 0]
-        malformed = ((found ^ self._expected) & self._fixed).any() or (messages["nanosec"] >= SECOND).any()
+        content = np.frombuffer(payloads, np.uint8).reshape(-1, self.layout.itemsize) & self._content
+        messages: Rows = content.view(self.layout)[:, 0]
+        malformed = ((content ^ self._expected) & self._fixed).any() or (messages["nanosec"] >= SECOND).any()
         return None if malformed else messages
 
 
@@ -142,9 +142,9 @@ class Arrivals:
         if table is None or len(payload) != table.layout.itemsize:
             raise MalformedMessageError(topic.message.__name__, "lists of other lengths than in the messages before it")
         place = self._place(agent_id, step)
-        if not table.known[place]:
+        if not table.filled[place]:
             table.rows[place] = np.void(payload)
-            table.known[place] = True
+            table.filled[place] = True
             self.newest = max(self.newest, step)
         return bool(table.rows[place].tobytes() == payload)
 
@@ -154,7 +154,7 @@ class Arrivals:
         if table is None or (agent_id and agent_id not in self._members):
             return None
         place = self._place(agent_id, step)
-        return table.rows[place].tobytes() if table.known[place] else None
+        return table.rows[place].tobytes() if table.filled[place] else None
 
     def _place(self, agent_id: int, step: int) -> int:
         """Return the place of a message in its table."""
@@ -177,14 +177,14 @@ class Arrivals:
             columns = self._columns(messages)
             places = places * len(self._members) + columns
             if not self._all_take_part(int(np.min(steps)), int(np.max(steps))):
-                taken = table.known[places] | self._take_part(columns, steps)
+                taken = table.filled[places] | self._take_part(columns, steps)
                 if not taken.all():
                     return self.add(topic, messages[taken])
-        rows, new = messages.view(table.rows.dtype), ~table.known[places]
+        rows, new = messages.view(table.rows.dtype), ~table.filled[places]
         table.rows[places[new]] = rows[new]
         if (raw(table.rows[places]) != raw(rows)).any():
             return False
-        table.known[places] = True
+        table.filled[places] = True
         self.newest = max(self.newest, int(np.max(steps)))
         return True
 
@@ -198,23 +198,23 @@ class Arrivals:
         spans = [self._membership.span(agent_id) for agent_id in self._members.tolist()]
         first = np.array([span.first for span in spans])
         last = np.array([UNPLANNED if span.last is None else span.last for span in spans])
-        found: NDArray[np.bool_] = (first[columns] <= steps) & (steps <= last[columns])
-        return found
+        taking_part: NDArray[np.bool_] = (first[columns] <= steps) & (steps <= last[columns])
+        return taking_part
 
     def complete(self, step: int) -> int:
         """Return the number of steps from a step on of which all messages are there, with the robots of this step."""
         tables, place, coordinated = self._tables, step % self._capacity, self._family.main[1:]
         # That one of the few messages is missing is found faster than whether that of a robot is.
-        if self.newest < step or not all(topic in tables and tables[topic].known[place] for topic in coordinated):
+        if self.newest < step or not all(topic in tables and tables[topic].filled[place] for topic in coordinated):
             return 0
         places = np.arange(step, self.newest + 1) % self._capacity
         there = np.ones(len(places), dtype=bool)
         if self._membership.publishing(step):
             if (states := tables.get(self._family.robot)) is None:
                 return 0
-            there = self._by_step(self._family.robot, states.known, step, places).all(axis=1)
+            there = self._by_step(self._family.robot, states.filled, step, places).all(axis=1)
         for topic in coordinated:
-            there &= tables[topic].known[places]
+            there &= tables[topic].filled[places]
         gaps = np.flatnonzero(~there)
         return int(gaps[0]) if len(gaps) else len(there)
 
@@ -239,4 +239,4 @@ class Arrivals:
     def forget(self, step: int, count: int = 1) -> None:
         """Forget the messages of so many steps from a step on."""
         for table in self._tables.values():
-            table.known.reshape(self._capacity, -1)[np.arange(step, step + count) % self._capacity] = False
+            table.filled.reshape(self._capacity, -1)[np.arange(step, step + count) % self._capacity] = False

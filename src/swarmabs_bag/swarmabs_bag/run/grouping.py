@@ -57,10 +57,10 @@ class TopicMessages:
         place_of = np.full(2**16, -1)
         place_of[list(wanted)] = range(len(wanted))
         places = place_of[stored.heads["channel_id"]]
-        known = places >= 0
-        if known.all():
+        selected = places >= 0
+        if selected.all():
             return cls(stored, tuple(wanted.values()), places)
-        return cls(stored[known], tuple(wanted.values()), places[known])
+        return cls(stored[selected], tuple(wanted.values()), places[selected])
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -93,16 +93,16 @@ def whole_steps(tables: Iterable[TopicMessages], family: Family) -> Iterator[Ste
     rest: TopicMessages | None = None
     try:
         for table in tables:
-            found = table if rest is None else rest.joined(table)
+            messages = table if rest is None else rest.joined(table)
             end = 0
-            for part, robots in _parts(found, family):
+            for part, robots in _parts(messages, family):
                 end += len(part)
                 whole = _whole(part, robots, family) if robots else None
                 if whole is None:
                     yield from part
                 else:
                     yield whole
-            rest = found[end:]
+            rest = messages[end:]
             if int(rest.stored.sizes.sum()) > _MOST_BYTES:
                 yield from rest
                 rest = None

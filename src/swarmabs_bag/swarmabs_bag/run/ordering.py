@@ -45,13 +45,13 @@ def recorded_steps(
     latest = -1
     if window is None:
         window = REALTIME_WINDOW if realtime else WINDOW
-    for found in records:
-        if isinstance(found, Step) and found.tables and found.first > latest:
-            latest = found.step
-            waiting.whole.append(found)
+    for read in records:
+        if isinstance(read, Step) and read.first > latest:
+            latest = read.step
+            waiting.whole.append(read)
             yield from waiting.taken(latest - window)
             continue
-        for record in _records_of(found):
+        for record in read.records if isinstance(read, Step) else (read,):
             topic, step = record.topic, record.message.step
             place = ORDER.get(topic)
             if place is None:
@@ -64,10 +64,10 @@ def recorded_steps(
             if step <= latest - window:
                 raise DisorderError(f"{name}: {_place(record)} follows step {latest}, out of order")
             slot = waiting.slot(step)
-            known = slot.get((place, record.agent_id))
-            if known is not None:
+            there = slot.get((place, record.agent_id))
+            if there is not None:
                 # Nodes in lockstep repeat messages, and other recorders keep what they hear.
-                if known.payload == record.payload or (realtime and topic is DESIRED_ABSTRACT_STATE):
+                if there.payload == record.payload or (realtime and topic is DESIRED_ABSTRACT_STATE):
                     continue
                 raise DisorderError(f"{name}: there are two different messages: {_place(record)}")
             slot[place, record.agent_id] = record
@@ -111,10 +111,6 @@ class _Waiting:
             if count < len(steps):
                 self.whole.appendleft(steps[count:])
             yield steps[:count]
-
-
-def _records_of(found: Record | Step) -> Iterable[Record]:
-    return found.records if isinstance(found, Step) else (found,)
 
 
 def _place(record: Record) -> str:
