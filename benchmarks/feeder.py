@@ -80,7 +80,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     if not settings.text("scenario_file"):
         raise InputError("parameter scenario_file: give the file of the resolved scenario")
     scenario = load_scenario(Path(settings.text("scenario_file")))
-    steps = [[record.message for record in step.records] for step in Simulation(scenario).steps()]
+    singly = (step for steps in Simulation(scenario).steps() for step in steps.singly())
+    steps = [[record.message for record in step.records] for step in singly]
     subscriptions = {RECORDING_PROGRESS: requested(RECORDING_PROGRESS, depth=1)}
     return NodeSpec(Feeder(steps), Endpoints((*MAIN_TOPICS, EVENTS), subscriptions))
 

@@ -20,7 +20,7 @@ from benchmarks.common import Settings, program, row, spread, tell
 from swarmabs_analysis.sweep.evaluate import Task
 from swarmabs_analysis.sweep.executor import LocalExecutor
 from swarmabs_analysis.sweep.study import Study, load_sweep
-from swarmabs_bag.figures import RunFigures, tracking_of
+from swarmabs_bag.run.figures import RunFigures, tracking_of
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_run.simulation import simulated_steps

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from swarmabs_analysis.figures.style import ROBOT_DASHES
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.colours import PLANE
+from swarmabs_bag.shown.colours import PLANE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.colours import KINDS, PLANE, REFERENCE, TORQUE
+from swarmabs_bag.shown.colours import KINDS, PLANE, REFERENCE, TORQUE
 from swarmabs_core.messages import Kind
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from swarmabs_bag.colours import ERROR, REFERENCE, TORQUE
+from swarmabs_bag.shown.colours import ERROR, REFERENCE, TORQUE
 from swarmabs_config.scenarios import as_override, find_scenario
 from swarmabs_run.simulation import simulate
 

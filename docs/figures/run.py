@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.colours import INERTIA, KINDS as COLOURS, PLANE, REFERENCE, TORQUE
+from swarmabs_bag.shown.colours import INERTIA, KINDS as COLOURS, PLANE, REFERENCE, TORQUE
 from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from coupling import Coupled, Following, TiltDrive, carried, led
 
-from swarmabs_bag.collector import RunCollector
+from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_config import configure
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
@@ -23,7 +23,7 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_bag.run.step import Step
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Message
@@ -192,7 +192,7 @@ class CascadeSimulation:
         behaviours: tuple[Behaviour, ...] = (observer, plane, controller, *agents)
         self._behaviours.extend((namespace, behaviour) for behaviour in behaviours)
 
-    def steps(self) -> Iterator[tuple[str, RecordedStep]]:
+    def steps(self) -> Iterator[tuple[str, Step]]:
         """Run the simulation, and yield every step of every layer with its namespace.
 
         Raises

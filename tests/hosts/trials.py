@@ -29,7 +29,7 @@ from tests.processes import until
 
 from swarmabs_analysis.verification.realtime_nodes import NO_STATE_BEFORE
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import realtime_world
+from swarmabs_bag.realtime_world import realtime_world
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, STANDBY_TOPICS, standby_name
 from swarmabs_core.messages import (
     ABSTRACT_STATE,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.recording import Digest, RecordedStep
+from swarmabs_bag.run.step import Digest, Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.errors import RunError
@@ -23,10 +23,10 @@ RECOVERY_BOUND = 8.0
 MOST_VIOLATIONS = 20
 """More of them say nothing new about a run."""
 
-Steps = Callable[[], Iterator[RecordedStep]]
+Steps = Callable[[], Iterator[Step]]
 
 
-def states(step: RecordedStep) -> Iterator[AgentState]:
+def states(step: Step) -> Iterator[AgentState]:
     """Yield the robots' states of a step."""
     yield from (record.message for record in step.records if isinstance(record.message, AgentState))
 
@@ -43,7 +43,7 @@ class Violation(NamedTuple):
 class Invariant:
     """Something that holds in every step."""
 
-    def check(self, step: RecordedStep) -> Iterator[Violation]:
+    def check(self, step: Step) -> Iterator[Violation]:
         """Take a step; yield what is wrong with it."""
         raise NotImplementedError
 
@@ -60,7 +60,7 @@ class StaysInLane(Invariant):
         self._half = scenario.plane.length / 2
         self._outside: set[int] = set()
 
-    def check(self, step: RecordedStep) -> Iterator[Violation]:
+    def check(self, step: Step) -> Iterator[Violation]:
         events = [record.message for record in step.records if isinstance(record.message, SwarmEvent)]
         hits = (event for event in events if event.kind == EventKind.LIMIT_HIT)
         said = {event.agent_id for event in hits if "out of range" in event.detail}
@@ -86,7 +86,7 @@ class NothingStale(Invariant):
         self._newest: dict[int, int] = {}
         self._coming: dict[int, dict[int, int]] = {}
 
-    def check(self, step: RecordedStep) -> Iterator[Violation]:
+    def check(self, step: Step) -> Iterator[Violation]:
         for state in states(step):
             wanted = NEVER
             if state.agent_id in self._coming:
@@ -121,7 +121,7 @@ class WithinLimits(Invariant):
         velocity, force = scenario.limits.velocity, scenario.limits.force
         self._largest = {Kind.SINGLE_INTEGRATOR: velocity, Kind.DOUBLE_INTEGRATOR: force}
 
-    def check(self, step: RecordedStep) -> Iterator[Violation]:
+    def check(self, step: Step) -> Iterator[Violation]:
         for record in step.records:
             message = record.message
             if not all(isfinite(value) for value in message if isinstance(value, float)):
@@ -140,7 +140,7 @@ class Recovers(Invariant):
         self._away: int | None = None
         self._end = 0
 
-    def check(self, step: RecordedStep) -> Iterator[Violation]:
+    def check(self, step: Step) -> Iterator[Violation]:
         for record in step.records:
             if isinstance(record.message, PlaneState):
                 self._end = step.step
@@ -170,7 +170,7 @@ def last_fault(scenario: Scenario) -> int:
 
 def lockstep_violations(scenario: Scenario, steps: Steps | None = None) -> list[Violation]:
     """Run a scenario in lockstep and return what does not hold; its bag is verified too."""
-    steps = steps or (lambda: Simulation(scenario).steps())
+    steps = steps or (lambda: (single for part in Simulation(scenario).steps() for single in part.singly()))
     with TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         recording = Recording(scenario, bag, driver="simulate")
@@ -192,7 +192,7 @@ def lockstep_violations(scenario: Scenario, steps: Steps | None = None) -> list[
 
 
 def violations(
-    scenario: Scenario, steps: Iterator[RecordedStep], record: Callable[[RecordedStep], None] = lambda _: None
+    scenario: Scenario, steps: Iterator[Step], record: Callable[[Step], None] = lambda _: None
 ) -> list[Violation]:
     """Watch a run, and return what does not hold in it."""
     found: list[Violation] = []

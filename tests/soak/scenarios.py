@@ -6,7 +6,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from swarmabs_bag.metadata import dump_yaml
+from swarmabs_bag.run.metadata import dump_yaml
 from swarmabs_config.scenario import Scenario, parse_scenario
 
 _INERTIA = 0.0288  # kg m^2 of the robots at the start, as of the paper's four

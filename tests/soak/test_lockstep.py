@@ -13,9 +13,9 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, note, settings
 from tests.soak.invariants import last_fault, lockstep_violations, violations
 from tests.soak.scenarios import scenarios
-from tests.swarmabs_core.helpers import builtin
+from tests.swarmabs_core.helpers import builtin, singly
 
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.step import Step
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
@@ -60,22 +60,22 @@ def test_what_is_drawn_leaves_a_swarm_what_it_needs_to_recover(scenario: Scenari
 CALM = builtin("pd_het_4", "duration=2", "plane.angle=0")
 
 
-def changed_at(step: int, change: Callable[[RecordedStep], RecordedStep | None]) -> Iterator[RecordedStep]:
+def changed_at(step: int, change: Callable[[Step], Step | None]) -> Iterator[Step]:
     """Yield the steps of a run of which one is changed, or left out."""
-    for each in Simulation(CALM).steps():
+    for each in singly(Simulation(CALM).steps()):
         changed = change(each) if each.step == step else each
         if changed is not None:
             yield changed
 
 
-def nudged(step: RecordedStep) -> RecordedStep:
+def nudged(step: Step) -> Step:
     first, *others = step.records
     assert isinstance(first.message, AgentState)
     changed = first.message._replace(position=first.message.position + 1e-15)
-    return step._replace(records=(first._replace(message=changed, payload=encode(changed)), *others))
+    return Step.of(step.step, (first._replace(message=changed, payload=encode(changed)), *others))
 
 
-def failing(_: RecordedStep) -> RecordedStep:
+def failing(_: Step) -> Step:
     raise RunError("the plane turns over")
 
 
@@ -103,9 +103,9 @@ QUIET = ("duration=6", "limits={velocity: 5, force: 5}")
 
 
 @cache
-def world(*overrides: str) -> tuple[Scenario, tuple[RecordedStep, ...]]:
+def world(*overrides: str) -> tuple[Scenario, tuple[Step, ...]]:
     scenario = builtin("pd_het_4", *QUIET, *overrides)
-    return scenario, tuple(Simulation(scenario).steps())
+    return scenario, singly(Simulation(scenario).steps())
 
 
 def found(changes: dict[Any, dict[str, Any]], *overrides: str) -> list[tuple[str, int | None, int | None]]:
@@ -117,7 +117,7 @@ def found(changes: dict[Any, dict[str, Any]], *overrides: str) -> list[tuple[str
         fields = changes.get((type(message), message.step, record.agent_id), {})
         return record._replace(message=message._replace(**fields))
 
-    tampered = (step._replace(records=tuple(map(change, step.records))) for step in steps)
+    tampered = (Step.of(step.step, tuple(map(change, step.records))) for step in steps)
     return [violation[:3] for violation in violations(scenario, tampered)]
 
 

@@ -20,8 +20,8 @@ from mcap.records import Attachment, Channel, Header, Message, MessageIndex, Met
 from mcap.stream_reader import StreamReader
 from tests.swarmabs_bag.mcap_files import MAGIC, chunk, record, sealed, split
 
-from swarmabs_bag.metadata import load_yaml
-from swarmabs_bag.records import RecordError, encoded, inner_records, read_records, uncompress
+from swarmabs_bag.mcap.records import RecordError, encoded, inner_records, read_records, uncompress
+from swarmabs_bag.run.metadata import load_yaml
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, SwarmEvent

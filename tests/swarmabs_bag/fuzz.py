@@ -34,9 +34,9 @@ from swarmabs_analysis.replay.playback import choose_topics
 from swarmabs_analysis.rerun import recorded_run
 from swarmabs_bag.arrays import digest_of, load_arrays, load_messages
 from swarmabs_bag.attached import scenario_of
-from swarmabs_bag.channels import bag_channel
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import BagReader, open_bag
+from swarmabs_bag.run.channels import bag_channel
 from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.cdr import encode

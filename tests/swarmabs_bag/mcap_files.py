@@ -15,8 +15,8 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from swarmabs_bag.index import FileIndex, scan_index, tail
-from swarmabs_bag.records import Record, RecordError, read_records
+from swarmabs_bag.mcap.index import FileIndex, scan_index, tail
+from swarmabs_bag.mcap.records import Record, RecordError, read_records
 
 if TYPE_CHECKING:
     from typing_extensions import Self

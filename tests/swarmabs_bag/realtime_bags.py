@@ -8,7 +8,7 @@ from typing import Any
 from tests.swarmabs_core.realtime.bags import Stored, world
 from tests.transport.fleet import EPOCH
 
-from swarmabs_bag.realtime import RealtimeWorld
+from swarmabs_bag.realtime_world import RealtimeWorld
 from swarmabs_bag.recorder.recording import RealtimeRecording
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members

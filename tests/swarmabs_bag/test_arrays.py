@@ -20,7 +20,7 @@ from swarmabs_bag import arrays
 from swarmabs_bag.arrays import digest_of, load_arrays, load_messages
 from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.writer import BagWriter
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_core.arrays import SystemArrays
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError

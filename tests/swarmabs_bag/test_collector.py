@@ -8,17 +8,16 @@ from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import given, settings, strategies as st
-from tests.swarmabs_bag.test_blocks import FAULTS
 from tests.swarmabs_bag.test_recorder import parameters
+from tests.swarmabs_bag.test_step import FAULTS
 from tests.swarmabs_bag.test_systems import BEAM, LIFT, SHEET
-from tests.swarmabs_core.helpers import agent_state, builtin
+from tests.swarmabs_core.helpers import agent_state, builtin, singly
 from tests.swarmabs_ros.nodes import settings_from
 
-from swarmabs_bag.blocks import Block
-from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.recorder import node
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.gatherer import RunCollector
+from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_config.scenario import parse_scenario
@@ -35,7 +34,7 @@ NAMES = ("pd_di_4", "pd_het_4", "dropping", "sheet", "beam", "lift")
 
 
 @cache
-def run(name: str) -> tuple[Any, list[RecordedStep]]:
+def run(name: str) -> tuple[Any, list[Step]]:
     systems = {"sheet": SHEET, "beam": BEAM, "lift": LIFT}
     if name in systems:
         scenario = parse_scenario(systems[name]).resolved()
@@ -43,7 +42,7 @@ def run(name: str) -> tuple[Any, list[RecordedStep]]:
         changes = {"pd_di_4": (FAULTS,), "dropping": ("lockstep={on_stall: drop}",)}
         known = "pd_het_4" if name == "dropping" else name
         scenario = builtin(known, "duration=0.2", *changes.get(name, ())).resolved()
-    return scenario, list(Simulation(scenario).steps())
+    return scenario, singly(Simulation(scenario).steps())
 
 
 def collector(scenario: Any, memory: int) -> RunCollector:
@@ -73,7 +72,7 @@ def single(topic: msg.Topic, data: bytes) -> Arrived:
     return Arrived(topic, data, ((topic, data),))
 
 
-def relayed(step: RecordedStep, robot: msg.Topic) -> Arrived:
+def relayed(step: Step, robot: msg.Topic) -> Arrived:
     """Return the states of a step as the observer sends them in packed runs."""
     states = [record.payload for record in step.records if record.topic is robot]
     data = encode(msg.SwarmStates(0, step.step, b"".join(states)))
@@ -99,7 +98,7 @@ def noisy(record: Record, random: Random, *, longer: bool) -> bytes:
     return bytes(data) + random.randbytes(random.choice((0, 0, 0, 3)) if longer else 0)
 
 
-def arriving(scenario: Any, steps: list[RecordedStep], random: Random) -> list[list[Arrived]]:
+def arriving(scenario: Any, steps: list[Step], random: Random) -> list[list[Arrived]]:
     """Return all messages in batches, late and early, with repeats, in the order in which the recorder takes them."""
     family, spread, packed = scenario.family, random.choice((0.5, 3.0, 20.0)), random.random() < 0.3
     noise, longer = random.choice((0.0, 0.1, 1.0)), random.random() < 0.3
@@ -123,7 +122,7 @@ def arriving(scenario: Any, steps: list[RecordedStep], random: Random) -> list[l
     return batches
 
 
-def spoil(scenario: Any, steps: list[RecordedStep], random: Random) -> Arrived:
+def spoil(scenario: Any, steps: list[Step], random: Random) -> Arrived:
     """Return a message that no collector accepts."""
     family = scenario.family
     records = [record for record in random.choice(steps).records if record.topic in family.main]
@@ -148,25 +147,25 @@ def spoil(scenario: Any, steps: list[RecordedStep], random: Random) -> Arrived:
     return single(msg.TOPIC_OF[type(found)], encode(found))
 
 
-def outcome(steps: Iterable[RecordedStep | Block]) -> tuple[list[RecordedStep], str]:
+def outcome(steps: Iterable[Step]) -> tuple[list[Step], str]:
     """Return the steps one by one until there is an error, and the error."""
-    found: list[RecordedStep] = []
+    found: list[Step] = []
     try:
         for step in steps:
-            found += step.recorded() if isinstance(step, Block) else (step,)
+            found += step.singly()
     except (ProtocolError, MalformedMessageError) as error:
         return found, f"{type(error).__name__}: {error}"
     return found, ""
 
 
-def one_by_one(book: RunCollector, batches: list[list[Arrived]]) -> Iterator[RecordedStep]:
+def one_by_one(book: RunCollector, batches: list[list[Arrived]]) -> Iterator[Step]:
     for batch in batches:
         for each in batch:
             for topic, payload in each.payloads:
                 yield from book.add(Record.heard(topic, payload))
 
 
-def all_at_once(book: RunCollector, batches: list[list[Arrived]]) -> Iterator[RecordedStep | Block]:
+def all_at_once(book: RunCollector, batches: list[list[Arrived]]) -> Iterator[Step]:
     for batch in batches:
         for topic in dict.fromkeys(each.topic for each in batch):
             yield from book.add_all(topic, [each.data for each in batch if each.topic is topic])
@@ -197,28 +196,29 @@ def test_batches_give_the_steps_and_the_errors_of_their_messages(
     assert spoilt or expected.finished
 
 
-def test_ordinary_steps_come_in_blocks_of_the_same_robots() -> None:
+def test_steps_of_the_same_robots_come_together_up_to_one_with_events() -> None:
     faults = "faults=[{at: 0.08, kind: join, agent: 2}, {at: 0.11, kind: kill, agent: 3}]"
     scenario = builtin("pd_di_4", "duration=2.3", faults).resolved()
-    steps = list(Simulation(scenario).steps())
-    book, found = collector(scenario, 250), list[RecordedStep | Block]()
+    steps = singly(Simulation(scenario).steps())
+    book, found = collector(scenario, 250), list[Step]()
     for part in (steps[:212], steps[212:]):
         by_topic: dict[msg.Topic, list[bytes]] = {}
         for topic, _, payload in (stored for step in part for stored in step.stored()):
             by_topic.setdefault(topic, []).append(payload)
         for topic in (msg.EVENTS, *msg.MAIN_TOPICS, msg.STANDING):
             found += book.add_all(topic, by_topic.get(topic, []))
-    assert [(each.step, each.events != ()) for each in found] == [
-        (7, False),
-        *((step, step in {8, 12}) for step in range(8, 212)),  # 2 s from a change on, the abstract state is divided
+    # The first 212 steps have arrived together. From those of step 12 on, 128 are held as arrays; for 2 s from the last
+    # change on, the abstract state is divided.
+    assert [(steps.step, steps.events != ()) for steps in found] == [
+        *((7, False), (8, True), (11, False), (12, True), (140, False), (211, False)),
         (230, False),
     ]
     assert outcome(found)[0] == steps
 
 
-def test_messages_of_far_ahead_are_kept_as_records() -> None:
+def test_messages_of_far_ahead_are_kept() -> None:
     scenario = builtin("pd_si_4", f"duration={2 * KEPT_STEPS / 100}").resolved()
-    steps = list(Simulation(scenario).steps())
+    steps = singly(Simulation(scenario).steps())
     book = collector(scenario, 250)
     for step in reversed(steps):
         for topic, _, payload in step.stored():

@@ -8,7 +8,7 @@ import re
 import pytest
 from tests.processes import ROOT
 
-from swarmabs_bag import colours
+from swarmabs_bag.shown import colours
 
 
 def test_the_layout_of_foxglove_has_the_colours() -> None:

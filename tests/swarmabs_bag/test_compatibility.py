@@ -10,12 +10,12 @@ from swarmabs_analysis.comparison import compare_bags
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.attached import attached_provenance, attached_scenario, events_in
-from swarmabs_bag.channels import READABLE
 from swarmabs_bag.errors import UnknownTypeError
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.recording import Digest
-from swarmabs_bag.schemas import message_schema
+from swarmabs_bag.run.channels import READABLE
+from swarmabs_bag.run.schemas import message_schema
+from swarmabs_bag.run.step import Digest
 from swarmabs_cli import main
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.events import code_of

@@ -6,11 +6,11 @@ from random import Random
 import pytest
 from tests.swarmabs_bag.sample_run import bag_writer, make_run, make_step, write_bag
 
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.grouping import Published
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.steps import recorded_steps
+from swarmabs_bag.run.grouping import Published
+from swarmabs_bag.run.ordering import recorded_steps
+from swarmabs_bag.run.step import Step
 from swarmabs_core import messages as msg
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import TOPIC_OF
@@ -36,8 +36,8 @@ def disturbed(seed: int) -> list[msg.Message]:
 
 def taken_apart(bag: BagReader) -> list[Published]:
     found: list[Published] = []
-    for part in bag.blocks():
-        if isinstance(part, Block):
+    for part in bag.whole_steps():
+        if isinstance(part, Step):
             found += [Published(topic, time, time, payload) for topic, time, payload in part.stored()]
         else:
             found.append(part)
@@ -50,12 +50,11 @@ def test_blocks_are_the_messages_of_the_bag_in_its_order(tmp_path: Path, chunk_b
         bag = open_bag(write_bag(tmp_path / str(seed), disturbed(seed), chunk_bytes=chunk_bytes))
         assert taken_apart(bag) == list(bag.published())
         steps = list(recorded_steps(bag.steps(), "bag"))
-        apart = [s for step in steps for s in (step.recorded() if isinstance(step, Block) else [step])]
-        main = [step for step in apart if step.records[0].topic is not msg.EVENTS]
-        expected = [s for s in recorded_steps(bag.records(), "bag") if s.records[0].topic is not msg.EVENTS]
+        main = [single for step in steps for single in step.singly() if step.tables]
+        expected = [step for step in recorded_steps(bag.records(), "bag") if step.tables]
         assert main == expected
     whole = open_bag(write_bag(tmp_path / "whole", make_run(steps=400), chunk_bytes=chunk_bytes))
-    sizes = [len(part) for part in whole.blocks() if isinstance(part, Block)]
+    sizes = [len(part) for part in whole.whole_steps() if isinstance(part, Step)]
     assert sum(sizes) == 401, "every step is in a block, also where chunks and events cut"
     assert len(sizes) <= 2 + len(whole.index.chunks)
 
@@ -76,11 +75,11 @@ def test_all_before_a_damage_is_read(tmp_path: Path) -> None:
         stream.seek(chunk.chunk_start_offset + 200)
         stream.write(b"damage")
     read: list[tuple[int, str]] = []
-    for found in (bag.blocks, bag.published):
+    for found in (bag.whole_steps, bag.published):
         count = 0
         with pytest.raises(DamagedBagError) as error:  # noqa: PT012 - the messages before it are counted
             for part in found():
-                count += part.messages if isinstance(part, Block) else 1
+                count += part.messages if isinstance(part, Step) else 1
         read.append((count, str(error.value)))
     assert read[0] == read[1]
     assert read[0][0] > 0
@@ -89,7 +88,7 @@ def test_all_before_a_damage_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("late", [3, 9])
 def test_a_message_after_blocks_of_its_step_is_refused(late: int) -> None:
     steps = [[Record.of(message) for message in make_step(step)] for step in range(12)]
-    block = Block.of(
+    block = Step.whole(
         {topic: b"".join(r.payload for s in steps for r in s if r.topic is topic) for topic in msg.MAIN_TOPICS}
     )
     assert block is not None

@@ -29,16 +29,16 @@ from tests.swarmabs_bag.mcap_files import (
 from tests.swarmabs_bag.sample_run import make_run, write_bag as write
 
 from swarmabs_analysis.figures.runs import find_runs
-from swarmabs_bag import index
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.examination import recorded_steps
-from swarmabs_bag.index import FileIndex
 from swarmabs_bag.info import bag_info
+from swarmabs_bag.mcap import index
+from swarmabs_bag.mcap.index import FileIndex
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
-from swarmabs_bag.writer import BAG_FILE
+from swarmabs_bag.repair.examination import recorded_steps
+from swarmabs_bag.run.writer import BAG_FILE
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import MAIN_TOPICS, Message
 

@@ -26,17 +26,17 @@ from tests.swarmabs_core.realtime.bags import world
 from tests.transport.fleet import EPOCH
 
 from swarmabs_analysis.verify import BagToVerify
-from swarmabs_bag.completeness import RealtimeCompleteness
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError
 from swarmabs_bag.info import bag_info
+from swarmabs_bag.mcap.output import RecordFile
 from swarmabs_bag.merge import ContradictionError, MergeReport, merge_bags
-from swarmabs_bag.output import RecordFile
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import RealtimeWorld
-from swarmabs_bag.repair import CUT_OFF, repair_bag
+from swarmabs_bag.realtime_world import RealtimeWorld
+from swarmabs_bag.repair.bag import CUT_OFF, repair_bag
+from swarmabs_bag.repair.completeness import RealtimeCompleteness
+from swarmabs_bag.repair.spans import Spans
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import Split
-from swarmabs_bag.spans import Spans
-from swarmabs_bag.writer import BagWriter
 from swarmabs_cli.bags.verify import describe
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members

@@ -18,8 +18,8 @@ from tests.swarmabs_bag.fuzz import KINDS
 from tests.swarmabs_bag.mcap_files import chunk, joined, record, sealed, split
 
 from swarmabs_bag.arrays import available_memory
+from swarmabs_bag.mcap.records import inner_records, uncompress
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.records import inner_records, uncompress
 
 SIZE, ALLOWED, PART = (2**20 * number for number in (96, 32, 4))
 READER = f"""
@@ -43,7 +43,7 @@ WRITER = """
 import math, sys
 from itertools import count
 from pathlib import Path
-from swarmabs_bag.writer import BagWriter
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import MAIN_TOPICS, PLANE_STATE, PlaneState
 with BagWriter(Path(sys.argv[1]), topics=MAIN_TOPICS, attachments={}, chunk_bytes=10_000) as writer:

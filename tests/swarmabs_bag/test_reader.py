@@ -28,8 +28,8 @@ from tests.swarmabs_bag.sample_run import PERIOD, bag_writer, payloads
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.index import scan_index, tail
 from swarmabs_bag.info import ScenarioInfo, bag_info, render
+from swarmabs_bag.mcap.index import scan_index, tail
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
 from swarmabs_bag.run_folder import Split, find_bag

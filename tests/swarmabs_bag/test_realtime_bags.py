@@ -28,7 +28,7 @@ from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.info import bag_info, render
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import RealtimeWorld
+from swarmabs_bag.realtime_world import RealtimeWorld
 from swarmabs_bag.repair import repair_bag
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
@@ -139,7 +139,7 @@ WORLD = {"period_ns": 10, "epoch_ns": 0, "simulated_robots": [], "simulated_plan
 )
 def test_a_bag_without_its_time_base_is_refused(wrong: object, made: MakeBag, monkeypatch: pytest.MonkeyPatch) -> None:
     provenance = {"driver": "realtime", "realtime": wrong}
-    monkeypatch.setattr("swarmabs_bag.realtime.attached_provenance", lambda _: provenance)
+    monkeypatch.setattr("swarmabs_bag.realtime_world.attached_provenance", lambda _: provenance)
     with pytest.raises(InputError, match="lacks a valid entry realtime"):
         BagToVerify(made())
 

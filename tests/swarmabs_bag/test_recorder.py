@@ -12,6 +12,7 @@ from unittest.mock import Mock
 
 import pytest
 from tests.swarmabs_bag.sample_run import AGENTS, make_step
+from tests.swarmabs_core.helpers import singly
 from tests.swarmabs_core.realtime.bags import world
 from tests.swarmabs_ros.nodes import given, settings_from
 from tests.transport.fleet import EPOCH
@@ -21,9 +22,9 @@ from swarmabs_bag.errors import BagWriteError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder import node, realtime
 from swarmabs_bag.recorder.swarm_summary import EVENT_CHARACTERS, SummaryTracker, SwarmSummary, describe_event
-from swarmabs_bag.recording import RecordedStep
-from swarmabs_bag.swarm_state import SILENT_STEPS
-from swarmabs_bag.writer import BagWriter
+from swarmabs_bag.run.step import Step
+from swarmabs_bag.run.writer import BagWriter
+from swarmabs_bag.shown.swarm_state import SILENT_STEPS
 from swarmabs_config.graph import RECORDING_STEPS
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenarios import find_scenario
@@ -104,7 +105,7 @@ class Lockstep:
     def __init__(self, folder: Path, **values: Value) -> None:
         faults = "faults=[{at: 0.17, kind: kill, agent: 2}]"
         self.scenario = find_scenario("pd_het_4", ["duration=0.3", faults]).resolved()
-        self.steps = list(Simulation(self.scenario).steps())
+        self.steps = singly(Simulation(self.scenario).steps())
         settings = settings_from(node.PARAMETERS, **{**parameters(self.scenario, folder), **values})
         self.spec: NodeSpec = node.make(settings, StatusChannel("recorder"))
         self.recorder = self.spec.behaviour
@@ -139,7 +140,7 @@ def test_a_lockstep_run_is_recorded_and_reported(told: Told, tmp_path: Path, mon
     run.spec.on_exit(None)
     progress = told.of("progress")
     assert [each["step"] for each in progress] == [0, 3, 6, 9, 12, 15, 17, 20, 23, 26, 29, 30]
-    assert progress[-1]["angle"] == run.steps[-1].plane.angle
+    assert progress[-1]["angle"] == run.steps[-1].parent.angle
     assert [each["robots"]["statuses"] for each in progress] == ["AAAA"] * 7 + ["ADAA"] * 5
     (done,) = told.of("done")
     assert (done["complete"], done["problem"]) == (True, None)
@@ -161,7 +162,7 @@ def test_it_says_that_it_is_still_there_while_the_run_goes_on_without_it(told: T
     )
     assert run.hear(told, lost=msg.PLANE_STATE) == [], "repetitions are no sign of life"
     assert run.recorder.missing() == (5, ("plane/state",))
-    assert run.recorder.handle(run.steps[5].plane) == (msg.RecordingProgress(30 * PERIOD, 30, 30),)
+    assert run.recorder.handle(run.steps[5].parent) == (msg.RecordingProgress(30 * PERIOD, 30, 30),)
     with pytest.raises(UnexpectedMessageError):
         run.recorder.handle(msg.RecordingProgress(0, 0, msg.NEVER))
 
@@ -377,11 +378,11 @@ def test_another_period_than_the_scenarios_is_refused(recorded: Callable[..., in
 # What people see of the robots while a run goes on: a report of it is short
 
 
-def complete(step: int, messages: list[msg.Message]) -> RecordedStep:
-    return RecordedStep(step, tuple(map(Record.of, messages)))
+def complete(step: int, messages: list[msg.Message]) -> Step:
+    return Step.of(step, tuple(map(Record.of, messages)))
 
 
-def robots(step: int, states: dict[int, tuple[msg.Status, float]], *more: msg.Message) -> RecordedStep:
+def robots(step: int, states: dict[int, tuple[msg.Status, float]], *more: msg.Message) -> Step:
     messages: list[msg.Message] = []
     for message in make_step(step, tuple(states)):
         if isinstance(message, msg.AgentState):
@@ -454,7 +455,7 @@ def test_both_kinds_of_simulation_tell_the_events_that_they_store(overrides: tup
     changes = ["duration=0.5", "manifold.torque_max=0.05", *overrides]
     scenario = find_scenario("arise_het_4", changes).resolved()
     assert vectorisable(scenario) == (not overrides)
-    steps = list(simulated_steps(scenario))
+    steps = singly(simulated_steps(scenario))
     told = [encode(event) for step in steps for event in step.events]
     assert told == [payload for step in steps for topic, _, payload in step.stored() if topic is msg.EVENTS] != []
 

@@ -7,12 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from tests.swarmabs_core.helpers import Run, agent_state, builtin, digest
+from tests.swarmabs_core.helpers import Run, agent_state, builtin, digest, singly
 
-from swarmabs_bag.collector import RunCollector
-from swarmabs_bag.figures import RealtimeFigures, RunFigures
-from swarmabs_bag.realtime import MEMORY, QUIET_STEPS, SECOND_WRITER, TWO_MESSAGES, Dispute, RealtimeCollector, disputed
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.figures import RealtimeFigures, RunFigures
+from swarmabs_bag.run.gatherer import RunCollector
+from swarmabs_bag.run.realtime_gatherer import (
+    MEMORY,
+    QUIET_STEPS,
+    SECOND_WRITER,
+    TWO_MESSAGES,
+    Dispute,
+    RealtimeCollector,
+    disputed,
+)
+from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_config.graph import STANDBY_TOPICS, own_topic
 from swarmabs_core import messages as msg
@@ -51,8 +59,8 @@ def test_any_order_and_any_repeats_give_the_same_steps(random: Random, copies: i
     arriving = [message for message in messages(run) if not isinstance(message, msg.SwarmEvent)] * copies
     random.shuffle(arriving)
     # Events come first here: an event of a step that is complete already is recorded by itself.
-    found = [step for message in [*run.events(), *arriving] for step in book.add(Record.of(message))]
-    assert found == run.steps
+    complete = [steps for message in [*run.events(), *arriving] for steps in book.add(Record.of(message))]
+    assert singly(complete) == run.steps
     assert book.finished
     assert book.missing() == ()
 
@@ -105,7 +113,7 @@ def test_states_of_robots_that_are_out_are_not_recorded_and_late_events_once() -
     assert (late.step, [record.message for record in late.records]) == (1, [event])
     assert [time for _, time, _ in late.stored()] == [event.stamp]
     assert book.add(Record.of(event)) == []
-    late = RecordedStep(3, tuple(r for r in run.steps[3].records if isinstance(r.message, msg.SwarmEvent)))
+    late = Step.of(3, tuple(r for r in run.steps[3].records if isinstance(r.message, msg.SwarmEvent)))
     assert late.records and digest([*run.steps, late]) == digest(run.steps)
 
 
@@ -178,10 +186,8 @@ def test_metrics_against_numpy() -> None:
 )
 def test_settled_is_when_the_error_begins_to_stay_small(angles: list[float], settled_at: float | None) -> None:
     metrics = RunFigures(lambda _: 0.0)
-    template = short_run().steps[0].records[-1]
     for step, angle in enumerate(angles):
-        record = template._replace(message=msg.PlaneState(step * 10_000_000, step, angle, 0.0))
-        metrics.add(RecordedStep(step, (record,)))
+        metrics.add(Step.of(step, (Record.of(msg.PlaneState(step * 10_000_000, step, angle, 0.0)),)))
     found = metrics.figures()
     assert (found["settled_at"], found["messages"], found["max_abs_position"]) == (settled_at, len(angles), None)
     known = bool(angles) and all(map(isfinite, angles))

@@ -34,9 +34,9 @@ from tests.swarmabs_bag.sample_run import PERIOD, payloads
 
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError, NotABagError
 from swarmabs_bag.info import bag_info
-from swarmabs_bag.output import RecordFile
+from swarmabs_bag.mcap.output import RecordFile
+from swarmabs_bag.mcap.records import HEAD_SIZE, Record
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.records import HEAD_SIZE, Record
 from swarmabs_bag.repair import RepairReport, repair_bag
 from swarmabs_cli import main
 from swarmabs_core.cdr import encode

@@ -20,9 +20,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from tests.swarmabs_bag.mcap_files import split
 
 from swarmabs_bag.errors import UnknownTypeError
-from swarmabs_bag.metadata import BagChannel, FileRecord, bag_metadata, dump_yaml, qos_profile, write_metadata
-from swarmabs_bag.records import parse, read_record
-from swarmabs_bag.schemas import message_schema
+from swarmabs_bag.mcap.records import parse, read_record
+from swarmabs_bag.run.metadata import BagChannel, FileRecord, bag_metadata, dump_yaml, qos_profile, write_metadata
+from swarmabs_bag.run.schemas import message_schema
 from swarmabs_config.graph import LOCKSTEP, OFFERED, Qos
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, TOPIC_OF, TOPICS, Message
 

@@ -12,10 +12,10 @@ from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_bag.realtime_bags import realtime_bag
 from tests.swarmabs_bag.sample_run import PERIOD, make_run, make_step
 
-from swarmabs_bag import swarm_state as module
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.recorded_swarm import RecordedSwarm, read_swarm
-from swarmabs_bag.swarm_state import (
+from swarmabs_bag.shown import swarm_state as module
+from swarmabs_bag.shown.recorded_swarm import RecordedSwarm, read_swarm
+from swarmabs_bag.shown.swarm_state import (
     MOST_EVENTS,
     SILENT_STEPS,
     STATUSES,

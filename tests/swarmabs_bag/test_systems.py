@@ -12,23 +12,24 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.swarmabs_bag.test_recorder import parameters
+from tests.swarmabs_core.helpers import singly
 from tests.swarmabs_ros.nodes import settings_from
 
 from swarmabs_bag.attached import attached_provenance, attached_scenario, description_of
 from swarmabs_bag.bag_summary import reference_of_bag, summarise_bag
-from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.examination import recorded_steps
-from swarmabs_bag.figures import RunFigures, Tracking
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.recorded_swarm import RecordedSystem, read_swarm
 from swarmabs_bag.recorder import node
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
-from swarmabs_bag.recording import RecordedStep
 from swarmabs_bag.repair import repair_bag
-from swarmabs_bag.swarm_state import ShownSystemRobot, SwarmState, SystemIdentity, SystemSwarmState, state_of
+from swarmabs_bag.repair.examination import recorded_steps
+from swarmabs_bag.run.figures import RunFigures, Tracking
+from swarmabs_bag.run.gatherer import RunCollector
+from swarmabs_bag.run.step import Step
+from swarmabs_bag.shown.recorded_swarm import RecordedSystem, read_swarm
+from swarmabs_bag.shown.swarm_state import ShownSystemRobot, SwarmState, SystemIdentity, SystemSwarmState, state_of
 from swarmabs_config import configure
 from swarmabs_config.scenario import AnyScenario, parse_scenario
 from swarmabs_config.scenarios import find_scenario
@@ -87,16 +88,16 @@ swarm:
 """
 
 
-def simulated(text: str, *overrides: str) -> tuple[Any, list[RecordedStep]]:
+def simulated(text: str, *overrides: str) -> tuple[Any, list[Step]]:
     scenario = parse_scenario(text, overrides=overrides).resolved()
-    return scenario, list(Simulation(scenario).steps())
+    return scenario, singly(Simulation(scenario).steps())
 
 
-def messages_of(steps: Iterable[RecordedStep]) -> list[msg.Message]:
+def messages_of(steps: Iterable[Step]) -> list[msg.Message]:
     return [record.message for step in steps for record in step.records]
 
 
-def bag_of(scenario: AnyScenario, steps: Iterable[RecordedStep], folder: Path) -> Path:
+def bag_of(scenario: AnyScenario, steps: Iterable[Step], folder: Path) -> Path:
     recording = Recording(scenario, folder, driver="simulate")
     for step in steps:
         recording.add(step)
@@ -125,7 +126,7 @@ def test_the_description_is_first_and_not_in_the_digest_whatever_the_order_of_ar
     found = [step for message in [*mixed, mixed[0]] for step in collector.add(Record.of(message))]
     assert sorted(record.payload for step in found for record in step.records) == sorted(map(encode, mixed))
     complete = [step for step in found if step.parent is not None]
-    assert [step.digest_text() for step in complete] == [step.digest_text() for step in steps]
+    assert singly(complete) == steps
     records = []
     for message in mixed:
         if not isinstance(message, msg.SwarmEvent | msg.SystemDescription | msg.StandingState):
@@ -272,10 +273,10 @@ def test_a_damaged_description_is_a_damaged_bag(text: str, tmp_path: Path) -> No
     first = step.records[0].message
     assert isinstance(first, msg.SystemDescription)
     records = (Record.of(first._replace(description=text)), *step.records[1:])
-    folder = bag_of(scenario, [step._replace(records=records)], tmp_path / "bag")
+    folder = bag_of(scenario, [Step.of(step.step, records)], tmp_path / "bag")
     with pytest.raises(DamagedBagError, match="malformed SystemDescription"):
         description_of(open_bag(folder))
-    nothing = bag_of(scenario, [step._replace(records=step.records[1:])], tmp_path / "nothing")
+    nothing = bag_of(scenario, [Step.of(step.step, step.records[1:])], tmp_path / "nothing")
     with pytest.raises(DamagedBagError, match="no message on /parent/system"):
         description_of(open_bag(nothing))
 
@@ -285,7 +286,7 @@ def test_a_cut_bag_is_repaired_and_its_complete_steps_are_known(tmp_path: Path) 
     folder = bag_of(scenario, steps, tmp_path / "bag")
     whole = recorded_steps(folder)
     assert whole is not None and (whole.first, whole.last_complete, whole.last_planned) == (0, 40, 40)
-    steps[25] = steps[25]._replace(records=steps[25].records[1:])
+    steps[25] = Step.of(steps[25].step, steps[25].records[1:])
     lacking = recorded_steps(bag_of(scenario, steps, tmp_path / "lacking"))
     assert lacking is not None and lacking.last_complete == 24
     assert lacking.by_topic["/swarm/robot_state"] == 24 and lacking.by_topic["/parent/state"] == 40

@@ -20,10 +20,10 @@ from tests.swarmabs_bag.conftest import STEPS_PER_FILE, WriteBag
 from tests.swarmabs_bag.sample_run import PERIOD, bag_writer, payloads, write_all
 
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError, UnknownTypeError
-from swarmabs_bag.output import RecordFile, Reserve
+from swarmabs_bag.mcap.output import RecordFile, Reserve
 from swarmabs_bag.reader import open_bag
+from swarmabs_bag.run.writer import CHUNK_BYTES, CHUNK_SECONDS, BagWriter
 from swarmabs_bag.run_folder import Split
-from swarmabs_bag.writer import CHUNK_BYTES, CHUNK_SECONDS, BagWriter
 from swarmabs_config.graph import Qos
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, PLANE_STATE, Message, PlaneState, Topic
@@ -98,7 +98,7 @@ def test_how_chunks_are_cut_changes_no_message_and_the_same_run_gives_the_same_f
 
 def test_an_empty_bag_is_a_bag_and_messages_keep_their_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its library need not have been built."""
-    monkeypatch.setattr("swarmabs_bag.writer.version", Mock(side_effect=PackageNotFoundError))
+    monkeypatch.setattr("swarmabs_bag.run.writer.version", Mock(side_effect=PackageNotFoundError))
     (tmp_path / "bag").mkdir()
     with bag_writer(tmp_path / "bag", {"scenario.yaml": b""}):
         pass
@@ -196,8 +196,8 @@ class Disk:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.free, self.kept_back, self.code = 2**40, RESERVE, errno.ENOSPC
         self.cuts = self.syncs = True
-        monkeypatch.setattr("swarmabs_bag.writer.RecordFile", self._file)
-        monkeypatch.setattr("swarmabs_bag.writer.Reserve", self._reserve)
+        monkeypatch.setattr("swarmabs_bag.run.writer.RecordFile", self._file)
+        monkeypatch.setattr("swarmabs_bag.run.writer.Reserve", self._reserve)
 
     def _file(self, path: Path) -> RecordFile:
         made = RecordFile(path)

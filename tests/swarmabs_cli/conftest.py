@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from tests.frozen.command import Finished, swarm
 from tests.swarmabs_analysis.figures.conftest import record
 
-from swarmabs_bag.writer import BAG_FILE
+from swarmabs_bag.run.writer import BAG_FILE
 
 Change = Callable[[str, int, bytes], bytes | None]
 """Topic, number of the message on it, and bytes in; the bytes that are to be there out, None to leave them out."""

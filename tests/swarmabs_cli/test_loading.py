@@ -53,7 +53,7 @@ def test_help_loads_nothing(arguments: list[str]) -> None:
 def test_info_loads_no_repair() -> None:
     found = loaded(["info", "--help"])
     assert "swarmabs_bag.info" in found
-    assert not {"swarmabs_bag.repair", "swarmabs_bag.merge"} & found
+    assert not {"swarmabs_bag.repair.bag", "swarmabs_bag.merge"} & found
 
 
 def test_a_run_starts_its_launcher_before_it_loads_anything() -> None:

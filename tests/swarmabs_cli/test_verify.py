@@ -13,9 +13,10 @@ from tests.frozen.command import swarm
 from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_bag.mcap_files import rewritten as copied
 from tests.swarmabs_cli.conftest import document, flipped, last_command, ran, refused, rewritten
+from tests.swarmabs_core.helpers import singly
 
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.writer import BAG_FILE
+from swarmabs_bag.run.writer import BAG_FILE
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_run.simulation import Simulation
 
@@ -154,9 +155,7 @@ def test_another_library_explains_a_difference(run: Path, tmp_path: Path) -> Non
 def test_an_interrupted_run_is_verified_as_far_as_it_goes(tmp_path: Path) -> None:
     scenario = find_scenario("pd_het_4", ["duration=0.3"]).resolved()
     recording = Recording(scenario, tmp_path / "bag", driver="simulate")
-    for step in Simulation(scenario).steps():
-        if step.step == 20:
-            break
+    for step in singly(Simulation(scenario).steps())[:20]:
         recording.add(step)
     recording.abort("interrupted")
     found = verify(tmp_path / "bag", code=0)

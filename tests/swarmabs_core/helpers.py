@@ -1,14 +1,14 @@
 """What several test modules use: built-in scenarios, runs taken apart, derivatives by Cauchy's integral."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmabs_bag.recording import Digest, RecordedStep
+from swarmabs_bag.run.step import Digest, Step
 from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_core import messages as msg
 from swarmabs_run.simulation import Simulation
@@ -30,10 +30,11 @@ class Run:
     """All messages of a simulated scenario, by class, step and robot."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self.steps: list[RecordedStep] = list(Simulation(scenario).steps())
+        self.steps: list[Step] = singly(Simulation(scenario).steps())
+        self._messages = [[record.message for record in step.records] for step in self.steps]
 
     def of(self, kind: type[M]) -> list[M]:
-        return [r.message for step in self.steps for r in step.records if isinstance(r.message, kind)]
+        return [message for messages in self._messages for message in messages if isinstance(message, kind)]
 
     def column(self, kind: type[msg.Message], field: str) -> Array:
         return np.array([getattr(message, field) for message in self.of(kind)])
@@ -43,10 +44,10 @@ class Run:
         return {state.step: state for state in self.of(msg.AgentState) if state.agent_id == agent_id}
 
     def states(self, step: int) -> list[msg.AgentState]:
-        return [r.message for r in self.steps[step].records if isinstance(r.message, msg.AgentState)]
+        return [message for message in self._messages[step] if isinstance(message, msg.AgentState)]
 
     def one(self, kind: type[M], step: int) -> M:
-        (message,) = [r.message for r in self.steps[step].records if isinstance(r.message, kind)]
+        (message,) = [message for message in self._messages[step] if isinstance(message, kind)]
         return message
 
     def events(self) -> list[msg.SwarmEvent]:
@@ -56,7 +57,23 @@ class Run:
         return digest(self.steps)
 
 
-def digest(steps: Iterable[RecordedStep]) -> str:
+def singly(steps: Iterable[Step]) -> list[Step]:
+    """Return steps one by one."""
+    return [single for step in steps for single in step.singly()]
+
+
+def together(steps: list[Step], sizes: Iterable[int]) -> Iterator[Step]:
+    """Yield single steps, so many at once as far as they are of the same robots, and only the last has events."""
+    for size in sizes:
+        most, steps = steps[:size], steps[size:]
+        while most:
+            joined, *most = most
+            while most and not joined.told and joined.step + 1 == most[0].step and joined.alike(most[0]):
+                joined = joined.joined(most.pop(0))
+            yield joined
+
+
+def digest(steps: Iterable[Step]) -> str:
     total = Digest()
     for step in steps:
         total.update(step)

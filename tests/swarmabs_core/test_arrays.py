@@ -8,7 +8,7 @@ import pytest
 from tests.swarmabs_core.helpers import Run, builtin
 
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.writer import BagWriter
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_config.scenario import Scenario, dump_scenario, parse_scenario
 from swarmabs_core import messages as msg
 from swarmabs_core.arrays import LAYOUT, MessageArrays, RunArrays, SystemArrays

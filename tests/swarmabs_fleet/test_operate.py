@@ -25,7 +25,7 @@ from tests.swarmabs_fleet.bundle_processes import ended, installed, running
 from tests.swarmabs_fleet.fleets import ONE_HOST, edited
 
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import recorded as recorded_topics
+from swarmabs_bag.run.realtime_gatherer import recorded as recorded_topics
 from swarmabs_cli import main
 from swarmabs_cli.fleet import operate as operate_commands
 from swarmabs_config.fleet.loader import load_fleet

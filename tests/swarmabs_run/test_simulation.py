@@ -12,10 +12,9 @@ import pytest
 from tests.swarmabs_core.helpers import Run, builtin, digest
 
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.recording import Digest, Step
+from swarmabs_bag.run.step import Digest, Step
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenario import Scenario, dump_scenario, parse_scenario
 from swarmabs_core.errors import InputError, RunError
@@ -203,7 +202,7 @@ def test_a_swarm_that_loses_its_spread_goes_on_with_the_state_machines(monkeypat
 
     def breaks_off(self: VectorSimulation) -> Iterator[Step]:
         first = next(whole(self))
-        assert isinstance(first, Block)
+        assert len(first) > 7
         yield first[:7]
         raise NotVectorisableError
 

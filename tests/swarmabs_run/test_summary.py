@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from swarmabs_bag.figures import Tracking
+from swarmabs_bag.run.figures import Tracking
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_run.run import Outcome

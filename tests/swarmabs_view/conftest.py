@@ -15,7 +15,7 @@ import pytest
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect, sync_playwright
 from tests.swarmabs_analysis.figures.conftest import record
 
-from swarmabs_bag.swarm_state import Abstract, Instant, ShownRobot
+from swarmabs_bag.shown.swarm_state import Abstract, Instant, ShownRobot
 from swarmabs_view.protocol import Curves, Frame, Hello, Message, RobotInfo, State
 
 HELLO = Hello(

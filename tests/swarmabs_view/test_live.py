@@ -12,8 +12,8 @@ import pytest
 from tests.swarmabs_bag.sample_run import make_run, make_step
 from tests.swarmabs_view.conftest import HELLO, told
 
-from swarmabs_bag.percentiles import QUANTILES
-from swarmabs_bag.swarm_state import Abstract, Instant, RobotIdentity, SwarmState
+from swarmabs_bag.shown.percentiles import QUANTILES
+from swarmabs_bag.shown.swarm_state import Abstract, Instant, RobotIdentity, SwarmState
 from swarmabs_config.graph import SILENCE
 from swarmabs_core.messages import EventKind, Kind, PlaneState, SwarmEvent
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass

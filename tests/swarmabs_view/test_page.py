@@ -12,7 +12,7 @@ from tests.swarmabs_analysis.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bag.sample_run import PERIOD
 from tests.swarmabs_view.conftest import PageServer, Served, curves, load, number, seek, serving
 
-from swarmabs_bag.swarm_state import TimedEvent
+from swarmabs_bag.shown.swarm_state import TimedEvent
 from swarmabs_core.events import EventCode
 from swarmabs_core.messages import EventKind, SwarmEvent
 from swarmabs_view.protocol import Answer, Event, Events, Steering

@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 from tests.swarmabs_view.conftest import HELLO, PageServer, Served, curves, load, seek
 
-from swarmabs_bag.swarm_state import Abstract, Instant, RobotStatus, ShownRobot
+from swarmabs_bag.shown.swarm_state import Abstract, Instant, RobotStatus, ShownRobot
 from swarmabs_view.protocol import (
     Event,
     Events,

@@ -11,7 +11,7 @@ from tests.swarmabs_analysis.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bag.sample_run import write_bag
 from tests.swarmabs_view.conftest import told
 
-from swarmabs_bag.swarm_state import SILENT_STEPS, STATUSES
+from swarmabs_bag.shown.swarm_state import SILENT_STEPS, STATUSES
 from swarmabs_core.messages import AgentState
 from swarmabs_view.facts import Shading, regions
 from swarmabs_view.playback import COLUMNS, PlaybackSession, Recording, open_recording

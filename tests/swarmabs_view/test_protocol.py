@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from swarmabs_bag.swarm_state import Abstract as ShownAbstract, Instant, ShownRobot
+from swarmabs_bag.shown.swarm_state import Abstract as ShownAbstract, Instant, ShownRobot
 from swarmabs_view.protocol import CONTROL, FROM_PAGE, FROM_SERVER, VERSION, Frame, Pause, Play, Seek, Speed, Steer
 
 LONG = "x" * 100

@@ -19,7 +19,7 @@ from tests.swarmabs_core.helpers import agent_state
 from tests.swarmabs_view.speaking import SpeakingNode, eventually
 
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_bag.swarm_state import SwarmState
+from swarmabs_bag.shown.swarm_state import SwarmState
 from swarmabs_config.graph import own_topic
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError

@@ -8,7 +8,7 @@ from typing import Any
 
 from tests.swarmabs_view.conftest import HELLO
 
-from swarmabs_bag.swarm_state import SwarmState
+from swarmabs_bag.shown.swarm_state import SwarmState
 from swarmabs_run.steering.client import SOCKET
 from swarmabs_view.live import LiveSession, LiveView
 from swarmabs_view.protocol import Answer, Message, Steer, Steering

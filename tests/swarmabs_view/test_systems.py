@@ -18,7 +18,7 @@ from tests.swarmabs_bag.test_systems import LIFT, SHEET, bag_of, simulated
 from tests.swarmabs_view.conftest import HELLO, PageServer, number, told
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
-from swarmabs_bag.swarm_state import ShownSystemRobot, SwarmState, SystemIdentity, SystemInstant
+from swarmabs_bag.shown.swarm_state import ShownSystemRobot, SwarmState, SystemIdentity, SystemInstant
 from swarmabs_cli import main as swarm_command
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.cdr import encode

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple, cast
 from tests.swarmabs_ros.nodes import settings_from
 from tests.transport.network import Act, Inbox, Outbox, Reports, Script, turns
 
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.recorder.node import Recorder
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.step import Step
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, RECORDER, ROBOT, Endpoints
@@ -119,7 +118,7 @@ class Swarm:
         self.turn = 0
         self.published: Counter[tuple[str, Topic, bytes]] = Counter()
         self.problems: dict[str, Exception] = {}
-        self.recorded: list[RecordedStep] = []
+        self.recorded: list[Step] = []
         self.steerer = SteeringController(steering_config(cast_.scenario))
         self._under_way: list[Parcel] = []
         self._script = turns(script)
@@ -172,8 +171,8 @@ class Swarm:
             self._readers.setdefault(topic, []).append((node, qos.reliability == "reliable"))
         return node
 
-    def _record(self, step: RecordedStep | Block) -> None:
-        self.recorded.extend(step.recorded() if isinstance(step, Block) else (step,))
+    def _record(self, step: Step) -> None:
+        self.recorded.extend(step.singly())
 
     @property
     def finished(self) -> bool:

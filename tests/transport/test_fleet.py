@@ -69,7 +69,8 @@ def desired(step: int, mode: int = msg.Mode.RUN, torque: float = -3.0) -> msg.De
 def test_the_plane_moves_as_in_lockstep(name: str) -> None:
     """In real time each robot hears of a step one period later than in lockstep: 8e-3 rad is the bound for that."""
     real = angles(fleet_of(name, begun=2.2))
-    lockstep = [step.plane.angle for step in Simulation(builtin(name, "duration=2")).steps() if step.plane]
+    simulated = Simulation(builtin(name, "duration=2")).steps()
+    lockstep = [plane.angle for step in simulated for plane in step.parents]
     released = min(k for k, a in real.items() if a != real[0]) - 1
     assert max(abs(real[k + released] - lockstep[k]) for k in range(200)) < 8e-3
 

@@ -10,7 +10,8 @@ from tests.swarmabs_core.helpers import builtin
 from tests.transport.fleet import EPOCH, VirtualFleet
 
 from swarmabs_analysis.verification.realtime import RealtimeVerification
-from swarmabs_bag.realtime import RealtimeCollector, RealtimeWorld
+from swarmabs_bag.realtime_world import RealtimeWorld
+from swarmabs_bag.run.realtime_gatherer import RealtimeCollector
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
 from swarmabs_config.graph import CONTROLLER, OBSERVER, STANDBY_SUFFIX, standby_name, standby_topic

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import pytest
 from hypothesis import given, settings
-from tests.swarmabs_core.helpers import builtin
+from tests.swarmabs_core.helpers import builtin, singly
 from tests.transport.network import Act, Script, script, scripts
 from tests.transport.swarm import AGENTS, FROZEN, LONGEST_RUN, Cast, Swarm
 
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.step import Step
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER
 from swarmabs_config.scenario.steered import as_planned
 from swarmabs_core.behaviours import Agent, Request
@@ -104,11 +104,11 @@ def cast_of(name: str) -> Cast:
 @cache
 def expected(name: str) -> tuple[list[object], dict[Topic, set[bytes]]]:
     """Return what is stored of each step of a case, and what is published, as the simulation in one process has it."""
-    steps = list(Simulation(cast_of(name).scenario).steps())
+    steps = singly(Simulation(cast_of(name).scenario).steps())
     return stored(steps), payloads(steps)
 
 
-def stored(steps: Iterable[RecordedStep]) -> list[object]:
+def stored(steps: Iterable[Step]) -> list[object]:
     """Return what is stored of each step, with the events that came after it."""
     main, events = defaultdict[int, list[object]](list), defaultdict[int, list[tuple[int, bytes]]](list)
     for step in steps:
@@ -120,7 +120,7 @@ def stored(steps: Iterable[RecordedStep]) -> list[object]:
     return [(number, messages, sorted(events[number])) for number, messages in main.items()]
 
 
-def payloads(steps: Iterable[RecordedStep]) -> dict[Topic, set[bytes]]:
+def payloads(steps: Iterable[Step]) -> dict[Topic, set[bytes]]:
     found = defaultdict[Topic, set[bytes]](set)
     for step in steps:
         for record in step.records:
@@ -271,7 +271,7 @@ def assert_planned(swarm: Swarm, cast_: Cast) -> None:
     steps = swarm.recorded
     events = [event for step in steps for event in step.events]
     ends = [Change(e.step - 1, e.agent_id, ChangeKind.KILL) for e in events if e.detail == SILENT]
-    planned = list(Simulation(as_planned(cast_.scenario, events, ends=ends)).steps())
+    planned = singly(Simulation(as_planned(cast_.scenario, events, ends=ends)).steps())
     for topic in MAIN_TOPICS:
         assert payloads(steps)[topic] == payloads(planned)[topic], topic.name
 

@@ -13,8 +13,9 @@ from tests.transport.network import LARGEST, Act, Script, script, scripts, turns
 from tests.transport.swarm import AGENTS
 
 from swarmabs_analysis.verification.realtime import RealtimeVerification
-from swarmabs_bag.realtime import RealtimeCollector, RealtimeWorld
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.realtime_world import RealtimeWorld
+from swarmabs_bag.run.realtime_gatherer import RealtimeCollector
+from swarmabs_bag.run.step import Step
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
 from swarmabs_config.graph import CONTROLLER, agent_name
@@ -41,7 +42,7 @@ class StaysWithin(Invariant):
     def __init__(self, scenario: Scenario) -> None:
         self._lane = max(0.0, 0.5 * scenario.plane.length - scenario.realtime.lane_margin)
 
-    def check(self, step: RecordedStep) -> Iterator[Violation]:
+    def check(self, step: Step) -> Iterator[Violation]:
         for state in states(step):
             if abs(state.position) > self._lane + 1e-9:
                 yield Violation("lane", step.step, state.agent_id, f"{state.position:.6g} m is outside of its lane")
@@ -56,7 +57,7 @@ class NothingDoubtful(Invariant):
         self._ahead = clock.ahead(scenario.realtime.clock_tolerance)
         self._before: dict[int, int] = {}
 
-    def check(self, step: RecordedStep) -> Iterator[Violation]:
+    def check(self, step: Step) -> Iterator[Violation]:
         for state in states(step):
             decided, self._before[state.agent_id] = self._before.get(state.agent_id), state.step
             if state.broadcast_step == NEVER:
@@ -80,7 +81,7 @@ class FollowsFromItsBasis(Invariant):
         self._verification = RealtimeVerification(scenario, world)
         self._period_ns = scenario.step_ns
 
-    def check(self, step: RecordedStep) -> Iterator[Violation]:
+    def check(self, step: Step) -> Iterator[Violation]:
         time = EPOCH + step.step * self._period_ns
         for record in step.records:
             for kept in self._collector.add(record, time):
@@ -163,13 +164,13 @@ def gone_through(doings: Script, seed: int = 1) -> VirtualFleet:
     return fleet
 
 
-def periods(fleet: VirtualFleet) -> Iterator[RecordedStep]:
+def periods(fleet: VirtualFleet) -> Iterator[Step]:
     found: dict[int, list[Record]] = {}
     for time, _, message in fleet.published:
         record = Record(TOPIC_OF[type(message)], getattr(message, "agent_id", 0), message, encode(message))
         found.setdefault(time // scenario().step_ns, []).append(record)
     for step, records in found.items():
-        yield RecordedStep(step, tuple(records))
+        yield Step.of(step, tuple(records))
 
 
 def wrongs(doings: Script) -> list[str]:

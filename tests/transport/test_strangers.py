@@ -4,11 +4,11 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from tests.swarmabs_core.helpers import builtin
+from tests.swarmabs_core.helpers import builtin, singly
 from tests.transport.network import Act, script
 from tests.transport.swarm import AGENTS, Cast, Node, Swarm
 
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.step import Step
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -78,11 +78,11 @@ class Beset(Swarm):
         self.intrude(topic, encode(FORGED[topic](message)))
 
 
-def payloads(steps: list[RecordedStep]) -> list[list[bytes]]:
+def payloads(steps: list[Step]) -> list[list[bytes]]:
     return [[record.payload for record in step.records] for step in steps]
 
 
-SIMULATED = payloads(list(Simulation(SCENARIO).steps()))
+SIMULATED = payloads(singly(Simulation(SCENARIO).steps()))
 
 
 @pytest.mark.parametrize("topic", FORGED, ids=lambda topic: topic.name)

@@ -21,8 +21,8 @@ from swarmabs_bag.attached import (
 )
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.recording import Digest
-from swarmabs_bag.steps import recorded_steps
+from swarmabs_bag.run.ordering import recorded_steps
+from swarmabs_bag.run.step import Digest
 from swarmabs_config import configure
 from swarmabs_config.model.errors import printable, shorten, show
 from swarmabs_config.scenario.steered import as_planned
@@ -30,13 +30,12 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.events import EventCode, code_of
 from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.membership import Change, ChangeKind
-from swarmabs_core.messages import EVENTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from swarmabs_bag.reader import BagReader
-    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_bag.run.step import Step
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.messages import SwarmEvent
     from swarmabs_run.run import Outcome
@@ -100,7 +99,7 @@ class RepeatableRun:
                 continue
             if other is None:
                 return None
-            if not {record.payload for record in step.records} <= {record.payload for record in other.records}:
+            if not {payload for *_, payload in step.stored()} <= {payload for *_, payload in other.stored()}:
                 return False
         return True
 
@@ -129,13 +128,12 @@ def recorded_run(path: Path | str, overrides: Sequence[str] = (), *, scenario: s
     digest, last_step, steps = Digest(), -1, 0
     ends: list[Change] = []
     try:
-        for step in recorded_steps(bag.records(), str(bag.path)):
-            if step.records[0].topic is EVENTS:
-                differences += _unrepeatable(bag, step, ends)
-            else:
+        for step in recorded_steps(bag.steps(), str(bag.path)):
+            differences += _unrepeatable(bag, step, ends)
+            if step.tables:
                 digest.update(step)
                 last_step = step.step
-                steps += 1
+                steps += len(step)
     except DamagedBagError as error:
         differences.append(f"the bag can only be compared in part: {error}")
     there = set(configure.members(changed))
@@ -168,7 +166,7 @@ def _check_repeatable(bag: BagReader, provenance: Mapping[str, Any]) -> None:
         raise InputError(f"{bag.path} is the replay of another bag, not a run; {_REMEDY}")
 
 
-def _unrepeatable(bag: BagReader, step: RecordedStep, ends: list[Change]) -> Iterator[str]:
+def _unrepeatable(bag: BagReader, step: Step, ends: list[Change]) -> Iterator[str]:
     """Yield disturbances of a run that its scenario does not contain, and collect unplanned ends of robots.
 
     Requests from outside are already part of the scenario, unless the run was not steerable.
@@ -223,11 +221,11 @@ def _text(value: object) -> str:
     return printable(shorten(str(value)))
 
 
-def _main_steps(bag: BagReader) -> Iterator[RecordedStep]:
+def _main_steps(bag: BagReader) -> Iterator[Step]:
     """Yield the steps of a bag without its events, as far as it can be read."""
     try:
-        for step in recorded_steps(bag.records(), str(bag.path)):
-            if step.records[0].topic is not EVENTS:
+        for step in recorded_steps(bag.steps(), str(bag.path)):
+            if step.tables:
                 yield step
     except DamagedBagError:
         return

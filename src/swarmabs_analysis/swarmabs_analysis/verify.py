@@ -23,10 +23,11 @@ from swarmabs_bag.attached import (
     supply_scenario,
     versions,
 )
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import RECORDED, realtime_world
+from swarmabs_bag.realtime_world import realtime_world
+from swarmabs_bag.run.realtime_gatherer import RECORDED
+from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_config.graph import REALTIME
 from swarmabs_config.model.errors import show
@@ -103,7 +104,7 @@ class BagToVerify:
     ) -> VerificationResult:
         """Verify the bag, or in a `trial` only its nodes; damage does not raise but is part of the result.
 
-        After each message or block of messages `on_step` receives the first step that is not verified yet.
+        After each message, or after several steps at once, `on_step` receives the first step that is not verified yet.
         """
         verification: Verification = (
             LockstepVerification(
@@ -152,9 +153,9 @@ class BagToVerify:
         try:
             family = self.scenario.family
             topics = RECORDED if self._realtime else (*family.once, *family.main, STANDING, EVENTS)
-            for found in self._bag.published(topics) if self._realtime else self._bag.blocks(topics):
-                if isinstance(found, Block):
-                    verification.add_block(found)
+            for found in self._bag.published(topics) if self._realtime else self._bag.whole_steps(topics):
+                if isinstance(found, Step):
+                    verification.add_steps(found)
                 else:
                     # SQLite stores no publish times: bags converted from it have 0 there, and no provenance.
                     known = found.published or self._provenance

@@ -18,7 +18,7 @@ from swarmabs_bag.attached import description_of, event_time, is_realtime
 from swarmabs_bag.bag_summary import reference_of_bag, summarise_bag
 from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.recording import digest_head
+from swarmabs_bag.run.step import digest_head
 from swarmabs_core.arrays import LAYOUT, LENGTH, PADDING, RunArrays, Tables, layout_of, run_arrays, run_event
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, lengths_of
 from swarmabs_core.messages import EVENTS, ROBOT_STATES, STANDING, SwarmEvent, Topic
@@ -26,7 +26,7 @@ from swarmabs_core.messages import EVENTS, ROBOT_STATES, STANDING, SwarmEvent, T
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from swarmabs_bag.grouping import TopicMessages
+    from swarmabs_bag.run.grouping import TopicMessages
     from swarmabs_core.systems import SystemTables
 
 MOST_ABSENT = 50_000_000

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.errors import DamagedBagError, UnknownTypeError
-from swarmabs_bag.metadata import REPAIRED_KEY
 from swarmabs_bag.reader import BagReader, open_bag
+from swarmabs_bag.run.metadata import REPAIRED_KEY
 from swarmabs_config.configure import plugins
 from swarmabs_config.graph import REALTIME
 from swarmabs_config.scenario import dump_scenario, parse_scenario

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.attached import attached_scenario, description_of, is_realtime
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.figures import PLANE_TRACKING, RunFigures, Tracking
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import law_begins, realtime_figures
-from swarmabs_bag.steps import DisorderError, recorded_steps
+from swarmabs_bag.realtime_world import law_begins, realtime_figures
+from swarmabs_bag.run.figures import PLANE_TRACKING, RunFigures, Tracking
+from swarmabs_bag.run.ordering import DisorderError, recorded_steps
 from swarmabs_config import configure
 from swarmabs_core.errors import InputError
 
@@ -58,8 +58,7 @@ def summarise_bag(path: Path, namespace: str | None) -> dict[str, Any]:
     unknown = (nan,) * len(tracking.followed)
     figures = RunFigures((lambda _: unknown) if scenario is None else configure.reference(scenario), tracking)
     try:
-        found = bag.records() if is_realtime(bag) else bag.steps()
-        for step in recorded_steps(found, str(path), realtime=is_realtime(bag)):
+        for step in recorded_steps(bag.steps(), str(path), realtime=is_realtime(bag)):
             figures.add(step)
     except DisorderError:
         return dict.fromkeys(figures.summary())

@@ -20,10 +20,10 @@ from swarmabs_bag.attached import (
     contradiction,
     events_in,
 )
-from swarmabs_bag.channels import named_swarms
 from swarmabs_bag.errors import DamagedBagError, repair_command
-from swarmabs_bag.metadata import ABORTED_KEY, REPAIRED_KEY, load_yaml
 from swarmabs_bag.reader import BagReader, open_bag
+from swarmabs_bag.run.channels import named_swarms
+from swarmabs_bag.run.metadata import ABORTED_KEY, REPAIRED_KEY, load_yaml
 from swarmabs_config.model.errors import shorten, show
 from swarmabs_config.scenario import ScenarioError, parse_scenario
 from swarmabs_core.ranges import Strays, texts_of

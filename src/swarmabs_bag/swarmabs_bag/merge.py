@@ -22,17 +22,18 @@ from swarmabs_bag.attached import (
     contradiction,
     is_realtime,
 )
-from swarmabs_bag.collector import MEMORY as LOCKSTEP_MEMORY
-from swarmabs_bag.completeness import LockstepCompleteness, RealtimeCompleteness
 from swarmabs_bag.errors import BagWriteError, DamagedBagError
-from swarmabs_bag.metadata import REPAIRED_KEY, load_yaml
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import RealtimeCollector, realtime_world
-from swarmabs_bag.repair import CUT_OFF, refuse_taken, repair_bag, work_folder
+from swarmabs_bag.realtime_world import realtime_world
+from swarmabs_bag.repair.bag import CUT_OFF, refuse_taken, repair_bag, work_folder
+from swarmabs_bag.repair.completeness import LockstepCompleteness, RealtimeCompleteness
+from swarmabs_bag.repair.spans import Spans
+from swarmabs_bag.run.gatherer import MEMORY as LOCKSTEP_MEMORY
+from swarmabs_bag.run.metadata import REPAIRED_KEY, load_yaml
+from swarmabs_bag.run.realtime_gatherer import RealtimeCollector
+from swarmabs_bag.run.step import ORDER
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import ONE_FILE, Split, find_bag
-from swarmabs_bag.spans import Spans
-from swarmabs_bag.steps import ORDER
-from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_config.model.errors import show
@@ -43,10 +44,10 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from swarmabs_bag.completeness import Gap
     from swarmabs_bag.reader import BagReader
-    from swarmabs_bag.realtime import RealtimeWorld
-    from swarmabs_bag.repair import RepairReport
+    from swarmabs_bag.realtime_world import RealtimeWorld
+    from swarmabs_bag.repair.bag import RepairReport
+    from swarmabs_bag.repair.completeness import Gap
     from swarmabs_core.messages import Topic
 
 _OF_RECORDER = ("machine", "byte_order", "libm_fingerprint", "standby")

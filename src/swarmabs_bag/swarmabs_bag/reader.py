@@ -11,13 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from swarmabs_bag.bag_file import BagFile, open_file
-from swarmabs_bag.blocks import Block
-from swarmabs_bag.channels import bag_channel, check_definitions, chosen_swarm, named_swarms, swarm_topics
 from swarmabs_bag.errors import CONVERT, DamagedBagError, NotABagError
-from swarmabs_bag.grouping import TopicMessages, in_blocks
-from swarmabs_bag.index import FileIndex, add_messages
-from swarmabs_bag.metadata import ABORTED_KEY, custom_texts, load_yaml
+from swarmabs_bag.mcap.file_reader import BagFile, open_file
+from swarmabs_bag.mcap.index import FileIndex, add_messages
+from swarmabs_bag.run.channels import bag_channel, check_definitions, chosen_swarm, named_swarms, swarm_topics
+from swarmabs_bag.run.grouping import TopicMessages, whole_steps
+from swarmabs_bag.run.metadata import ABORTED_KEY, custom_texts, load_yaml
+from swarmabs_bag.run.step import Step
 from swarmabs_bag.run_folder import SUFFIX, find_bag, missing_files, split_files
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
     from mcap.records import Channel
 
-    from swarmabs_bag.grouping import Published
-    from swarmabs_bag.metadata import BagChannel
-    from swarmabs_bag.records import StoredMessage
-    from swarmabs_bag.stored import StoredMessages
+    from swarmabs_bag.mcap.records import StoredMessage
+    from swarmabs_bag.mcap.stored import StoredMessages
+    from swarmabs_bag.run.grouping import Published
+    from swarmabs_bag.run.metadata import BagChannel
     from swarmabs_core.messages import Family, Message, Topic
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -131,17 +131,17 @@ class BagReader:
             if len(found):
                 yield found
 
-    def blocks(self, topics: Collection[Topic] | None = None) -> Iterator[Block | Published]:
-        """Yield what `published` does, complete steps as blocks where possible; errors as for `messages`."""
-        return in_blocks(self.tables(topics), self.family)
+    def whole_steps(self, topics: Collection[Topic] | None = None) -> Iterator[Step | Published]:
+        """Yield what `published` does, complete steps together where possible; errors as for `messages`."""
+        return whole_steps(self.tables(topics), self.family)
 
-    def steps(self) -> Iterator[Block | Record]:
-        """Yield what `records` does for all topics, complete steps as blocks where possible; errors as for it."""
-        for found in self.blocks():
-            if isinstance(found, Block):
-                yield found
+    def steps(self) -> Iterator[Step | Record]:
+        """Yield what `records` does for all topics, complete steps together where possible; errors as for it."""
+        for read in self.whole_steps():
+            if isinstance(read, Step):
+                yield read
             else:
-                yield from self._heard([found[:2] + found[3:]])
+                yield from self._heard([(read.topic, read.time, read.payload)])
 
     def records(self, topics: Collection[Topic] | None = None) -> Iterator[Record]:
         """Yield the swarm's messages with canonical bytes, in file order; parameters and errors as for `messages`."""

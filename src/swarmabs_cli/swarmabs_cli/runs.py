@@ -15,7 +15,7 @@ import click
 from rich.console import Console
 
 from swarmabs_bag.errors import remedy
-from swarmabs_bag.figures import tracking_of
+from swarmabs_bag.run.figures import tracking_of
 from swarmabs_bag.run_folder import RunFolder, Split
 from swarmabs_cli.options import COMMAND
 from swarmabs_cli.output import print_json, print_warnings, results_folder

@@ -44,10 +44,9 @@ LENGTH = "length of list "
 def _layout(topic: Topic, lengths: tuple[int, ...]) -> np.dtype[np.void]:
     """Return the canonical CDR of a topic's messages with lists of these lengths, field by field."""
     fields: list[Any] = []
-    for number, (name, code, size) in enumerate(places(topic.message, lengths)):
+    for number, (name, code, size, elements) in enumerate(places(topic.message, lengths)):
         unique = {"": f"{PADDING}{number}", "count": f"{LENGTH}{number}"}.get(name, name)
-        listed = code[:-1].isdigit() and code.endswith("d")
-        fields.append((unique, "<f8", (size // 8,)) if listed else (unique, _NUMPY.get(code, f"V{size}")))
+        fields.append((unique, "<f8", (elements,)) if elements else (unique, _NUMPY.get(code, f"V{size}")))
     return np.dtype(fields)
 
 

@@ -40,11 +40,15 @@ _new: Any = tuple.__new__  # of a NamedTuple, without the Python wrappers `__new
 
 
 class Place(NamedTuple):
-    """An item of a message: its name (empty for padding), its `struct` format and its size in bytes."""
+    """An item of a message: its name (empty for padding), its `struct` format and its size in bytes.
+
+    `length` is the number of elements of a list of float64, 0 for any other item.
+    """
 
     name: str
     code: str
     size: int
+    length: int = 0
 
 
 def places(message_type: type[Message], lengths: tuple[int, ...] = ()) -> tuple[Place, ...]:
@@ -55,31 +59,33 @@ def places(message_type: type[Message], lengths: tuple[int, ...] = ()) -> tuple[
     after its `count`.
     """
     found = [Place("encapsulation", "2s", 2), Place("", "2x", 2)]
-    for name, code, alignment in _numbers(message_type, iter(lengths)):
-        size = struct.calcsize(f"<{code}")
+    for item, alignment in _items(message_type, iter(lengths)):
         gap = -(sum(place.size for place in found) - _BEGIN) % alignment
         if gap:
             found.append(Place("", f"{gap}x", gap))
-        found.append(Place(name, code, size))
+        found.append(item)
     return tuple(found)
 
 
-def _numbers(message_type: type[Message], lengths: Iterator[int]) -> Iterator[tuple[str, str, int]]:
-    """Yield name, format and alignment of the items in the fixed part, without the encapsulation."""
-    yield from (("sec", "i", 4), ("nanosec", "I", 4), ("frame", f"{len(FRAME)}s", 4))
+def _items(message_type: type[Message], lengths: Iterator[int]) -> Iterator[tuple[Place, int]]:
+    """Yield the items in the fixed part with their alignments, without the encapsulation."""
+    count = Place("count", "I", 4)
+    yield from ((Place("sec", "i", 4), 4), (Place("nanosec", "I", 4), 4))
+    yield Place("frame", f"{len(FRAME)}s", len(FRAME)), 4
     for name, field in fields_of(message_type).items():
         if not isinstance(field, Field):
-            yield from _numbers(field, lengths)
+            yield from _items(field, lengths)
         elif bound_of(field):
             length = next(lengths, 0)
-            yield "count", "I", 4
+            yield count, 4
             if length:
-                yield name, f"{length}d", 8
+                yield Place(name, f"{length}d", 8 * length, length), 8
         elif field.ros_type in _CODES:
             code = _CODES[field.ros_type]
-            yield name, code, struct.calcsize(code)
+            size = struct.calcsize(code)
+            yield Place(name, code, size), size
         elif field.ros_type != "time":
-            yield "count", "I", 4
+            yield count, 4
             return
 
 
@@ -197,8 +203,7 @@ class _Shape:
         kinds, left = iter([layout.message, *(part for part, _ in layout.parts)]), iter(lengths)
         form, known, size, index = "<", {"encapsulation": ENCAPSULATION, "frame": FRAME}, 0, 0
         expected: list[bytes | int] = []
-        for name, code, width in items:
-            listed = code[0].isdigit() and code.endswith("d")
+        for name, code, width, elements in items:
             if name == "sec":
                 self.parts.append((next(kinds), index, []))
             elif name == "count":
@@ -207,11 +212,11 @@ class _Shape:
                 self.parts[-1][2].append(slice(index + 1, index + 1 + length))
             elif name in known:
                 expected.append(known[name])
-            elif name not in {"", "nanosec"} and not listed:
+            elif name not in {"", "nanosec"} and not elements:
                 self.parts[-1][2].append(index)
             form += code if name in known or name == "count" else f"{width}x"
             size += width
-            index += width // 8 if listed else bool(name)
+            index += elements or bool(name)
         self.head, self.expected = struct.Struct(form), tuple(expected)
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BeforeValidator, PlainSerializer, ValidationError
 
-from swarmabs_bag.channels import READABLE
+from swarmabs_bag.run.channels import READABLE
 from swarmabs_config.fleet.loader import FLEET_FILE, SCENARIO_FILE
 from swarmabs_config.fleet.participants import ports
 from swarmabs_config.fleet.parts import Account, Address, FolderPath, Interface

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import os
+import time
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.attached import scenario_of
-from swarmabs_bag.blocks import Block, gathered_steps
-from swarmabs_bag.collector import RunCollector
-from swarmabs_bag.figures import PLANE_TRACKING, RunFigures, Tracking
+from swarmabs_bag.run.figures import PLANE_TRACKING, RunFigures, Tracking
+from swarmabs_bag.run.gatherer import RunCollector
+from swarmabs_bag.run.step import STEP_BYTES, STEP_SECONDS
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, ROBOT, Option, endpoints
 from swarmabs_config.scenario import AnyScenario, dump_scenario, parse_scenario
 from swarmabs_config.scenarios import as_override
 from swarmabs_core.arrays import RunArrays, RunEvent, run_arrays, run_event, table
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
+from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
-from swarmabs_core.messages import PLANE_STATE, SYSTEM_FAMILY, TOPIC_OF
+from swarmabs_core.messages import EVENTS, PLANE_STATE, SYSTEM_FAMILY, TOPIC_OF
 from swarmabs_core.nodes import NodeKind, NodeName
-from swarmabs_core.record import Record
 from swarmabs_core.systems import SystemTables
 from swarmabs_run.swarm_columns import NotVectorisableError
 from swarmabs_run.vector_simulation import VectorSimulation, vectorisable
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from os import PathLike
 
-    from swarmabs_bag.recording import RecordedStep, Step
+    from swarmabs_bag.run.step import Step
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Message, Messages, Topic
     from swarmabs_core.models import AgentConfig, SystemAgentConfig
@@ -143,23 +143,57 @@ class Simulation:
             family=scenario.family,
         )
 
-    def steps(self) -> Iterator[RecordedStep]:
-        """Run, and yield every step as a bag would hold it.
+    def steps(self) -> Iterator[Step]:
+        """Run, and yield the steps as a bag would hold them, several together; after an error, those before it first.
 
         Raises `RunError` if the run fails, such as when the plane turns over, or stalls.
         """
         self._network.start()
-        for message in self._network.deliver():
-            yield from self._collector.add(Record.of(message))
+        sent = _Sent()
+        try:
+            for message in self._network.deliver():
+                sent.add(message)
+                if sent.full:
+                    yield from sent.collected_by(self._collector)
+        except Exception:
+            yield from sent.collected_by(self._collector)
+            raise
+        yield from sent.collected_by(self._collector)
         if not self._collector.finished:
             missing = ", ".join(self._collector.missing())
             raise RunError(f"the run stalls at step {self._collector.step}; missing: {missing}")
 
 
+class _Sent:
+    """The messages that have been sent since the collector was given some, by topic."""
+
+    def __init__(self) -> None:
+        self._payloads: dict[Topic, list[bytes]] = {}
+        self._size = 0
+        self._begun = 0.0
+
+    @property
+    def full(self) -> bool:
+        """Whether the messages are as many, or as old, as those of a `Step` may be."""
+        return self._size >= STEP_BYTES or time.monotonic() - self._begun >= STEP_SECONDS
+
+    def add(self, message: Message) -> None:
+        """Add a message."""
+        if not self._size:
+            self._begun = time.monotonic()
+        payload = encode(message)
+        self._payloads.setdefault(TOPIC_OF[type(message)], []).append(payload)
+        self._size += len(payload)
+
+    def collected_by(self, collector: RunCollector) -> Iterator[Step]:
+        """Give the messages to the collector, and yield the steps that are complete then."""
+        sent, self._payloads, self._size = self._payloads, {}, 0
+        for topic in sorted(sent, key=lambda topic: topic is not EVENTS):  # a step is complete with its events
+            yield from collector.add_all(topic, sent[topic])
+
+
 def simulated_steps(scenario: AnyScenario) -> Iterator[Step]:
     """Simulate a scenario, on arrays if all robots always behave alike; the results are identical bit for bit.
-
-    They come in blocks as far as they fit.
 
     Raises `RunError` if the run fails, such as when the plane turns over.
     """
@@ -173,7 +207,9 @@ def simulated_steps(scenario: AnyScenario) -> Iterator[Step]:
             pass
         else:
             return
-    yield from gathered_steps(islice(Simulation(scenario).steps(), done, None))
+    for step in Simulation(scenario).steps():
+        if step.step >= done:
+            yield step[max(0, done - step.first) :]
 
 
 def simulate(
@@ -216,13 +252,8 @@ def simulate(
     for step in simulated_steps(changed):
         figures.add(step)
         events.extend(run_event(event, event.step * period_ns / 1e9) for event in step.events)
-        if isinstance(step, Block):
-            for topic, messages in step.tables.items():
-                gathered[topic] += messages.tobytes()
-            continue
-        for topic, _, payload in step.stored():
-            if topic in gathered:
-                gathered[topic] += payload
+        for topic in step.tables.keys() & gathered.keys():
+            gathered[topic] += step.tables[topic].tobytes()
     return run_arrays(
         {topic: table(topic, payloads) for topic, payloads in gathered.items()},
         reference=lambda step: reference(step * period_ns / 1e9),

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
-from swarmabs_bag.figures import PLANE_TRACKING
+from swarmabs_bag.run.figures import PLANE_TRACKING
 from swarmabs_core.ranges import texts_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from swarmabs_bag.figures import Tracking
+    from swarmabs_bag.run.figures import Tracking
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_run.run import Outcome

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from swarmabs_bag.blocks import BLOCK_BYTES, BLOCK_SECONDS, Block
+from swarmabs_bag.run.step import STEP_BYTES, STEP_SECONDS, Step, rows_of
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario, SystemScenario
 from swarmabs_core.abstraction import is_degenerate
@@ -26,7 +26,6 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.plant import PlaneDynamics
 from swarmabs_core.ranges import RangeMonitor, lane
-from swarmabs_core.record import Record
 from swarmabs_run.swarm_columns import NotVectorisableError, SwarmColumns, on_columns
 from swarmabs_run.system_columns import SystemSwarm, system_on_columns
 
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_bag.recording import Step
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.messages import AnyParentState, Family, Messages
     from swarmabs_core.systems.interface import Quantity
@@ -185,7 +183,7 @@ class PlaneSwarm:
 
 
 class _Gathered:
-    """The steps since the last block."""
+    """The steps that are not yielded yet."""
 
     def __init__(self, swarm: Swarm) -> None:
         self._swarm = swarm
@@ -197,39 +195,33 @@ class _Gathered:
 
     @property
     def full(self) -> bool:
-        """Whether the steps are as many, or as old, as a block may be."""
-        return len(self._motions) >= self._most or time.monotonic() - self._begun >= BLOCK_SECONDS
+        """Whether the steps are as many, or as old, as a `Step` may be."""
+        return len(self._motions) >= self._most or time.monotonic() - self._begun >= STEP_SECONDS
 
     def add(self, messages: Coordinated) -> None:
         """Add the messages of a step and the state of the robots."""
         payloads = tuple(map(encode, messages))
         if not self._motions:
             self._begun = time.monotonic()
-            self._most = max(1, BLOCK_BYTES // (self._swarm.size + sum(map(len, payloads))))
+            self._most = max(1, STEP_BYTES // (self._swarm.size + sum(map(len, payloads))))
         self._motions.append(self._swarm.motion())
         self._messages.append(messages[0][:2])
         self._payloads.append(payloads)
 
     def take(self, once: Messages = (), events: Messages = ()) -> Iterator[Step]:
-        """Yield the steps as a block, the last one on its own if it has further messages, and begin the next block."""
+        """Yield the steps together, with further messages of the last one, and begin anew."""
         if not self._motions:
             return
         family = self._swarm.family
         columns = zip(family.main[1:], zip(*self._payloads, strict=True), strict=True)
         tables = {topic: table(topic, b"".join(payloads)) for topic, payloads in columns}
         stamps, steps = zip(*self._messages, strict=True)
-        states = self._swarm.states(np.array(steps, dtype=np.uint64), np.array(stamps), self._motions)
-        block = Block({family.robot: states, **tables})
+        tables[family.robot] = self._swarm.states(np.array(steps, dtype=np.uint64), np.array(stamps), self._motions)
         for gathered in (self._motions, self._messages, self._payloads):
             gathered.clear()
-        if not once and not events:
-            yield block
-            return
-        if len(block) > 1:
-            yield block[:-1]
-        (last,) = block[-1:].recorded()
-        added = sorted(map(Record.of, events), key=lambda record: record.payload)
-        yield last._replace(records=(*map(Record.of, once), *last.records, *added))
+        # What is said once is said in step 0, which then comes on its own.
+        tables |= {topic: rows_of(topic, [encode(said)]) for topic, said in zip(family.once, once, strict=False)}
+        yield Step(steps[0], tables, tuple(sorted(map(encode, events))))
 
 
 class VectorSimulation:
@@ -242,7 +234,7 @@ class VectorSimulation:
         self._ranges = RangeMonitor(self._swarm.ranges)
 
     def steps(self) -> Iterator[Step]:
-        """Run, and yield the steps in blocks, a step with events on its own.
+        """Run, and yield the steps together, up to one with events.
 
         Raises `NotVectorisableError` if a robot has to behave individually; the steps before it are valid. Raises
         `RunError` if the run fails, such as when the plane turns over.

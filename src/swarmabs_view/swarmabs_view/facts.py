@@ -11,7 +11,7 @@ from math import fsum, isfinite, nan
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.swarm_state import Members, finite
+from swarmabs_bag.shown.swarm_state import Members, finite
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_view.protocol import Manifold, Plane, Regions, Sets

@@ -7,7 +7,7 @@ from collections import deque
 from contextlib import suppress
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from swarmabs_bag.swarm_state import ShownRobot, SystemSwarmState
+from swarmabs_bag.shown.swarm_state import ShownRobot, SystemSwarmState
 from swarmabs_config.graph import SILENCE
 from swarmabs_core.messages import SystemDescription
 from swarmabs_view.coordinators import DiagnosedRoles
@@ -29,7 +29,7 @@ from swarmabs_view.protocol import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from swarmabs_bag.swarm_state import AnyInstant, SwarmState
+    from swarmabs_bag.shown.swarm_state import AnyInstant, SwarmState
     from swarmabs_core.messages import Message
     from swarmabs_view import protocol
     from swarmabs_view.listener import DiagnosticsListener, Listener

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_bag.recorded_swarm import RecordedSwarm, RecordedSystem, column_points, read_swarm
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_bag.swarm_state import MOST_EVENTS, TimedEvent, state_of
+from swarmabs_bag.shown.recorded_swarm import RecordedSwarm, RecordedSystem, column_points, read_swarm
+from swarmabs_bag.shown.swarm_state import MOST_EVENTS, TimedEvent, state_of
 from swarmabs_view.coordinators import coordinators_at, read_roles, takeovers
 from swarmabs_view.facts import Shading, scenario_facts
 from swarmabs_view.ports import bound, need_web_server
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_bag.swarm_state import RobotIdentity, SystemIdentity
+    from swarmabs_bag.shown.swarm_state import RobotIdentity, SystemIdentity
     from swarmabs_view.coordinators import Role
 
 COLUMNS = 1000
@@ -156,7 +156,7 @@ class Recording:
 
 
 def open_recording(path: Path, *, namespace: str | None = None) -> Recording:
-    """Read a bag; errors as for `swarmabs_bag.recorded_swarm.read_swarm`."""
+    """Read a bag; errors as for `swarmabs_bag.shown.recorded_swarm.read_swarm`."""
     swarm = read_swarm(path, namespace=namespace)
     bag = swarm.bag if swarm.bag.is_dir() else swarm.bag.parent
     return Recording(swarm, read_roles(RunFolder(bag.parent).logs))

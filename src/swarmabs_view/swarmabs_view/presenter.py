@@ -6,7 +6,7 @@ from contextlib import suppress
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.figures import Tracking
+from swarmabs_bag.run.figures import Tracking
 from swarmabs_core.errors import InputError
 from swarmabs_core.systems.interface import NamedSystem, SystemTables
 from swarmabs_view.protocol import Curves, Frame, Message, Row, System, SystemCurves, SystemFrame, SystemRobots
@@ -14,7 +14,7 @@ from swarmabs_view.protocol import Curves, Frame, Message, Row, System, SystemCu
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from swarmabs_bag.swarm_state import ShownSystemRobot, ShownVector, SystemIdentity, SystemInstant
+    from swarmabs_bag.shown.swarm_state import ShownSystemRobot, ShownVector, SystemIdentity, SystemInstant
     from swarmabs_core.systems.interface import ParentSystem
     from swarmabs_view.protocol import Number
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class Presenter:
     """Presents a swarm on the plane or, with its tables, on another parent system.
 
-    Instants, identities and shown robots are those of `swarmabs_bag.swarm_state` for the family. A parent system is
-    drawn by its own package, if that is installed with the same tables.
+    Instants, identities and shown robots are those of `swarmabs_bag.shown.swarm_state` for the family. A parent system
+    is drawn by its own package, if that is installed with the same tables.
     """
 
     def __init__(self, tables: SystemTables | None = None) -> None:

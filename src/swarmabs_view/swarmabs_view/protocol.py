@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
-from swarmabs_bag.percentiles import QUANTILES, SIDES, percentiles, starts_above
-from swarmabs_bag.swarm_state import RobotStatus, ShownRobot, finite
+from swarmabs_bag.shown.percentiles import QUANTILES, SIDES, percentiles, starts_above
+from swarmabs_bag.shown.swarm_state import RobotStatus, ShownRobot, finite
 from swarmabs_core.events import code_of, said_event
 from swarmabs_core.messages import EventKind, Kind, word
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from swarmabs_bag.swarm_state import Instant, RobotIdentity, SystemIdentity, TimedEvent
+    from swarmabs_bag.shown.swarm_state import Instant, RobotIdentity, SystemIdentity, TimedEvent
 
 VERSION = 1
 """Version of the protocol, raised when a message is removed or changes its meaning. The server may add messages and

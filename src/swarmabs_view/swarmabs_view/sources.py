@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.recorded_swarm import read_swarm
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_bag.swarm_state import SwarmState, state_of
+from swarmabs_bag.shown.recorded_swarm import read_swarm
+from swarmabs_bag.shown.swarm_state import SwarmState, state_of
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_run.orchestration.run_files import (
@@ -46,7 +46,7 @@ with tracing_files_removed():
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from swarmabs_bag.swarm_state import AnyInstant
+    from swarmabs_bag.shown.swarm_state import AnyInstant
     from swarmabs_view.playback import Recording
     from swarmabs_view.protocol import Placed, Session
 

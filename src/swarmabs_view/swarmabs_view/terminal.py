@@ -17,8 +17,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from swarmabs_bag.figures import tracking_of
 from swarmabs_bag.recorder.swarm_summary import LETTERS, THOUSAND
+from swarmabs_bag.run.figures import tracking_of
 from swarmabs_config.graph import SILENCE
 from swarmabs_run.orchestration.run_files import RunOverError, is_running, read_processes, read_progress
 from swarmabs_run.processes import GONE, ProcessMonitor

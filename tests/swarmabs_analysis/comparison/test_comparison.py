@@ -18,15 +18,15 @@ from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_bag.mcap_files import rewritten
 from tests.swarmabs_bag.realtime_bags import realtime_bag
 from tests.swarmabs_bag.sample_run import AGENTS, changed, make_run, make_step, write_bag
+from tests.swarmabs_core.helpers import together
 
 from swarmabs_analysis.comparison import compare_steps, recorded_steps
 from swarmabs_analysis.comparison.bags import Comparison, SettingDifference, compare_bags, setting_differences
 from swarmabs_analysis.comparison.messages import FieldDeviation, MessageComparison, TopicComparison
 from swarmabs_analysis.difference import Difference
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.step import Step
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import AgentState, EventKind, Message, PlaneState, SwarmEvent
 from swarmabs_core.record import Record
@@ -155,16 +155,12 @@ def test_copies_of_messages_which_nodes_repeat_and_other_recorders_keep_are_skip
     assert compare([message for message in RUN for _ in range(3)], RUN).equal
 
 
-def in_blocks(run: Iterable[Message], sizes: Iterable[int]) -> Iterator[Block | RecordedStep]:
-    """Yield a run with its steps in blocks of these sizes as far as they form some."""
-    steps = list(recorded_steps(map(Record.of, run), "run"))
-    for size in sizes:
-        part, steps = steps[:size], steps[size:]
-        block = Block.gathered(part)
-        yield from part if block is None else [block]
+def in_steps(run: Iterable[Message], sizes: Iterable[int]) -> Iterator[Step]:
+    """Yield a run with so many steps in one, as far as they fit."""
+    return together(list(recorded_steps(map(Record.of, run), "run")), sizes)
 
 
-def test_blocks_are_compared_as_their_messages_are() -> None:
+def test_several_steps_are_compared_as_single_ones_are() -> None:
     """Numbers are changed at random, also to such that have no deviation, and single messages are missing."""
     random = Random(3)
     values = (nan, inf, -inf, 0.0, -0.0, 1e308, -1e308, 5e-324)
@@ -186,7 +182,7 @@ def test_blocks_are_compared_as_their_messages_are() -> None:
                 del run[random.randrange(len(run))]
             runs.append([decode(type(m), encode(m)) for m in run])
         sizes = [[random.randrange(1, 9) for _ in range(40)] for _ in "AB"]
-        plain, blocks = compare(*runs), compare_steps(*map(in_blocks, runs, sizes))
+        plain, blocks = compare(*runs), compare_steps(*map(in_steps, runs, sizes))
         assert repr(plain.first) == repr(blocks.first)
         assert repr(plain.topics) == repr(blocks.topics)
 

@@ -25,10 +25,10 @@ from swarmabs_analysis.figures import FIGURES, draw_files
 from swarmabs_analysis.figures.responses import STRETCHED, kinds, robots_by_kind
 from swarmabs_analysis.figures.runs import find_made, find_runs, make_run
 from swarmabs_analysis.figures.style import COLUMN, FORMATS, PAGE, styled
-from swarmabs_bag.colours import DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR
 from swarmabs_bag.errors import NotABagError
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_bag.writer import BagWriter
+from swarmabs_bag.shown.colours import DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError, SwarmabsError

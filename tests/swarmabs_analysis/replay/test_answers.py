@@ -8,7 +8,7 @@ from tests.swarmabs_analysis.figures.conftest import record
 
 from swarmabs_analysis.replay.answers import Answers
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.writer import BagWriter
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_core import messages as msg
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import InputError

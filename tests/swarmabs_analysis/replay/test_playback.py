@@ -11,9 +11,9 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProf
 from std_msgs.msg import String
 
 from swarmabs_analysis.replay.playback import USUAL_QOS, Pace, choose_topics, recorded_profiles
-from swarmabs_bag.metadata import dump_yaml, qos_profile
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.schemas import message_schema
+from swarmabs_bag.run.metadata import dump_yaml, qos_profile
+from swarmabs_bag.run.schemas import message_schema
 from swarmabs_config.graph import LOCKSTEP, OFFERED
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import PLANE_STATE

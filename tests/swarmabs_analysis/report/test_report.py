@@ -29,8 +29,8 @@ from swarmabs_analysis.report.panels import panels
 from swarmabs_analysis.report.pictures import WIDTH, thin_lines
 from swarmabs_analysis.report.record import read_recorded
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.recorded_swarm import column_points
 from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_bag.shown.recorded_swarm import column_points
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.messages import AgentState, EventKind, Message, PlaneState, SwarmEvent

@@ -17,9 +17,9 @@ from swarmabs_analysis.difference import Difference
 from swarmabs_analysis.verification.base import Verification, VerificationResult
 from swarmabs_analysis.verification.earlier import are_earlier
 from swarmabs_analysis.verification.lockstep import LockstepVerification
-from swarmabs_bag.blocks import Block
-from swarmabs_bag.grouping import Published, TopicMessages, in_blocks
-from swarmabs_bag.stored import ChunkContent
+from swarmabs_bag.mcap.stored import ChunkContent
+from swarmabs_bag.run.grouping import Published, TopicMessages, whole_steps
+from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core import desired_state, messages as msg
@@ -100,7 +100,7 @@ def whole(*named: str) -> tuple[Scenario, list[Stored]]:
 
 def in_chunks(
     scenario: Scenario, bag: Sequence[Stored], random: Random, sizes: Sequence[int] = (7, 100, 1000)
-) -> Iterator[Block | Published]:
+) -> Iterator[Step | Published]:
     """Return messages as they are read from chunks of so many of them."""
     topics = dict(enumerate((*scenario.family.main, msg.STANDING, msg.EVENTS)))
     numbers = {topic: number for number, topic in topics.items()}
@@ -112,13 +112,13 @@ def in_chunks(
             chunk, rest = b"".join(rest[:size]), rest[size:]
             yield TopicMessages.of(ChunkContent.of(chunk, 0).messages, topics)
 
-    return in_blocks(chunks(), scenario.family)
+    return whole_steps(chunks(), scenario.family)
 
 
-def take(verification: LockstepVerification, parts: Iterable[Block | Published]) -> None:
+def take(verification: LockstepVerification, parts: Iterable[Step | Published]) -> None:
     for part in parts:
-        if isinstance(part, Block):
-            verification.add_block(part)
+        if isinstance(part, Step):
+            verification.add_steps(part)
         else:
             verification.add(part.topic, part.time, part.payload)
 

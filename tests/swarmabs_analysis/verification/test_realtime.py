@@ -17,7 +17,8 @@ from swarmabs_analysis.verification.base import VerificationResult
 from swarmabs_analysis.verification.history import AMBIGUOUS, WAIT
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_analysis.verification.realtime_nodes import NO_ANSWER_BEFORE
-from swarmabs_bag.realtime import RealtimeCollector, RealtimeWorld
+from swarmabs_bag.realtime_world import RealtimeWorld
+from swarmabs_bag.run.realtime_gatherer import RealtimeCollector
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
 from swarmabs_config.graph import CONTROLLER

@@ -8,7 +8,7 @@ from tests.swarmabs_core.helpers import builtin
 from swarmabs_analysis.verification.base import VerificationResult
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_analysis.verification.trial import Trial
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.step import RecordedStep
 from swarmabs_config.scenario import Scenario
 from swarmabs_core import messages as msg
 from swarmabs_core.cdr import encode

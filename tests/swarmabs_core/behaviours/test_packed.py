@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.swarmabs_bag.test_systems import BEAM, LIFT, SHEET
-from tests.swarmabs_core.helpers import PERIOD_NS, agent_state, builtin
+from tests.swarmabs_core.helpers import PERIOD_NS, agent_state, builtin, singly
 
-from swarmabs_bag.recording import RecordedStep
+from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core import messages as msg, plant
@@ -53,14 +53,14 @@ SYSTEMS = {"sheet": SHEET, "beam": BEAM, "lift": LIFT}
 
 
 @cache
-def run(name: str) -> tuple[Any, list[RecordedStep]]:
+def run(name: str) -> tuple[Any, list[Step]]:
     """Return a scenario and its steps."""
     if name in SYSTEMS:
         scenario: Any = parse_scenario(SYSTEMS[name]).resolved()
     else:
         base, *overrides = OVERRIDES[name]
         scenario = builtin(base, "duration=0.2", *overrides).resolved()
-    return scenario, list(Simulation(scenario).steps())
+    return scenario, singly(Simulation(scenario).steps())
 
 
 def dirty(payload: bytes) -> bytes:

@@ -9,8 +9,8 @@ from typing import NamedTuple
 from tests.swarmabs_core.helpers import builtin
 from tests.transport.fleet import EPOCH, Network, VirtualFleet
 
-from swarmabs_bag.figures import RealtimeFigures
-from swarmabs_bag.realtime import RealtimeCollector
+from swarmabs_bag.run.figures import RealtimeFigures
+from swarmabs_bag.run.realtime_gatherer import RealtimeCollector
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE
 from swarmabs_config.scenario import Scenario

@@ -11,7 +11,7 @@ from tests.swarmabs_bag.realtime_bags import realtime_bag
 
 from swarmabs_bag.attached import SCENARIO_FILE
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.writer import BagWriter
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_cli import main
 from swarmabs_core.messages import PLANE_STATE
 from swarmabs_view.visualization.ros_messages import message_class

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tests.processes import ROOT
 from urdf_parser_py.urdf import URDF
 
-from swarmabs_bag.swarm_state import SILENT_STEPS, SwarmState
+from swarmabs_bag.shown.swarm_state import SILENT_STEPS, SwarmState
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core import messages as msg
 from swarmabs_core.steering import OffsetReference, StepSchedule

@@ -2,6 +2,6 @@
 
 from swarmabs_analysis.comparison.bags import compare_bags
 from swarmabs_analysis.comparison.messages import compare_steps
-from swarmabs_bag.steps import recorded_steps
+from swarmabs_bag.run.ordering import recorded_steps
 
 __all__ = ["compare_bags", "compare_steps", "recorded_steps"]

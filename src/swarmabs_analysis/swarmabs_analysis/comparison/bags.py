@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from swarmabs_analysis.comparison.messages import MessageComparison, compare_steps
 from swarmabs_analysis.difference import plain
 from swarmabs_bag.attached import attached_provenance, attached_scenario, description_of, is_realtime
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.figures import PLANE_TRACKING, RealtimeFigures, RunFigures, tracking_of
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.steps import REALTIME_WINDOW, recorded_steps
+from swarmabs_bag.run.figures import PLANE_TRACKING, RealtimeFigures, RunFigures, tracking_of
+from swarmabs_bag.run.ordering import REALTIME_WINDOW, recorded_steps
 from swarmabs_config import configure
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import EVENTS, SYSTEM_FAMILY
+from swarmabs_core.messages import SYSTEM_FAMILY
 from swarmabs_core.realtime.base import Schedule
 
 if TYPE_CHECKING:
@@ -26,9 +25,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_analysis.difference import Difference
-    from swarmabs_bag.figures import Reference
     from swarmabs_bag.reader import BagReader
-    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_bag.run.figures import Reference
+    from swarmabs_bag.run.step import Step
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.record import Record
     from swarmabs_core.systems import SystemTables
@@ -239,7 +238,7 @@ class _Side:
         self._run = RunFigures(reference, tracking)
         self._realtime = RealtimeFigures(reference, Schedule(period_ns)) if is_realtime(bag) else None
 
-    def steps(self) -> Iterator[RecordedStep | Block]:
+    def steps(self) -> Iterator[Step]:
         """Yield the steps of the bag as far as they can be read."""
         found, realtime = self.found, self._realtime is not None
         # Other recorders receive topics independently of each other, as in real time.
@@ -247,11 +246,11 @@ class _Side:
         try:
             for step in recorded_steps(self._records(), found.file, realtime=realtime, window=window):
                 self._run.add(step)
-                if isinstance(step, Block) or step.records[0].topic is not EVENTS:
+                if step.tables:
                     if found.first_step is None:
-                        found.first_step = step.first if isinstance(step, Block) else step.step
+                        found.first_step = step.first
                     found.last_step = step.step
-                    self.robots.update(state.agent_id for state in step.states())
+                    self.robots.update(step.robots.tolist())
                 yield step
             if found.problem is None:
                 self.bag.check()  # parts that no message needs can be damaged too
@@ -261,7 +260,7 @@ class _Side:
         found.figures = (self._realtime or self._run).figures()
         found.digest = None if realtime or found.first_step is None else self._run.digest()
 
-    def _records(self) -> Iterator[Record | Block]:
+    def _records(self) -> Iterator[Record | Step]:
         """Yield the messages of the bag; in real time the figures also need those that are not part of a step."""
         if self._realtime is None:
             yield from self.bag.steps()

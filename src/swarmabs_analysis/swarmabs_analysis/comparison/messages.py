@@ -7,14 +7,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
 from math import inf
-from typing import TYPE_CHECKING, Any, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from swarmabs_analysis.difference import MESSAGE, Difference, Side, component_of, differing_fields
-from swarmabs_bag.blocks import Block
-from swarmabs_bag.recording import RecordedStep
-from swarmabs_bag.steps import ORDER
+from swarmabs_bag.run.step import ORDER, Step
 from swarmabs_core.arrays import raw
 from swarmabs_core.messages import EVENTS
 from swarmabs_core.record import Record
@@ -22,6 +20,7 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from swarmabs_bag.run.step import Rows
     from swarmabs_core.messages import Topic
 
     Counts: TypeAlias = NDArray[np.integer[Any]]
@@ -32,69 +31,46 @@ _MOST_EVENTS = 100_000
 """Most events of one run that wait for an equal event in the other."""
 
 
-@overload
-def side_by_side(
-    a: Iterable[RecordedStep], b: Iterable[RecordedStep]
-) -> Iterator[tuple[RecordedStep | None, RecordedStep | None]]: ...
-@overload
-def side_by_side(
-    a: Iterable[RecordedStep | Block], b: Iterable[RecordedStep | Block]
-) -> Iterator[tuple[RecordedStep | None, RecordedStep | None] | tuple[Block, Block]]: ...
-def side_by_side(
-    a: Iterable[RecordedStep | Block], b: Iterable[RecordedStep | Block]
-) -> Iterator[tuple[RecordedStep | None, RecordedStep | None] | tuple[Block, Block]]:
-    """Yield two runs step by step, with None for a step that one of them lacks; both must be in ascending order.
+def side_by_side(a: Iterable[Step], b: Iterable[Step]) -> Iterator[tuple[Step | None, Step | None]]:
+    """Yield two runs side by side, the same steps of each, with None for those that one of them lacks.
 
-    Where both have blocks, yield parts of these with the same steps.
+    Both must be in ascending order.
     """
     left, right = _Ahead(a), _Ahead(b)
-    while (step := min(left.step, right.step)) < inf:
-        ours, theirs = left.block, right.block
-        if ours is not None and theirs is not None and left.step == right.step:
-            count = min(len(ours), len(theirs))
-            yield left.part(count), right.part(count)
+    while (first := min(left.first, right.first)) < inf:
+        if left.first == right.first:
+            count = min(left.count, right.count)
+            yield left.take(count), right.take(count)
         else:
-            yield left.single(step), right.single(step)
+            ahead, other = (left, right) if left.first == first else (right, left)
+            steps = ahead.take(min(ahead.count, other.first - first))
+            yield (steps, None) if ahead is left else (None, steps)
 
 
 class _Ahead:
-    """The steps of a run of which the first is known, as `step`, infinite at the end; as `block` if it is in one."""
+    """The steps of a run that come next: number of the `first` one, infinite at the end, and how many are known."""
 
-    def __init__(self, steps: Iterable[RecordedStep | Block]) -> None:
+    def __init__(self, steps: Iterable[Step]) -> None:
         self._steps = iter(steps)
-        self.step = -inf
-        self.block: Block | None = None
-        self._next()
+        self._next: Step | None = next(self._steps, None)
 
-    def _next(self) -> None:
-        self._found = next(self._steps, None)
-        self._begin()
+    @property
+    def first(self) -> float:
+        return inf if self._next is None else self._next.first
 
-    def _begin(self) -> None:
-        found = self._found
-        self.block = found if isinstance(found, Block) else None
-        self.step = inf if found is None else found.first if isinstance(found, Block) else found.step
+    @property
+    def count(self) -> int:
+        return 0 if self._next is None else len(self._next)
 
-    def part(self, count: int) -> Block:
-        """Remove and return the first steps of the block."""
-        block = self.block
-        assert block is not None  # noqa: S101 - the caller has looked
-        if count == len(block):
-            self._next()
-        else:
-            self._found = block[count:]
-            self._begin()
-        return block[:count]
-
-    def single(self, step: float) -> RecordedStep | None:
-        """Remove and return the first step if it has this number, None if not."""
-        if self.step != step:
-            return None
-        if self.block is not None:
-            return next(self.part(1).recorded())
-        found = self._found
-        self._next()
-        return found if isinstance(found, RecordedStep) else None
+    def take(self, count: float) -> Step:
+        """Remove and return so many steps, at most the known ones."""
+        steps = self._next
+        assert steps is not None  # noqa: S101 - the caller has looked
+        if count == len(steps):
+            self._next = next(self._steps, None)
+            return steps
+        self._next = steps[int(count) :]
+        return steps[: int(count)]
 
 
 @dataclass
@@ -130,34 +106,22 @@ class FieldDeviation:
         """Initialise the sum."""
         self._squares = 0.0
 
-    def add(self, deviation: float | None, step: int, agent: int) -> None:
-        """Add the deviation of a message, None if the field has none."""
-        self.differing += 1
-        if deviation is None:
-            return
-        if not math.isfinite(deviation):
-            self.undefined += 1
-            return
-        self._squares += deviation * deviation
-        if self.largest is None or deviation > self.largest:
-            self.largest, self.step, self.agent = deviation, step, agent
-
-    def add_several(self, deviations: NDArray[np.float64] | None, steps: Counts, agents: Counts) -> None:
-        """Add the deviations of messages as `add` does one after the other, None if the field has none."""
+    def add(self, deviations: NDArray[np.float64] | None, steps: Counts, agents: Counts) -> None:
+        """Add the deviations of messages, None if the field has none."""
         self.differing += len(steps)
         if deviations is None:
             return
         finite = np.isfinite(deviations)
-        known = deviations[finite]
-        self.undefined += len(steps) - len(known)
-        if not len(known):
+        numbers = deviations[finite]
+        self.undefined += len(steps) - len(numbers)
+        if not len(numbers):
             return
         with np.errstate(over="ignore"):
             # Unlike `sum`, `cumsum` adds one term after the other.
-            self._squares = float(np.cumsum(np.concatenate(([self._squares], known * known)))[-1])
-        place = int(np.argmax(known))
-        if self.largest is None or known[place] > self.largest:
-            self.largest = float(known[place])
+            self._squares = float(np.cumsum(np.concatenate(([self._squares], numbers * numbers)))[-1])
+        place = int(np.argmax(numbers))
+        if self.largest is None or numbers[place] > self.largest:
+            self.largest = float(numbers[place])
             self.step, self.agent = int(steps[finite][place]), int(agents[finite][place])
 
     def finish(self, compared: int) -> None:
@@ -235,30 +199,65 @@ class MessageComparison:
         for difference in _differences(one, other):
             x, y = difference.a, difference.b
             deviation = abs(x - y) if isinstance(x, float) and isinstance(y, float) else None
-            topic.field(difference.field).add(deviation, one.message.step, one.agent_id)
+            deviations = None if deviation is None else np.array([deviation])
+            topic.field(difference.field).add(deviations, np.array([one.message.step]), np.array([one.agent_id]))
             self._note(one, difference)
 
-    def take_blocks(self, one: Block, other: Block) -> None:
-        """Compare the messages of A and B in the same steps; both have the same robots and layouts."""
-        for topic, table in one.tables.items():
-            found = self._topics.setdefault(topic, TopicComparison(topic.name))
-            found.compared += table.size
-            differ = (raw(table) != raw(other.tables[topic])).any(axis=-1)
-            if not differ.any():
-                continue
-            ours, theirs = table[differ], other.tables[topic][differ]
-            found.differing += len(ours)
-            steps = ours["step"]
-            agents = ours["agent_id"] if "agent_id" in (ours.dtype.names or ()) else np.zeros(len(ours), dtype=int)
-            for name, x, y in _columns(topic, ours, theirs):
-                bits = x.view(np.int64) != y.view(np.int64) if x.dtype == np.float64 else x != y
-                if bits.any():
-                    with np.errstate(all="ignore"):
-                        deviations = np.abs(x - y)[bits] if x.dtype == np.float64 else None
-                    found.field(name).add_several(deviations, steps[bits], agents[bits])
-            if self._place is None or (steps[0], ORDER[topic], agents[0]) < self._place:
-                mine, its = (Record.heard(topic, rows[:1].tobytes()) for rows in (ours, theirs))
-                self._note(mine, next(_differences(mine, its)))
+    def take_steps(self, one: Step | None, other: Step | None) -> None:
+        """Compare the messages of A and B in the same steps, None if one of them lacks these."""
+        ours, theirs = (step.tables if step else {} for step in (one, other))
+        for topic in ORDER:
+            rows, its = ours.get(topic), theirs.get(topic)
+            if rows is None or its is None:
+                self._lacking(topic, rows, its)
+            elif rows.ndim == 1 or np.array_equal(rows["agent_id"][0], its["agent_id"][0]):
+                self._take_rows(topic, rows, its)
+            else:
+                ids, others = rows["agent_id"][0], its["agent_id"][0]
+                here, there = np.isin(ids, others), np.isin(others, ids)
+                self._lacking(topic, rows[:, ~here], None)
+                self._lacking(topic, None, its[:, ~there])
+                self._take_rows(topic, rows[:, here], its[:, there])
+
+    def _lacking(self, topic: Topic, rows: Rows | None, others: Rows | None) -> None:
+        """Count messages on a topic that only A or B has."""
+        there = others if rows is None else rows
+        if there is None or not there.size:
+            return
+        counts = self._topics.setdefault(topic, TopicComparison(topic.name))
+        counts.missing_in_a += there.size if rows is None else 0
+        counts.missing_in_b += there.size if others is None else 0
+        sides = (None, MESSAGE) if rows is None else (MESSAGE, None)
+        first = Record.heard(topic, there.ravel()[:1].tobytes())
+        self._note(first, Difference.of(first.message, MESSAGE, *sides))
+
+    def _take_rows(self, topic: Topic, rows: Rows, others: Rows) -> None:
+        """Compare messages of A and B on a topic at the same places."""
+        if not rows.size:
+            return
+        if rows.dtype != others.dtype or rows.dtype.names is None:
+            for mine, its in zip(*(_heard(topic, messages) for messages in (rows, others)), strict=True):
+                self.take(mine, its)
+            return
+        rows, others = np.ascontiguousarray(rows), np.ascontiguousarray(others)
+        counts = self._topics.setdefault(topic, TopicComparison(topic.name))
+        counts.compared += rows.size
+        differ = (raw(rows) != raw(others)).any(axis=-1)
+        if not differ.any():
+            return
+        ours, theirs = rows[differ], others[differ]
+        counts.differing += len(ours)
+        steps = ours["step"]
+        agents = ours["agent_id"] if "agent_id" in (ours.dtype.names or ()) else np.zeros(len(ours), dtype=int)
+        for name, x, y in _columns(topic, ours, theirs):
+            bits = x.view(np.int64) != y.view(np.int64) if x.dtype == np.float64 else x != y
+            if bits.any():
+                with np.errstate(all="ignore"):
+                    deviations = np.abs(x - y)[bits] if x.dtype == np.float64 else None
+                counts.field(name).add(deviations, steps[bits], agents[bits])
+        if self._place is None or (steps[0], ORDER[topic], agents[0]) < self._place:
+            mine, its = (Record.heard(topic, some[:1].tobytes()) for some in (ours, theirs))
+            self._note(mine, next(_differences(mine, its)))
 
     def _note(self, record: Record, difference: Difference) -> None:
         place = (record.message.step, ORDER[record.topic], record.agent_id)
@@ -267,8 +266,8 @@ class MessageComparison:
 
     def finish(self) -> MessageComparison:
         """Compute the results, and return the comparison."""
-        for topic, found in self._topics.items():
-            found.finish(topic.message._fields)
+        for topic, comparison in self._topics.items():
+            comparison.finish(topic.message._fields)
         self.topics = tuple(self._topics[topic] for topic in ORDER if topic in self._topics)
         return self
 
@@ -292,55 +291,40 @@ def _columns(
             yield from ((f"{name}[{n}]", x[n], y[n]) for n in range(len(x))) if x.ndim > 1 else ((name, x, y),)
 
 
-def compare_steps(a: Iterable[RecordedStep | Block], b: Iterable[RecordedStep | Block]) -> MessageComparison:
+def _heard(topic: Topic, rows: Rows) -> Iterator[Record]:
+    """Yield messages of a table one after the other."""
+    return (Record.heard(topic, row.tobytes()) for row in rows.ravel())
+
+
+def compare_steps(a: Iterable[Step], b: Iterable[Step]) -> MessageComparison:
     """Compare two runs message by message.
 
-    Both are read in parallel; only the current step and the events that have no counterpart yet are kept in memory.
+    Both are read in parallel; only the current steps and the events that have no counterpart yet are kept in memory.
 
-    The steps must be as `recorded_steps` yields them: those of main topics in ascending order, each once; events in
-    separate steps, in any order.
+    The steps must be as `recorded_steps` yields them: in ascending order, each once, but for late events.
     """
-    found = MessageComparison()
-    events = _Events(found)
-    for x, y in side_by_side(_main_steps(a, events, "A"), _main_steps(b, events, "B")):
-        if isinstance(x, Block) and isinstance(y, Block):
-            if x.alike(y):
-                found.take_blocks(x, y)
-            else:
-                for ours, theirs in zip(x.recorded(), y.recorded(), strict=True):
-                    _take_step(found, ours, theirs)
-        elif not isinstance(x, Block) and not isinstance(y, Block):
-            _take_step(found, x, y)
+    comparison = MessageComparison()
+    events = _Events(comparison)
+    for x, y in side_by_side(_without_events(a, events, "A"), _without_events(b, events, "B")):
+        comparison.take_steps(x, y)
     events.finish()
-    return found.finish()
+    return comparison.finish()
 
 
-def _take_step(found: MessageComparison, a: RecordedStep | None, b: RecordedStep | None) -> None:
-    """Compare the messages of a step."""
-    ours, theirs = ({_place(record): record for record in step.records} if step else {} for step in (a, b))
-    for place in sorted(ours.keys() | theirs.keys()):
-        found.take(ours.get(place), theirs.get(place))
-
-
-def _place(record: Record) -> tuple[int, str, int]:
-    """Return the place of a message in its step; topics of different families have places of their own."""
-    return ORDER[record.topic], record.topic.name, record.agent_id
-
-
-def _main_steps(steps: Iterable[RecordedStep | Block], events: _Events, side: Side) -> Iterator[RecordedStep | Block]:
+def _without_events(steps: Iterable[Step], events: _Events, side: Side) -> Iterator[Step]:
+    """Yield steps, and put their events aside."""
     for step in steps:
-        if isinstance(step, RecordedStep) and step.records[0].topic is EVENTS:
-            for record in step.records:
-                events.add(record, side)
-        else:
+        for payload in step.told:
+            events.add(Record.heard(EVENTS, payload), side)
+        if step.tables:
             yield step
 
 
 class _Events:
     """Pairs the events of two runs, independent of their place in the bags."""
 
-    def __init__(self, found: MessageComparison) -> None:
-        self._found = found
+    def __init__(self, comparison: MessageComparison) -> None:
+        self._comparison = comparison
         self._waiting: dict[Side, dict[bytes, list[Record]]] = {"A": {}, "B": {}}
         self._count = 0
 
@@ -348,7 +332,7 @@ class _Events:
         others = self._waiting["B" if side == "A" else "A"]
         like = others.get(record.payload)
         if like is not None:
-            self._found.take(record, like.pop())
+            self._comparison.take(record, like.pop())
             self._count -= 1
             if not like:
                 del others[record.payload]
@@ -363,15 +347,15 @@ class _Events:
         left, right = (_by_place(self._waiting[side]) for side in ("A", "B"))
         for place in sorted(left.keys() | right.keys()):
             for one, other in zip_longest(left.get(place, []), right.get(place, [])):
-                self._found.take(one, other)
+                self._comparison.take(one, other)
         self._waiting = {"A": {}, "B": {}}
         self._count = 0
 
 
 def _by_place(waiting: dict[bytes, list[Record]]) -> dict[tuple[int, int, int], list[Record]]:
-    found: dict[tuple[int, int, int], list[Record]] = {}
+    by_place: dict[tuple[int, int, int], list[Record]] = {}
     for payload in sorted(waiting):
         for record in waiting[payload]:
             event: Any = record.message
-            found.setdefault((event.step, event.agent_id, event.kind), []).append(record)
-    return found
+            by_place.setdefault((event.step, event.agent_id, event.kind), []).append(record)
+    return by_place

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from swarmabs_analysis.difference import component_of
-from swarmabs_bag.figures import PLANE_TRACKING, Tracking
+from swarmabs_bag.run.figures import PLANE_TRACKING, Tracking
 from swarmabs_config.model.errors import printable, shorten
 from swarmabs_core.messages import ROBOT_STATE, TOPICS
 from swarmabs_core.systems.components import components

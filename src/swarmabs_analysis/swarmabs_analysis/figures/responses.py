@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from swarmabs_analysis.figures.style import BLACK, BLUE, DASHED, DOTTED, GREY, LIGHT, PAGE, ROBOT_DASHES, VERMILION
-from swarmabs_bag.colours import KINDS as KIND_COLOURS
+from swarmabs_bag.shown.colours import KINDS as KIND_COLOURS
 from swarmabs_config import configure
 from swarmabs_core.messages import Kind
 

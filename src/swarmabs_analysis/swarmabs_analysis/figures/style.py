@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import matplotlib.style
 
-from swarmabs_bag import colours
+from swarmabs_bag.shown import colours
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -6,7 +6,7 @@ from collections import Counter
 from math import hypot, inf
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_bag.figures import tracking_of
+from swarmabs_bag.run.figures import tracking_of
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.messages import (

@@ -17,9 +17,9 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from swarmabs_bag.metadata import BagChannel
+    from swarmabs_bag.mcap.records import StoredMessage
     from swarmabs_bag.reader import BagReader
-    from swarmabs_bag.records import StoredMessage
+    from swarmabs_bag.run.metadata import BagChannel
     from swarmabs_core.messages import Message, Topic
     from swarmabs_core.nodes import NodeName
 

@@ -21,8 +21,8 @@ from rclpy.qos import (
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from swarmabs_bag.errors import UnknownTypeError
-from swarmabs_bag.metadata import load_yaml
-from swarmabs_bag.schemas import message_schema
+from swarmabs_bag.run.metadata import load_yaml
+from swarmabs_bag.run.schemas import message_schema
 from swarmabs_config.graph import requested
 from swarmabs_config.model.errors import printable, shorten, show
 from swarmabs_core.cdr import decode
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from rclpy.publisher import Publisher
 
     from swarmabs_analysis.replay.answers import Answers
-    from swarmabs_bag.metadata import BagChannel
+    from swarmabs_bag.mcap.records import StoredMessage
     from swarmabs_bag.reader import BagReader
-    from swarmabs_bag.records import StoredMessage
+    from swarmabs_bag.run.metadata import BagChannel
 
 SLICE = 0.1
 """Longest time between two checks whether the playback must end, s."""

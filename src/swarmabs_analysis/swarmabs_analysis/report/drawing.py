@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from swarmabs_analysis.figures.responses import SUBSCRIPTS, same_limits
 from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, ROBOT_DASHES, SOLID
 from swarmabs_analysis.report.percentile_bands import density, draw_bands
-from swarmabs_bag.colours import ABSENT, ERROR, FAILED, KINDS, PLANE, REFERENCE, SAFE_STOP, TORQUE
+from swarmabs_bag.shown.colours import ABSENT, ERROR, FAILED, KINDS, PLANE, REFERENCE, SAFE_STOP, TORQUE
 from swarmabs_core.messages import EventKind, Kind, said
 from swarmabs_core.steering import REFERENCE as REFERENCE_OFFSET
 from swarmabs_core.theory.constraint_sets import ConstraintSets

@@ -27,7 +27,8 @@ from swarmabs_analysis.report.drawing import (
     zoom,
 )
 from swarmabs_analysis.report.formatting import counted, joined, quantity, span
-from swarmabs_bag.colours import (
+from swarmabs_bag.run.figures import TOLERANCE
+from swarmabs_bag.shown.colours import (
     ABSENT,
     ERROR,
     FAILED,
@@ -38,7 +39,6 @@ from swarmabs_bag.colours import (
     SAFE_STOP,
     TORQUE,
 )
-from swarmabs_bag.figures import TOLERANCE
 from swarmabs_core.abstraction import least_s3
 from swarmabs_core.events import EventCode, code_of, said_event
 from swarmabs_core.messages import EventKind, Kind, said

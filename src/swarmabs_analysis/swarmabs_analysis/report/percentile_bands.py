@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, SOLID
-from swarmabs_bag.colours import KINDS
-from swarmabs_bag.percentiles import SIDES, percentiles, starts_above
+from swarmabs_bag.shown.colours import KINDS
+from swarmabs_bag.shown.percentiles import SIDES, percentiles, starts_above
 from swarmabs_core.messages import Kind
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 
 from swarmabs_analysis.figures import style
 from swarmabs_analysis.report.formatting import quantity, shown
-from swarmabs_bag import colours
-from swarmabs_bag.recorded_swarm import column_points
+from swarmabs_bag.shown import colours
+from swarmabs_bag.shown.recorded_swarm import column_points
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -14,10 +14,10 @@ from swarmabs_analysis.report.subject import Subject, subject_of
 from swarmabs_analysis.step_response import StepResponse, step_response
 from swarmabs_bag.arrays import arrays_since, digest_of, load_messages
 from swarmabs_bag.attached import attached_provenance, is_realtime, supply_scenario
-from swarmabs_bag.figures import RunFigures, Tracking, tracking_of
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import realtime_figures
-from swarmabs_bag.recorded_swarm import recorded_swarm
+from swarmabs_bag.realtime_world import realtime_figures
+from swarmabs_bag.run.figures import RunFigures, Tracking, tracking_of
+from swarmabs_bag.shown.recorded_swarm import recorded_swarm
 from swarmabs_config import configure
 from swarmabs_core.messages import EVENTS, STANDING, EventKind
 from swarmabs_core.steering import DISTURBANCE

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from swarmabs_bag.figures import Tracking
+    from swarmabs_bag.run.figures import Tracking
     from swarmabs_core.systems import SystemTables
 
     Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from swarmabs_bag.figures import RunFigures, tracking_of
+from swarmabs_bag.run.figures import RunFigures, tracking_of
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario, parse_scenario
 from swarmabs_config.theory_setting import setting

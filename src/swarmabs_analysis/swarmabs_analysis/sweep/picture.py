@@ -18,8 +18,8 @@ from matplotlib.patheffects import withStroke
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
 from swarmabs_analysis.sweep.table import metrics_of, unit_of
-from swarmabs_bag.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
-from swarmabs_bag.figures import PLANE_TRACKING, TOLERANCE, tracking_of
+from swarmabs_bag.run.figures import PLANE_TRACKING, TOLERANCE, tracking_of
+from swarmabs_bag.shown.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
 from swarmabs_config.scenario import SystemScenario, parse_scenario
 from swarmabs_config.theory_setting import setting
 from swarmabs_core.theory.state_feedback import Estimate, estimate

@@ -14,7 +14,7 @@ from pyarrow.csv import write_csv
 from swarmabs_analysis.export.matlab import write_mat
 from swarmabs_analysis.export.tables import COLUMNS_FILE, Column, described_columns
 from swarmabs_analysis.sweep.folder import RESULTS_FILE
-from swarmabs_bag.figures import tracking_of
+from swarmabs_bag.run.figures import tracking_of
 from swarmabs_config.model.declared import unit_at
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.systems.interface import Quantity
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_analysis.sweep.study import Study
-    from swarmabs_bag.figures import Tracking
+    from swarmabs_bag.run.figures import Tracking
     from swarmabs_config.scenario import AnyScenario
 
 _KINDS = {

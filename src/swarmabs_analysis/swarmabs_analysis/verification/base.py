@@ -14,7 +14,7 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from swarmabs_bag.blocks import Block
+    from swarmabs_bag.run.step import Step
     from swarmabs_core.messages import Topic
 
 Finding: TypeAlias = "Difference | str | None"
@@ -147,9 +147,9 @@ class Verification(ABC):
             found = Difference(topic.name, step, None, PAYLOAD, in_hex(payload), None, str(error))
         self._take(found)
 
-    def add_block(self, block: Block) -> None:
-        """Check the next messages of the bag, which form a block."""
-        for topic, time, payload in block.stored():
+    def add_steps(self, steps: Step) -> None:
+        """Check the next messages of the bag, which form whole steps."""
+        for topic, time, payload in steps.stored():
             self.add(topic, time, payload, time)
 
     @abstractmethod

@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, TypeVar
 
 from swarmabs_analysis.difference import Difference
-from swarmabs_bag.realtime import CAUSES, MEMORY, disputed, part
+from swarmabs_bag.run.realtime_gatherer import CAUSES, MEMORY, disputed, part
 from swarmabs_config.graph import USUAL_TOPICS, standby_topic
 from swarmabs_core.messages import (
     AGENT_STATE,
@@ -29,7 +29,7 @@ from swarmabs_core.messages import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from swarmabs_bag.realtime import Dispute
+    from swarmabs_bag.run.realtime_gatherer import Dispute
     from swarmabs_core.messages import Message, Topic
     from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.record import Record

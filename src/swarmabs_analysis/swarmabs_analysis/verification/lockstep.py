@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 
 from swarmabs_analysis.difference import MESSAGE, Difference, judge, missing, surplus
 from swarmabs_analysis.verification.base import Verification
-from swarmabs_analysis.verification.blocks import BlockRecomputation
 from swarmabs_analysis.verification.earlier import EarlierEnds
-from swarmabs_bag.blocks import Block
-from swarmabs_bag.recording import Digest, RecordedStep
+from swarmabs_analysis.verification.recomputation import Recomputation
+from swarmabs_bag.run.step import Digest, Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.behaviours import Observer, Parent
@@ -163,12 +162,12 @@ class LockstepVerification(Verification):
         self._beyond: tuple[int, Record | Difference] | None = None
         self._failure = ""  # why the run could not continue, if the bag shows it
         self._ended = False
-        self._recomputation: BlockRecomputation | None = None
+        self._recomputation: Recomputation | None = None
         if isinstance(scenario, Scenario) and on_columns(scenario) and not tolerance and trial is None:
-            self._recomputation = BlockRecomputation(scenario, self._nodes)
-        self._held: Block | None = None  # the last step of the blocks so far: late events may belong to it
-        self._before: Block | RecordedStep | None = None  # the last verified step
-        self._confirmed: Block | None = None  # the same if the nodes have to continue after it
+            self._recomputation = Recomputation(scenario, self._nodes)
+        self._held: Step | None = None  # the last whole step so far: late events may belong to it
+        self._before: Step | None = None  # the last verified step
+        self._confirmed: Step | None = None  # the same if the nodes have to continue after it
         self._apart = 1
         self._handles = self._connect()
         for node in self._nodes.values():
@@ -184,46 +183,46 @@ class LockstepVerification(Verification):
         """Whether no further message can change what is found."""
         return self.found.difference is not None and not self._late
 
-    def add_block(self, block: Block) -> None:
-        """Check the next messages of the bag, which form a block: many steps at once where nothing disturbs the run."""
+    def add_steps(self, steps: Step) -> None:
+        """Check the next messages of the bag, which form whole steps: many at once where nothing disturbs the run."""
         if self.found.difference is not None:  # only events may change it
             return
-        if self._held is not None and self._held.step + 1 == block.first and self._held.alike(block):
-            block = self._held.joined(block)
+        if self._held is not None and self._held.step + 1 == steps.first and self._held.alike(steps):
+            steps = self._held.joined(steps)
             self._held = None
         self._release()
-        while len(block) > 1 and self.found.difference is None:
-            self._judge_ready(block.first)
-            count = self._confirm(block[:-1])
+        while len(steps) > 1 and self.found.difference is None:
+            self._judge_ready(steps.first)
+            count = self._confirm(steps[:-1])
             if count:
                 self._apart = 1
             else:
-                count = min(self._steps_apart(block), len(block) - 1)
+                count = min(self._steps_apart(steps), len(steps) - 1)
                 self._continue()
-                super().add_block(block[:count])
-            block = block[count:]
-        self._held = block
+                super().add_steps(steps[:count])
+            steps = steps[count:]
+        self._held = steps
 
-    def _confirm(self, block: Block) -> int:
-        """Return how many steps at the beginning of a block are verified at once."""
+    def _confirm(self, steps: Step) -> int:
+        """Return how many steps are verified at once."""
         undisturbed = not (self._told or self._failure or self._ended or len(self._window))
-        if self._recomputation is None or not undisturbed or block.first != self.step:
+        if self._recomputation is None or not undisturbed or steps.first != self.step:
             return 0
-        before = Block.gathered([self._before]) if isinstance(self._before, RecordedStep) else self._before
-        last = min(block.step, self._scenario.steps)
-        if before is None or last < block.first:
+        before = self._before
+        last = min(steps.step, self._scenario.steps)
+        if before is None or last < steps.first:
             return 0
-        count = self._recomputation.confirmed(before, block[: last - block.first + 1])
+        count = self._recomputation.confirmed(before, steps[: last - steps.first + 1])
         if count:
-            self._digest.update(block[:count])
-            self.found.messages += block[:count].messages
+            self._digest.update(steps[:count])
+            self.found.messages += steps[:count].messages
             self.found.steps += count
-            self._before = self._confirmed = block[count - 1 : count]
+            self._before = self._confirmed = steps[count - 1 : count]
         return count
 
-    def _steps_apart(self, block: Block) -> int:
-        """Return how many steps of a block to verify message by message: more each time, unless it is known."""
-        known = 0 if self._recomputation is None else self._recomputation.quiet(block.first)[0] - block.first
+    def _steps_apart(self, steps: Step) -> int:
+        """Return how many steps to verify message by message: more each time, unless it is known."""
+        known = 0 if self._recomputation is None else self._recomputation.quiet(steps.first)[0] - steps.first
         if not known:
             self._apart *= 2
         return known or self._apart
@@ -233,7 +232,7 @@ class LockstepVerification(Verification):
         held, self._held = self._held, None
         if held is not None:
             self._continue()
-            super().add_block(held)
+            super().add_steps(held)
 
     def _continue(self) -> None:
         """Let the nodes continue after a step that was verified without them."""
@@ -242,8 +241,7 @@ class LockstepVerification(Verification):
             return
         self._recomputation.resume(last)
         self._expected = {}
-        (step,) = last.recorded()
-        for record in step.records:
+        for record in last.records:
             if record.topic in self._scenario.family.broadcasts:
                 for handle in self._handles[record.topic]:
                     self._ask(handle, record.message)
@@ -314,7 +312,7 @@ class LockstepVerification(Verification):
         self._judge(self._findings(slot, last=last))
         if self.found.difference is None and not self._ended:
             stored = (*slot.get(self._robots), *(slot.found[topic][0] for topic in self._coordinators))
-            self._before = RecordedStep(self.step, stored)
+            self._before = Step.of(self.step, stored)
             self._digest.update(self._before)
             self.found.steps += 1
 
@@ -355,14 +353,13 @@ class LockstepVerification(Verification):
 
     def _connect(self) -> dict[Topic, list[Callable[[Message], Messages]]]:
         """Return the handlers of the state machines by topic, in the order in which they answer."""
-        blocks = self._recomputation
         nodes: dict[NodeName, Callable[[Message], Messages]] = {
             name: node.behaviour.handle for name, node in self._nodes.items()
         }
         if self._trial is not None:
             nodes = {name: self._trial.hearing(name, handle) for name, handle in nodes.items()}
-        if blocks is not None:
-            nodes[CONTROLLER] = blocks.control
+        if self._recomputation is not None:
+            nodes[CONTROLLER] = self._recomputation.control
         return {
             topic: [nodes[name] for name, node in self._nodes.items() if topic in node.hears] for topic in self._topics
         }

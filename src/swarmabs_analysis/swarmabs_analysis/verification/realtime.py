@@ -13,7 +13,7 @@ from swarmabs_analysis.difference import PUBLISH_TIME, Difference, surplus, wron
 from swarmabs_analysis.verification.base import Verification
 from swarmabs_analysis.verification.history import WAIT, History, StandbyHistory, wrong_stamp
 from swarmabs_analysis.verification.realtime_nodes import ControllerCheck, ObserverCheck, PlaneCheck, RobotCheck
-from swarmabs_bag.realtime import MEMORY, SECOND_WRITER, TWO_MESSAGES
+from swarmabs_bag.run.realtime_gatherer import MEMORY, SECOND_WRITER, TWO_MESSAGES
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, Basis, DesiredAbstractState
 from swarmabs_core.record import Record
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from swarmabs_analysis.verification.base import Finding
-    from swarmabs_bag.realtime import RealtimeWorld
+    from swarmabs_bag.realtime_world import RealtimeWorld
     from swarmabs_config.scenario import Scenario
 
 LATE = "it was received too late to be checked"

@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.collector import RunCollector
 from swarmabs_bag.recorder.recording import Recording
+from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_bag.run_folder import Split
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, RECORDER
@@ -42,9 +42,8 @@ from swarmabs_ros.status import StatusChannel
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from swarmabs_bag.blocks import Block
     from swarmabs_bag.recorder.recording import RealtimeRecording
-    from swarmabs_bag.recording import RecordedStep
+    from swarmabs_bag.run.step import Step
     from swarmabs_config.scenario import AnyScenario
 
 COMMON = (
@@ -215,7 +214,7 @@ class Recorder:
         self._credited = written
         return (self._credit(),)
 
-    def _taken(self, topic: Topic, payloads: Sequence[bytes]) -> Iterator[RecordedStep | Block]:
+    def _taken(self, topic: Topic, payloads: Sequence[bytes]) -> Iterator[Step]:
         """Take serialized messages, and yield the steps that are complete then; packed ones part by part."""
         if topic is STEERING:
             yield from self._steer(payloads)
@@ -238,7 +237,7 @@ class Recorder:
         elif steps > self._batch[1]:
             self._gathering = max(shortest, 0.5 * self._gathering)
 
-    def _steer(self, payloads: Sequence[bytes]) -> Iterator[RecordedStep | Block]:
+    def _steer(self, payloads: Sequence[bytes]) -> Iterator[Step]:
         for payload in payloads:
             order = decode(Steering, payload)
             assert isinstance(order, Steering)  # noqa: S101 - `decode` returns this type
@@ -247,7 +246,6 @@ class Recorder:
                 if known.action == Action.REFERENCE:
                     self._recording.offset(known.step, known.value)
             yield from steps
-            yield from self._collector.ready()
 
     def _still_here(self) -> Messages:
         newest = self._collector.newest

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from swarmabs_bag.realtime import RealtimeWorld
+from swarmabs_bag.realtime_world import RealtimeWorld
 from swarmabs_bag.recorder.node import COMMON as OF_RECORDERS, Reporter, scenario_of, split_of
 from swarmabs_bag.recorder.recording import RealtimeRecording
 from swarmabs_config import configure

@@ -6,13 +6,13 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from swarmabs_bag.attached import attachments, provenance
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import BagWriteError
-from swarmabs_bag.figures import RealtimeFigures, RunFigures, tracking_of
-from swarmabs_bag.realtime import RealtimeCollector, RealtimeWorld, recorded
+from swarmabs_bag.realtime_world import RealtimeWorld
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
+from swarmabs_bag.run.figures import RealtimeFigures, RunFigures, tracking_of
+from swarmabs_bag.run.realtime_gatherer import RealtimeCollector, recorded
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import ONE_FILE, Split
-from swarmabs_bag.writer import BagWriter
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_config.realtime import bounds
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
-    from swarmabs_bag.recording import Step
+    from swarmabs_bag.run.step import Step
     from swarmabs_config.scenario import AnyScenario, Scenario
     from swarmabs_core.record import Record
 
@@ -107,16 +107,11 @@ class Recording(_Recording[RunFigures]):
         )
 
     def add(self, step: Step) -> None:
-        """Record the next step, or a block of steps; after a `BagWriteError`, call `abort` to complete the bag."""
+        """Record the next step, or several; after a `BagWriteError`, call `abort` to complete the bag."""
         self.run.add(step)
         self._tracker.take(step)
-        if self._writer is None:
-            return
-        if isinstance(step, Block):
-            self._writer.write_block(step)
-        else:
-            for topic, stamp, payload in step.stored():
-                self._writer.write(topic, stamp, payload)
+        if self._writer is not None:
+            self._writer.write_step(step)
 
     def offset(self, step: int, offset: float) -> None:
         """Set the offset of the reference, on the plane in rad, from a step on, for the figures."""

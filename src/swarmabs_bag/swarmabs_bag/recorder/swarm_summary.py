@@ -6,7 +6,7 @@ from collections import Counter, deque
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_bag.swarm_state import RobotHistory, shown_robot, shown_status
+from swarmabs_bag.shown.swarm_state import RobotHistory, shown_robot, shown_status
 from swarmabs_core.events import said_event
 from swarmabs_core.messages import ROBOT_STATES, EventKind, Removal, SwarmEvent
 from swarmabs_core.ranges import crossing_of
@@ -14,8 +14,8 @@ from swarmabs_core.ranges import crossing_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from swarmabs_bag.recording import Step
-    from swarmabs_bag.swarm_state import RobotStatus
+    from swarmabs_bag.run.step import Step
+    from swarmabs_bag.shown.swarm_state import RobotStatus
     from swarmabs_core.messages import Message
 
 SHOWN_ROBOTS = 200

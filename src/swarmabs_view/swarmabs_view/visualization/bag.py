@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 from rclpy.serialization import serialize_message
 
 from swarmabs_bag.attached import PROVENANCE_FILE, SCENARIO_FILE, attached_scenario
-from swarmabs_bag.channels import check_definitions
 from swarmabs_bag.errors import DamagedBagError, NotABagError, UnknownTypeError
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.realtime import RECORDED
+from swarmabs_bag.run.channels import check_definitions
+from swarmabs_bag.run.realtime_gatherer import RECORDED
+from swarmabs_bag.run.schemas import message_schema
+from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import new_folder
-from swarmabs_bag.schemas import message_schema
-from swarmabs_bag.swarm_state import SwarmState
-from swarmabs_bag.writer import BagWriter
+from swarmabs_bag.shown.swarm_state import SwarmState
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.cdr import decode

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.serialization import serialize_message
 
-from swarmabs_bag.schemas import message_schema
-from swarmabs_bag.swarm_state import SwarmState
+from swarmabs_bag.run.schemas import message_schema
+from swarmabs_bag.shown.swarm_state import SwarmState
 from swarmabs_config.scenario import load_scenario, on_plane
 from swarmabs_core.cdr import agent_id_of
 from swarmabs_core.errors import InputError, RunError

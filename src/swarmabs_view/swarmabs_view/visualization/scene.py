@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import cos, nan, sin
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_bag import colours
+from swarmabs_bag.shown import colours
 from swarmabs_core.messages import Kind
 from swarmabs_core.plant import STEEPEST
 from swarmabs_run.rendering import templates
@@ -19,7 +19,7 @@ from swarmabs_run.rendering import templates
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from swarmabs_bag.swarm_state import RobotStatus, ShownRobot, SwarmState
+    from swarmabs_bag.shown.swarm_state import RobotStatus, ShownRobot, SwarmState
     from swarmabs_config.scenario import Scenario
 
 WORLD, PLANE = "world", "plane"

@@ -1,4 +1,4 @@
-"""Bags of blocks: byte for byte those of their messages one after the other, and those of the mcap library."""
+"""Bags of steps: byte for byte those of their messages one after the other, and those of the mcap library."""
 
 import io
 from pathlib import Path
@@ -9,14 +9,14 @@ from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from tests.swarmabs_bag.sample_run import PERIOD
-from tests.swarmabs_bag.test_blocks import in_blocks, run
+from tests.swarmabs_bag.test_step import at_random, run
 from tests.swarmabs_bag.test_writer import Clock, Disk, on_disk
+from tests.swarmabs_core.helpers import together
 
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import BagWriteError
 from swarmabs_bag.reader import open_bag
+from swarmabs_bag.run.writer import CHUNK_BYTES, BagWriter
 from swarmabs_bag.run_folder import ONE_FILE, Split
-from swarmabs_bag.writer import CHUNK_BYTES, BagWriter
 from swarmabs_core.messages import EVENTS, STANDING
 
 pytestmark = pytest.mark.usefixtures("systems")
@@ -30,16 +30,14 @@ def bag_writer(name: str, folder: Path, **options: object) -> BagWriter:
     return BagWriter(folder, topics=topics, attachments={"scenario.yaml": b"name: x\n"}, **options)
 
 
-def files(name: str, folder: Path, blocks: int | None, **options: object) -> dict[str, bytes]:
-    """Write a run to a bag, message by message or in blocks by a seed, and return its files."""
+def files(name: str, folder: Path, seed: int | None, **options: object) -> dict[str, bytes]:
+    """Write a run to a bag, message by message or some steps at once by a seed, and return its files."""
     steps = run(name)[1]
     with bag_writer(name, folder, monotonic=Clock(), **options) as writer:
-        for step in steps if blocks is None else in_blocks(steps, Random(blocks)):
-            if isinstance(step, Block):
-                writer.write_block(step)
-            else:
-                for stored in step.stored():
-                    writer.write(*stored)
+        for step in [] if seed is None else at_random(steps, Random(seed)):
+            writer.write_step(step)
+        for stored in () if seed is not None else (stored for step in steps for stored in step.stored()):
+            writer.write(*stored)
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
@@ -56,12 +54,12 @@ def files(name: str, folder: Path, blocks: int | None, **options: object) -> dic
         (CHUNK_BYTES, Split(nanoseconds=4 * PERIOD), 6),
     ],
 )
-def test_blocks_are_written_as_their_messages_are(
+def test_steps_are_written_as_their_messages_are(
     name: str, chunk_bytes: int, split: Split, number: int, tmp_path: Path
 ) -> None:
     single = files(name, tmp_path / "single", None, split=split, chunk_bytes=chunk_bytes)
     assert len(single) > number, "so many files, and metadata.yaml"
-    assert files(name, tmp_path / "blocks", 1, split=split, chunk_bytes=chunk_bytes) == single
+    assert files(name, tmp_path / "together", 1, split=split, chunk_bytes=chunk_bytes) == single
 
 
 @pytest.mark.parametrize("chunk_bytes", [1, 3001, CHUNK_BYTES])
@@ -96,17 +94,16 @@ def test_files_are_those_of_the_mcap_library(name: str, chunk_bytes: int, tmp_pa
     assert output.getvalue() == written
 
 
-def test_a_block_reaches_the_disk_when_its_chunk_is_full_or_old(tmp_path: Path) -> None:
+def test_steps_reach_the_disk_when_their_chunk_is_full_or_old(tmp_path: Path) -> None:
     clock, steps = Clock(), run("pd_het_4")[1]
     with bag_writer("pd_het_4", tmp_path / "bag", chunk_bytes=17_000, monotonic=clock) as writer:
-        one, other = Block.gathered(steps[:1]), Block.gathered(steps[1:])
-        assert one is not None and other is not None
-        writer.write_block(one)
+        one, other = together(steps, [1, len(steps)])
+        writer.write_step(one)
         assert on_disk(writer.path) == []
         clock.now += 1.0
         writer.poll()
         assert on_disk(writer.path) == [0] * 8
-        writer.write_block(other)
+        writer.write_step(other)
         full = len(on_disk(writer.path)) - 8
         assert 0 < full < 20 * 8, "as much as fills a chunk"
         clock.now += 0.5
@@ -118,20 +115,19 @@ def test_a_block_reaches_the_disk_when_its_chunk_is_full_or_old(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("free", [0, 2000, 5000, 9000])
-def test_full_disk_keeps_the_chunks_before_that_of_the_block(
+def test_full_disk_keeps_the_chunks_before_that_of_the_steps(
     free: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk, steps = Disk(monkeypatch), run("pd_het_4")[1]
-    block = Block.gathered(steps)
-    assert block is not None
+    (whole,) = together(steps, [len(steps)])
     writer = bag_writer("pd_het_4", tmp_path / "bag", chunk_bytes=3000)
     disk.free = free
     with pytest.raises(BagWriteError, match="No space left") as first:
-        writer.write_block(block)
+        writer.write_step(whole)
     with pytest.raises(BagWriteError) as later:
-        writer.write_block(block)
+        writer.write_step(whole)
     assert later.value is first.value
     writer.abort("full")
     found = list(open_bag(tmp_path / "bag").messages())
-    assert found == list(block.stored())[: len(found)]
+    assert found == list(whole.stored())[: len(found)]
     assert (len(found) > 0) == (free > 2000)

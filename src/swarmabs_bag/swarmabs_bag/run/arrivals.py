@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmabs_bag.blocks import Block
 from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_core.arrays import PADDING, constant, layout_of, raw
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND
@@ -15,7 +14,7 @@ from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import Status
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Sequence
     from typing import Any
 
     from numpy.typing import NDArray
@@ -34,16 +33,16 @@ class _Table:
     ----------
     layout : dtype
         The layout of each of them.
-    rows, known : ndarray, (places,)
+    rows, filled : ndarray, (places,)
         The messages as plain bytes, and whether they are there.
     """
 
-    __slots__ = ("_content", "_expected", "_fixed", "known", "layout", "rows")
+    __slots__ = ("_content", "_expected", "_fixed", "filled", "layout", "rows")
 
     def __init__(self, layout: np.dtype[np.void], first: bytes, places: int) -> None:
         self.layout = layout
         self.rows: Rows = np.empty(places, np.dtype((np.void, layout.itemsize)))
-        self.known = np.zeros(places, dtype=bool)
+        self.filled = np.zeros(places, dtype=bool)
         self._content = np.full(layout.itemsize, 255, dtype=np.uint8)
         for name, (kind, offset, *_) in (layout.fields or {}).items():
             if name.startswith(PADDING):
@@ -55,9 +54,9 @@ class _Table:
 
     def read(self, payloads: bytes) -> Rows | None:
         """Return joined messages in canonical form; None if a head, the length of a list or a time is malformed."""
-        found = np.frombuffer(payloads, np.uint8).reshape(-1, self.layout.itemsize) & self._content
-        messages: Rows = found.view(self.layout)[:, 0]
-        malformed = ((found ^ self._expected) & self._fixed).any() or (messages["nanosec"] >= SECOND).any()
+        content = np.frombuffer(payloads, np.uint8).reshape(-1, self.layout.itemsize) & self._content
+        messages: Rows = content.view(self.layout)[:, 0]
+        malformed = ((content ^ self._expected) & self._fixed).any() or (messages["nanosec"] >= SECOND).any()
         return None if malformed else messages
 
 
@@ -129,6 +128,39 @@ class Arrivals:
         self._tables[topic] = table
         return table
 
+    def put(self, topic: Topic, agent_id: int, step: int, payload: bytes) -> bool:
+        """Add a message in canonical form, of a held step; `agent_id` is 0 unless it is the state of a robot.
+
+        Returns False if it differs from another in its place; then nothing is added.
+
+        Raises
+        ------
+        MalformedMessageError
+            If its lists are not as long as those of the first message of the topic.
+        """
+        table = self._tables.get(topic) or self._begun(topic, payload)
+        if table is None or len(payload) != table.layout.itemsize:
+            raise MalformedMessageError(topic.message.__name__, "lists of other lengths than in the messages before it")
+        place = self._place(agent_id, step)
+        if not table.filled[place]:
+            table.rows[place] = np.void(payload)
+            table.filled[place] = True
+            self.newest = max(self.newest, step)
+        return bool(table.rows[place].tobytes() == payload)
+
+    def get(self, topic: Topic, agent_id: int, step: int) -> bytes | None:
+        """Return a message of a held step, None if it is not there; parameters as for `put`."""
+        table = self._tables.get(topic)
+        if table is None or (agent_id and agent_id not in self._members):
+            return None
+        place = self._place(agent_id, step)
+        return table.rows[place].tobytes() if table.filled[place] else None
+
+    def _place(self, agent_id: int, step: int) -> int:
+        """Return the place of a message in its table."""
+        place = step % self._capacity
+        return place * len(self._members) + int(np.searchsorted(self._members, agent_id)) if agent_id else place
+
     def _columns(self, states: Rows) -> Integers:
         return np.searchsorted(self._members, states["agent_id"])
 
@@ -145,14 +177,14 @@ class Arrivals:
             columns = self._columns(messages)
             places = places * len(self._members) + columns
             if not self._all_take_part(int(np.min(steps)), int(np.max(steps))):
-                taken = table.known[places] | self._take_part(columns, steps)
+                taken = table.filled[places] | self._take_part(columns, steps)
                 if not taken.all():
                     return self.add(topic, messages[taken])
-        rows, new = messages.view(table.rows.dtype), ~table.known[places]
+        rows, new = messages.view(table.rows.dtype), ~table.filled[places]
         table.rows[places[new]] = rows[new]
         if (raw(table.rows[places]) != raw(rows)).any():
             return False
-        table.known[places] = True
+        table.filled[places] = True
         self.newest = max(self.newest, int(np.max(steps)))
         return True
 
@@ -166,34 +198,35 @@ class Arrivals:
         spans = [self._membership.span(agent_id) for agent_id in self._members.tolist()]
         first = np.array([span.first for span in spans])
         last = np.array([UNPLANNED if span.last is None else span.last for span in spans])
-        found: NDArray[np.bool_] = (first[columns] <= steps) & (steps <= last[columns])
-        return found
+        taking_part: NDArray[np.bool_] = (first[columns] <= steps) & (steps <= last[columns])
+        return taking_part
 
     def complete(self, step: int) -> int:
         """Return the number of steps from a step on of which all messages are there, with the robots of this step."""
-        tables, place = self._tables, step % self._capacity
-        if self.newest < step or not all(topic in tables for topic in self._family.main):
-            return 0
+        tables, place, coordinated = self._tables, step % self._capacity, self._family.main[1:]
         # That one of the few messages is missing is found faster than whether that of a robot is.
-        if not all(tables[topic].known[place] for topic in self._family.main[1:]):
-            return 0
-        if not self._membership.publishing(step):
+        if self.newest < step or not all(topic in tables and tables[topic].filled[place] for topic in coordinated):
             return 0
         places = np.arange(step, self.newest + 1) % self._capacity
-        there = self._by_step(self._family.robot, tables[self._family.robot].known, step, places).all(axis=1)
-        for topic in self._family.main[1:]:
-            there &= tables[topic].known[places]
+        there = np.ones(len(places), dtype=bool)
+        if self._membership.publishing(step):
+            if (states := tables.get(self._family.robot)) is None:
+                return 0
+            there = self._by_step(self._family.robot, states.filled, step, places).all(axis=1)
+        for topic in coordinated:
+            there &= tables[topic].filled[places]
         gaps = np.flatnonzero(~there)
         return int(gaps[0]) if len(gaps) else len(there)
 
-    def block(self, step: int, count: int) -> Block:
-        """Return so many complete steps from a step on, with the robots of this step."""
+    def tables(self, step: int, count: int) -> dict[Topic, Rows]:
+        """Return the messages of so many complete steps from a step on, with the robots of this step; see `Step`."""
         places = np.arange(step, step + count) % self._capacity
         tables = {}
         for topic, table in self._tables.items():
             rows = self._by_step(topic, table.rows, step, places).view(table.layout)
-            tables[topic] = rows if topic is self._family.robot else rows[:, 0]
-        return Block(tables)
+            if rows.size:
+                tables[topic] = rows if topic is self._family.robot else rows[:, 0]
+        return tables
 
     def _by_step(self, topic: Topic, values: NDArray[Any], step: int, places: Integers) -> NDArray[Any]:
         """Return a copy of values of a table, in rows for these steps and columns for the robots of a step."""
@@ -203,15 +236,7 @@ class Arrivals:
             return table[places]
         return table[np.ix_(places, np.searchsorted(self._members, robots))]
 
-    def messages(self, step: int) -> Iterator[tuple[Topic, bytes]]:
-        """Return topic and bytes of the messages of a held step."""
-        place = step % self._capacity
-        for topic, table in self._tables.items():
-            known = table.known.reshape(self._capacity, -1)[place]
-            for row in table.rows.reshape(self._capacity, -1)[place][known]:
-                yield topic, row.tobytes()
-
     def forget(self, step: int, count: int = 1) -> None:
         """Forget the messages of so many steps from a step on."""
         for table in self._tables.values():
-            table.known.reshape(self._capacity, -1)[np.arange(step, step + count) % self._capacity] = False
+            table.filled.reshape(self._capacity, -1)[np.arange(step, step + count) % self._capacity] = False

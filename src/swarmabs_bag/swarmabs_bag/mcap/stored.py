@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from swarmabs_bag.records import HEAD_SIZE, RecordError, StoredMessage
+from swarmabs_bag.mcap.records import HEAD_SIZE, RecordError, StoredMessage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

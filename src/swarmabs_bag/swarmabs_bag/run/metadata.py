@@ -26,11 +26,6 @@ if TYPE_CHECKING:
 METADATA_FILE = "metadata.yaml"
 """Name of rosbag2's description in the folder of the MCAP file."""
 
-RECORD_NAME = "rosbag2"
-"""Name of the MCAP metadata record with the same description, under the key `RECORD_KEY`."""
-
-RECORD_KEY = "serialized_metadata"
-
 ABORTED_KEY = "swarmabs.aborted"
 """Key under ``custom_data`` with the reason why a bag was aborted; absent otherwise."""
 

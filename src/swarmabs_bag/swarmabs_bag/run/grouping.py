@@ -1,4 +1,4 @@
-"""Complete steps in the order of a bag, found in the arrays of stored messages and taken as blocks."""
+"""Whole steps in the order of a bag, found in the arrays of stored messages."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from swarmabs_bag.blocks import Block
 from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.run.step import Step
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from swarmabs_bag.stored import StoredMessages
+    from swarmabs_bag.mcap.stored import StoredMessages
     from swarmabs_core.messages import Family, Topic
+
+    Integers = NDArray[np.int64]
 
 _MOST_BYTES = 2**24
 """Bytes of messages up to which they may be the beginning of a step: more than those of any step."""
@@ -55,10 +57,10 @@ class TopicMessages:
         place_of = np.full(2**16, -1)
         place_of[list(wanted)] = range(len(wanted))
         places = place_of[stored.heads["channel_id"]]
-        known = places >= 0
-        if known.all():
+        selected = places >= 0
+        if selected.all():
             return cls(stored, tuple(wanted.values()), places)
-        return cls(stored[known], tuple(wanted.values()), places[known])
+        return cls(stored[selected], tuple(wanted.values()), places[selected])
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -83,24 +85,24 @@ class TopicMessages:
         return self[self.places == self.topics.index(topic)] if topic in self.topics else self[:0]
 
 
-def in_blocks(tables: Iterable[TopicMessages], family: Family) -> Iterator[Block | Published]:
-    """Yield messages in order, as blocks where steps of a family are complete, canonical and follow each other.
+def whole_steps(tables: Iterable[TopicMessages], family: Family) -> Iterator[Step | Published]:
+    """Yield messages in order, together where steps of a family are complete, canonical and follow each other.
 
-    The log and publish time of a message in a block are the time of its step.
+    The log and publish time of a message in them are the time of its step.
     """
     rest: TopicMessages | None = None
     try:
         for table in tables:
-            found = table if rest is None else rest.joined(table)
+            messages = table if rest is None else rest.joined(table)
             end = 0
-            for part, robots in _parts(found, family):
+            for part, robots in _parts(messages, family):
                 end += len(part)
-                block = _block(part, robots, family) if robots else None
-                if block is None:
+                whole = _whole(part, robots, family) if robots else None
+                if whole is None:
                     yield from part
                 else:
-                    yield block
-            rest = found[end:]
+                    yield whole
+            rest = messages[end:]
             if int(rest.stored.sizes.sum()) > _MOST_BYTES:
                 yield from rest
                 rest = None
@@ -110,40 +112,59 @@ def in_blocks(tables: Iterable[TopicMessages], family: Family) -> Iterator[Block
     yield from rest or ()
 
 
-def _parts(found: TopicMessages, family: Family) -> Iterator[tuple[TopicMessages, int]]:
+def _parts(messages: TopicMessages, family: Family) -> Iterator[tuple[TopicMessages, int]]:
     """Split messages up to the end of the last step; with the number of robots, 0 if they are not whole steps.
 
     Messages on other topics than the main ones, such as events, may precede a step, in a part of their own.
     """
-    places = np.full(len(found.topics), -1)
-    for number, topic in enumerate(family.main):
-        if topic in found.topics:
-            places[found.topics.index(topic)] = number
-    order = places[found.places]
+    order = _order(messages, family)
     last = len(family.main) - 1
-    ends = np.flatnonzero(order == last)
+    ends = np.flatnonzero(order == last)  # the last message of each step
     if not len(ends):
         return
     starts = np.concatenate(([0], ends[:-1] + 1))
-    descents = np.concatenate(([0], np.cumsum(np.diff(order) < 0)))
-    others = np.concatenate(([0], np.cumsum(order < 0)))
-    whole = (descents[ends] == descents[starts]) & (ends - starts >= last)
+    preceding = _count_between(order < 0, starts, ends)
+    whole = _are_whole(order, starts, ends, last)
+    robots = np.where(whole, ends + 1 - starts - preceding - last, 0)
+    # A part ends where the number of robots changes, and at everything that is not a whole step.
+    begins = np.flatnonzero((np.diff(robots, prepend=-1) != 0) | (preceding > 0) | ~whole).tolist()
+    for first, stop in zip(begins, [*begins[1:], len(ends)], strict=True):
+        begin, lead = int(starts[first]), int(preceding[first])
+        if whole[first] and lead:
+            yield messages[begin : begin + lead], 0
+            begin += lead
+        yield messages[begin : int(ends[stop - 1]) + 1], int(robots[first])
+
+
+def _order(messages: TopicMessages, family: Family) -> Integers:
+    """Return the place of each message's topic among the main topics, -1 for other topics."""
+    place_of = np.full(len(messages.topics), -1)
+    for number, topic in enumerate(family.main):
+        if topic in messages.topics:
+            place_of[messages.topics.index(topic)] = number
+    places: Integers = place_of[messages.places]
+    return places
+
+
+def _count_between(flags: NDArray[np.bool_], starts: Integers, ends: Integers) -> Integers:
+    """Return how many flags are set from each start to the end."""
+    until = np.concatenate(([0], np.cumsum(flags)))
+    counts: Integers = until[ends + 1] - until[starts]
+    return counts
+
+
+def _are_whole(order: Integers, starts: Integers, ends: Integers, last: int) -> NDArray[np.bool_]:
+    """Return which steps have each coordinator once, at the end and in order, and nothing out of order before."""
+    descending = np.concatenate((np.diff(order) < 0, [False]))  # of each message and the next one
+    whole: NDArray[np.bool_] = (_count_between(descending, starts, ends - 1) == 0) & (ends - starts >= last)
     for back in range(last + 1):
         whole &= order[ends - np.minimum(back, ends)] == last - back
-    before = others[ends + 1] - others[starts]
-    robots = np.where(whole, ends + 1 - starts - before - last, 0)
-    begins = np.flatnonzero((np.diff(robots, prepend=-1) != 0) | (before > 0) | ~whole).tolist()
-    for first, stop in zip(begins, [*begins[1:], len(ends)], strict=True):
-        begin, lead = int(starts[first]), int(before[first])
-        if whole[first] and lead:
-            yield found[begin : begin + lead], 0
-            begin += lead
-        yield found[begin : int(ends[stop - 1]) + 1], int(robots[first])
+    return whole
 
 
-def _block(steps: TopicMessages, robots: int, family: Family) -> Block | None:
-    """Return the block of whole steps with so many robots, None if they do not form one with the times of its steps."""
-    stored = steps.stored
+def _whole(messages: TopicMessages, robots: int, family: Family) -> Step | None:
+    """Return the steps of messages with so many robots, None if they are not whole, or have other times."""
+    stored = messages.stored
     count = robots + len(family.main) - 1
     times = stored.heads["log_time"].reshape(-1, count)
     if (times != times[:, :1]).any() or (stored.heads["publish_time"].reshape(-1, count) != times).any():
@@ -156,5 +177,5 @@ def _block(steps: TopicMessages, robots: int, family: Family) -> Block | None:
         if (size != size[0, 0]).any() or not size[0, 0]:
             return None
         payloads[topic] = stored.gathered(begins[:, columns].ravel(), int(size[0, 0]))
-    block = Block.of(payloads)
-    return block if block is not None and bool((block.times == times[:, 0]).all()) else None
+    steps = Step.whole(payloads)
+    return steps if steps is not None and bool((steps.times == times[:, 0]).all()) else None

@@ -10,10 +10,8 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Metadata
 
-from swarmabs_bag.channels import bag_topics
-from swarmabs_bag.index import FileIndex, ending, read_index
-from swarmabs_bag.metadata import RECORD_KEY, RECORD_NAME, FileRecord, bag_metadata, dump_yaml
-from swarmabs_bag.records import (
+from swarmabs_bag.mcap.index import RECORD_KEY, RECORD_NAME, FileIndex, ending, read_index
+from swarmabs_bag.mcap.records import (
     HEAD_SIZE,
     MAGIC,
     Record,
@@ -23,13 +21,15 @@ from swarmabs_bag.records import (
     message_head,
     parse,
 )
-from swarmabs_bag.salvage import Damage, Salvage
+from swarmabs_bag.repair.salvage import Damage, Salvage
+from swarmabs_bag.run.channels import bag_topics
+from swarmabs_bag.run.metadata import FileRecord, bag_metadata, dump_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from swarmabs_bag.output import RecordFile
-    from swarmabs_bag.salvage import Saved
+    from swarmabs_bag.mcap.output import RecordFile
+    from swarmabs_bag.repair.salvage import Saved
 
 OWN = "swarmabs"
 """Prefix of the library name in files written by this project."""

@@ -12,7 +12,7 @@ from swarmabs_bag.arrays import LoadedMessages, arrays_since, load_messages
 from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.swarm_state import (
+from swarmabs_bag.shown.swarm_state import (
     STATUS_NAMES,
     STATUSES,
     Instant,
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_bag.reader import BagReader
-    from swarmabs_bag.swarm_state import Members, RobotStatus
+    from swarmabs_bag.shown.swarm_state import Members, RobotStatus
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.arrays import RunArrays, SystemArrays, Tables
     from swarmabs_core.systems import SystemTables

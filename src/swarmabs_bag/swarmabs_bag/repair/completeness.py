@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from swarmabs_bag.realtime import MEMORY
-from swarmabs_bag.spans import Spans
+from swarmabs_bag.repair.spans import Spans
+from swarmabs_bag.run.realtime_gatherer import MEMORY
 from swarmabs_config import configure
 from swarmabs_config.graph import usual_topic
 from swarmabs_core.membership import Membership, Span
@@ -35,7 +35,7 @@ from swarmabs_core.messages import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from swarmabs_bag.realtime import RealtimeWorld
+    from swarmabs_bag.realtime_world import RealtimeWorld
     from swarmabs_core.messages import Family, Message
     from swarmabs_core.record import Record
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import NotABagError, UnknownTypeError
-from swarmabs_bag.metadata import BagChannel
+from swarmabs_bag.run.metadata import BagChannel
 from swarmabs_config.graph import STANDBY_TOPICS, USUAL_TOPICS
 from swarmabs_config.model.errors import printable, shorten
 from swarmabs_core.messages import TOPICS, Topic
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from mcap.records import Channel
 
-    from swarmabs_bag.index import FileIndex
+    from swarmabs_bag.mcap.index import FileIndex
 
 _MOST_NAMED = 5
 

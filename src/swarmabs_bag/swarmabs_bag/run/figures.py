@@ -6,7 +6,7 @@ from collections import Counter
 from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from swarmabs_bag.recording import Digest
+from swarmabs_bag.run.step import Digest
 from swarmabs_config.scenario import SystemScenario
 from swarmabs_core.desired_state import fallen
 from swarmabs_core.messages import (
@@ -26,7 +26,7 @@ from swarmabs_core.systems.interface import Quantity
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from swarmabs_bag.recording import Step
+    from swarmabs_bag.run.step import Step
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.record import Record

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mcap.records import Channel, Schema
 
-from swarmabs_bag.chunks import BlockRecords
 from swarmabs_bag.errors import REMEDIES, BagFolderError, BagWriteError
-from swarmabs_bag.index import ending, scan_index
-from swarmabs_bag.mcap_file import McapFile
-from swarmabs_bag.metadata import (
+from swarmabs_bag.mcap.chunks import Column, MessageRecords
+from swarmabs_bag.mcap.file_writer import McapFile
+from swarmabs_bag.mcap.index import ending, scan_index
+from swarmabs_bag.mcap.output import RecordFile, Reserve
+from swarmabs_bag.mcap.records import RecordError
+from swarmabs_bag.run.metadata import (
     ABORTED_KEY,
     BagChannel,
     FileRecord,
@@ -25,11 +27,10 @@ from swarmabs_bag.metadata import (
     qos_profile,
     write_metadata,
 )
-from swarmabs_bag.output import RecordFile, Reserve
-from swarmabs_bag.records import RecordError
+from swarmabs_bag.run.schemas import message_schema
 from swarmabs_bag.run_folder import ONE_FILE, Split
-from swarmabs_bag.schemas import message_schema
 from swarmabs_config.graph import LOCKSTEP, OFFERED
+from swarmabs_core.messages import EVENTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from swarmabs_bag.blocks import Block
+    from swarmabs_bag.run.step import Step
     from swarmabs_config.graph import Qos
     from swarmabs_core.messages import Topic
 
@@ -207,39 +208,52 @@ class BagWriter:
             self._end_chunk()
         self.poll()
 
-    def write_block(self, block: Block) -> None:
-        """Write the messages of a block of lockstep, as `write` does one after the other; errors as for `write`."""
+    def write_step(self, step: Step) -> None:
+        """Write the messages of a step of lockstep, or of several, as `write` does singly; errors as for `write`."""
         self._check_open()
-        channels = {topic: self._channels[topic.name] for topic in block.tables}
-        while True:
-            self._turn(int(block.times[0]))
-            steps = self._steps_to_turn(block)
-            part = block[:steps]
-            records, following = BlockRecords(part, channels, self._counts), 0
-            while following < len(records):
-                self._open_chunk()
-                following = self._mcap.add_records(records, following)
-                if self._file.pending:  # the chunk was full
-                    self._end_chunk()
-            for topic, channel in channels.items():
-                self._counts[channel] += part.tables[topic].size
-            self._cover(int(part.times.min()), int(part.times.max()))
-            if steps >= len(block):
+        left = step
+        while left.tables:
+            self._turn(int(left.times[0]))
+            count = self._steps_to_turn(left)
+            self._write_tables(left if count == len(left) else left[:count])
+            if count == len(left):
                 break
-            block = block[steps:]
+            left = left[count:]
+        for payload in step.told:
+            self.write(EVENTS, int(step.times[-1]), payload)
         self.poll()
+
+    def _write_tables(self, step: Step) -> None:
+        """Write the messages of a step, or of several in one file, except events."""
+        columns = self._columns(step)
+        records, following = MessageRecords(step.times, columns), 0
+        while following < len(records):
+            self._open_chunk()
+            following = self._mcap.add_records(records, following)
+            if self._file.pending:  # the chunk was full
+                self._end_chunk()
+        for column in columns:
+            self._counts[column.channel] += column.payloads.size
+        self._cover(int(step.times.min()), int(step.times.max()))
+
+    def _columns(self, step: Step) -> list[Column]:
+        """Return the messages of a step, or of several, as the file takes them."""
+        channels = [(self._channels[topic.name], table) for topic, table in step.tables.items()]
+        return [Column(channel, self._counts[channel], table.reshape(len(step), -1)) for channel, table in channels]
 
     def _turn(self, log_time_ns: int) -> None:
         """Begin the next file if a step at this time belongs there."""
         if self._first is not None and log_time_ns > self._last and self._is_full(log_time_ns):
             self._next_file()
 
-    def _steps_to_turn(self, block: Block) -> int:
-        """Return how many steps of a block come before the first one that may belong in the next file."""
-        first = int(block.times[0]) if self._first is None else self._first
-        turns = [self._mcap.steps_to_fill(block)]
+    def _steps_to_turn(self, steps: Step) -> int:
+        """Return how many of several steps come before the first one that may belong in the next file."""
+        turns = [len(steps)]
+        if self._split.bytes:
+            turns.append(self._mcap.groups_to_fill(self._columns(steps)))
         if self._split.nanoseconds:
-            late = np.flatnonzero(block.times[1:] - first >= self._split.nanoseconds)
+            first = int(steps.times[0]) if self._first is None else self._first
+            late = np.flatnonzero(steps.times[1:] - first >= self._split.nanoseconds)
             turns += (late[:1] + 1).tolist()
         return min(turns)
 

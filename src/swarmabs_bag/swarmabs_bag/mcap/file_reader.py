@@ -16,9 +16,8 @@ from mcap.opcode import Opcode
 from mcap.records import DataEnd, Metadata
 
 from swarmabs_bag.errors import DamagedBagError, NotABagError, repair_command
-from swarmabs_bag.index import FileIndex, read_attachment, read_index, scan_index
-from swarmabs_bag.metadata import RECORD_KEY, RECORD_NAME
-from swarmabs_bag.records import (
+from swarmabs_bag.mcap.index import RECORD_KEY, RECORD_NAME, FileIndex, read_attachment, read_index, scan_index
+from swarmabs_bag.mcap.records import (
     MAGIC,
     Record,
     RecordError,
@@ -29,7 +28,7 @@ from swarmabs_bag.records import (
     read_records,
     uncompress,
 )
-from swarmabs_bag.stored import ChunkContent, StoredMessages
+from swarmabs_bag.mcap.stored import ChunkContent, StoredMessages
 from swarmabs_config.model.errors import show
 
 if TYPE_CHECKING:

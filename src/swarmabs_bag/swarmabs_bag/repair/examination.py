@@ -11,14 +11,14 @@ from mcap.opcode import Opcode
 from mcap.records import Header
 
 from swarmabs_bag.attached import attached_scenario, is_realtime
-from swarmabs_bag.channels import bag_topics
-from swarmabs_bag.completeness import LockstepCompleteness
 from swarmabs_bag.errors import DamagedBagError, NotABagError
-from swarmabs_bag.index import FileIndex, scan_index
-from swarmabs_bag.metadata import METADATA_FILE, BagChannel, custom_texts, listed_topic, load_yaml
+from swarmabs_bag.mcap.index import FileIndex, scan_index
+from swarmabs_bag.mcap.records import MAGIC, RecordError, parse, read_record
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.rebuild import OWN, Rebuilt
-from swarmabs_bag.records import MAGIC, RecordError, parse, read_record
+from swarmabs_bag.repair.completeness import LockstepCompleteness
+from swarmabs_bag.repair.rebuild import OWN, Rebuilt
+from swarmabs_bag.run.channels import bag_topics
+from swarmabs_bag.run.metadata import METADATA_FILE, BagChannel, custom_texts, listed_topic, load_yaml
 from swarmabs_bag.run_folder import SUFFIX, missing_files, split_files
 from swarmabs_config.scenario import ScenarioError
 from swarmabs_config.scenario.text_file import read_text
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from typing import BinaryIO
 
-    from swarmabs_bag.output import RecordFile
+    from swarmabs_bag.mcap.output import RecordFile
 
 
 @dataclass(slots=True)

@@ -31,8 +31,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from swarmabs_bag.metadata import RECORD_KEY, RECORD_NAME
-from swarmabs_bag.records import (
+from swarmabs_bag.mcap.records import (
     HEAD_SIZE,
     MAGIC,
     MAX_SIZE,
@@ -47,7 +46,7 @@ from swarmabs_bag.records import (
     read_records,
     uncompress,
 )
-from swarmabs_bag.stored import ChunkContent
+from swarmabs_bag.mcap.stored import ChunkContent
 from swarmabs_config.model.errors import show
 
 if TYPE_CHECKING:
@@ -66,6 +65,11 @@ _COUNTED = {
     "attachments": "attachment_count",
     "metadata": "metadata_count",
 }
+
+RECORD_NAME = "rosbag2"
+"""Name of the metadata record with rosbag2's description of the file, under the key `RECORD_KEY`."""
+
+RECORD_KEY = "serialized_metadata"
 
 MOST_ENTRIES = 2**18
 """Most chunks, most attachments and most metadata records in an index."""

@@ -2,7 +2,7 @@
 
 Apart from the parent controller, nobody remembers more than the step before: a robot's state follows from its previous
 one and the broadcasts of that step, the plane's from its previous one and the robots' at both ends of the period, the
-observer's answers from the robots' states. With recorded inputs, all steps of a block are therefore computed side by
+observer's answers from the robots' states. With recorded inputs, all steps are therefore computed side by
 side, by the formulas of the state machines on arrays, and compared byte by byte.
 
 This only confirms messages. Where one differs, where a fault, a change of the membership or of the disturbance is near,
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_bag.blocks import Block
+from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.arrays import LAYOUT, raw
@@ -51,15 +51,15 @@ if TYPE_CHECKING:
 _FOREVER = 2**63
 
 
-class BlockRecomputation:
-    """Recomputes blocks of a run, next to the state machines of its nodes, which it advances.
+class Recomputation:
+    """Recomputes many steps of a run, next to the state machines of its nodes, which it advances.
 
     Parameters
     ----------
     scenario : Scenario
         One that is `on_columns`.
     nodes : mapping
-        The nodes, which have answered the step before the block.
+        The nodes, which have answered the step before.
     """
 
     def __init__(self, scenario: Scenario, nodes: Mapping[NodeName, NodeInProcess]) -> None:
@@ -84,42 +84,42 @@ class BlockRecomputation:
                 end = min(end, begin)
         return first, end
 
-    def confirmed(self, before: Block, block: Block) -> int:
-        """Return how many steps of a block are as recomputed from the confirmed step before it; advance the controller.
+    def confirmed(self, before: Step, steps: Step) -> int:
+        """Return how many steps are as recomputed from the confirmed step before it; advance the controller.
 
         The other nodes continue with `resume`.
         """
-        first, end = self.quiet(block.first)
-        if first > block.first or not before.alike(block) or self._ahead is not None:
+        first, end = self.quiet(steps.first)
+        if first > steps.first or not before.alike(steps) or self._ahead is not None:
             return 0
-        block = block[: end - block.first]
-        steps = np.arange(block.first, block.step + 1, dtype=np.uint64)
-        stamps = steps.astype(np.int64) * self._period_ns
+        steps = steps[: end - steps.first]
+        numbers = np.arange(steps.first, steps.step + 1, dtype=np.uint64)
+        stamps = numbers.astype(np.int64) * self._period_ns
         with np.errstate(all="ignore"):
             try:
-                right, expected = self._expected(before, block, steps, stamps)
+                right, expected = self._expected(before, steps, numbers, stamps)
             except (ValueError, OverflowError):  # of a cosine, sine or hyperbolic tangent
                 return 0
         for topic, table in expected.items():
-            same = (raw(table) == raw(block.tables[topic])).reshape(len(block), -1)
+            same = (raw(table) == raw(steps.tables[topic])).reshape(len(steps), -1)
             right &= same.all(axis=1)
-        count = len(block) if right.all() else int(np.argmin(right))
-        return self._controlled(block[:count]) if count else 0
+        count = len(steps) if right.all() else int(np.argmin(right))
+        return self._controlled(steps[:count]) if count else 0
 
     def _expected(
-        self, before: Block, block: Block, steps: NDArray[np.uint64], stamps: NDArray[np.int64]
+        self, before: Step, steps: Step, numbers: NDArray[np.uint64], stamps: NDArray[np.int64]
     ) -> tuple[NDArray[np.bool_], dict[Topic, NDArray[np.void]]]:
-        """Return in which steps of a block the state machines would compute the same, and what; `confirmed` compares.
+        """Return in which steps the state machines would compute the same, and what; `confirmed` compares.
 
         Parameters
         ----------
-        before, block : Block
-            The step before the block, and the block.
-        steps, stamps : ndarray, (K,)
+        before, steps : Step
+            The step before, and the steps to confirm.
+        numbers, stamps : ndarray, (K,)
             Numbers and time stamps (ns) of the steps.
         """
-        columns = self._of(block)
-        tables = {topic: np.concatenate((before.tables[topic], table)) for topic, table in block.tables.items()}
+        columns = self._of(steps)
+        tables = {topic: np.concatenate((before.tables[topic], table)) for topic, table in steps.tables.items()}
         robots = tables[AGENT_STATE]
         p, v = (np.ascontiguousarray(robots[name].T)[columns.places] for name in ("position", "velocity"))
         start, end = (p[:, :-1], v[:, :-1]), (p[:, 1:], v[:, 1:])
@@ -128,13 +128,13 @@ class BlockRecomputation:
         motion = (*columns.moved(*start, command), command)
         observer: Any = self._nodes[OBSERVER].behaviour
         plane: Any = self._nodes[PARENT].behaviour
-        load = columns.load(start, end, _standing(plane.standing(columns.ids), len(steps)))
+        load = columns.load(start, end, _standing(plane.standing(columns.ids), len(numbers)))
         earlier = _named(tables[PLANE_STATE][:-1])
         times = np.array([int(stamp) / 1e9 for stamp in stamps - self._period_ns])
         moved = self._dynamics.advance_each(
-            earlier.angle, earlier.angular_velocity, times, load, self._disturbances.at(int(steps[0]) - 1), _EACH
+            earlier.angle, earlier.angular_velocity, times, load, self._disturbances.at(int(numbers[0]) - 1), _EACH
         )
-        abstract, auxiliary = columns.observed(steps, stamps, *end, _standing(observer.standing, len(steps)))
+        abstract, auxiliary = columns.observed(numbers, stamps, *end, _standing(observer.standing, len(numbers)))
         length = self._scenario.plane.length
         zones = zones_of(p, self._borders)
         same = (zones[:, 1:] == zones[:, :1]) & (zones[:, :1] >= 0)
@@ -143,26 +143,26 @@ class BlockRecomputation:
         finite = np.isfinite(command).all(axis=0) & np.isfinite(moved).all(axis=0)
         answers = {PLANE_STATE: moved, ABSTRACT_STATE: abstract[2:], AUXILIARY_STATE: auxiliary[2:]}
         return finite & ~held & same.all(axis=0), {
-            AGENT_STATE: columns.states(steps, stamps, *(values.T for values in motion)),
-            **{topic: _rows(topic, LAYOUT[topic], steps, stamps, values) for topic, values in answers.items()},
+            AGENT_STATE: columns.states(numbers, stamps, *(values.T for values in motion)),
+            **{topic: _rows(topic, LAYOUT[topic], numbers, stamps, values) for topic, values in answers.items()},
         }
 
-    def _of(self, block: Block) -> SwarmColumns:
-        """Return the robots of a block as columns."""
-        ids = block.tables[AGENT_STATE]["agent_id"][0].tolist()
+    def _of(self, steps: Step) -> SwarmColumns:
+        """Return the robots of steps as columns."""
+        ids = steps.tables[AGENT_STATE]["agent_id"][0].tolist()
         if self._columns is None or sorted(self._columns.ids) != ids:
             configs = [self._configs[agent_id] for agent_id in ids]
             self._columns = SwarmColumns(self._scenario, configs, steps=True)
         return self._columns
 
-    def _controlled(self, block: Block) -> int:
-        """Return how many steps of a block the parent controller answers as recorded, without events.
+    def _controlled(self, steps: Step) -> int:
+        """Return how many steps the parent controller answers as recorded, without events.
 
         Its answer in the first other step is kept for `control`.
         """
         controller = self._nodes[CONTROLLER].behaviour
-        answers, size = block.tables[DESIRED_ABSTRACT_STATE].tobytes(), block.tables[DESIRED_ABSTRACT_STATE].itemsize
-        for place, parent in enumerate(block.parents):
+        answers, size = steps.tables[DESIRED_ABSTRACT_STATE].tobytes(), steps.tables[DESIRED_ABSTRACT_STATE].itemsize
+        for place, parent in enumerate(steps.parents):
             try:
                 found: Messages | RunError = controller.handle(parent)
             except RunError as error:
@@ -170,7 +170,7 @@ class BlockRecomputation:
             if isinstance(found, RunError) or len(found) > 1 or encode(found[0]) != answers[place * size :][:size]:
                 self._ahead = (parent.step, found)
                 return place
-        return len(block)
+        return len(steps)
 
     def control(self, message: Message) -> Messages:
         """Return the parent controller's answer to a message, which it may have given already."""
@@ -181,7 +181,7 @@ class BlockRecomputation:
             raise ahead[1]
         return ahead[1]
 
-    def resume(self, last: Block) -> None:
+    def resume(self, last: Step) -> None:
         """Let the other nodes continue after a step: the robots once they hear its broadcasts."""
         states: list[Any] = list(last.states())
         observer: Any = self._nodes[OBSERVER].behaviour

@@ -15,8 +15,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd
 
-from swarmabs_bag.index import FileIndex, scan_index
-from swarmabs_bag.records import (
+from swarmabs_bag.mcap.index import FileIndex, scan_index
+from swarmabs_bag.mcap.records import (
     HEAD_SIZE,
     MAGIC,
     MAX_SIZE,

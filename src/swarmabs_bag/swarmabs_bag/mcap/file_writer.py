@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING
 
 from mcap.records import Attachment, Header
 
-from swarmabs_bag.chunks import BlockRecords, ChunkBuilder, step_bytes
-from swarmabs_bag.index import FileIndex, ending, no_statistics
-from swarmabs_bag.records import HEAD_SIZE, MAGIC, Record, encoded
+from swarmabs_bag.mcap.chunks import ChunkBuilder, group_size
+from swarmabs_bag.mcap.index import FileIndex, ending, no_statistics
+from swarmabs_bag.mcap.records import HEAD_SIZE, MAGIC, Record, encoded
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mcap.records import Channel, Schema
 
-    from swarmabs_bag.blocks import Block
-    from swarmabs_bag.output import RecordFile
+    from swarmabs_bag.mcap.chunks import Column, MessageRecords
+    from swarmabs_bag.mcap.output import RecordFile
 
 _PROFILE = "ros2"
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json"}
@@ -58,11 +60,11 @@ class McapFile:
         if self._chunk.full:
             self.flush()
 
-    def steps_to_fill(self, block: Block) -> int:
-        """Return the number of steps, like those of a block, of which only the last fills the current chunk."""
-        return self._chunk.steps_to_fill(step_bytes(block))
+    def groups_to_fill(self, columns: Sequence[Column]) -> int:
+        """Return the number of groups with these columns of which only the last fills the current chunk."""
+        return self._chunk.groups_to_fill(group_size(columns))
 
-    def add_records(self, records: BlockRecords, first: int) -> int:
+    def add_records(self, records: MessageRecords, first: int) -> int:
         """Add message `first` and those after it, until a chunk is full; return the number of the next one."""
         following = self._chunk.add_records(records, first)
         if self._chunk.full:
@@ -76,11 +78,11 @@ class McapFile:
         contents = self._chunk.take()
         chunk = contents.packed()
         record = encoded(chunk)
-        found = no_statistics()
-        found.channel_message_counts = contents.counts()
-        found.message_count = sum(found.channel_message_counts.values())
-        found.message_start_time, found.message_end_time = contents.start, contents.end
-        self._index.add_chunk(chunk, self._index.data_end, len(record), found)
+        statistics = no_statistics()
+        statistics.channel_message_counts = contents.counts()
+        statistics.message_count = sum(statistics.channel_message_counts.values())
+        statistics.message_start_time, statistics.message_end_time = contents.start, contents.end
+        self._index.add_chunk(chunk, self._index.data_end, len(record), statistics)
         entry = self._index.chunks[-1]
         self._write(record)
         for channel, listed in contents.indexes():

@@ -11,10 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.attached import contradiction
-from swarmabs_bag.channels import bag_topics
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError
-from swarmabs_bag.examination import Part, examine, metadata_problem, recorded_steps, silent_topics
-from swarmabs_bag.metadata import (
+from swarmabs_bag.mcap.output import RecordFile
+from swarmabs_bag.reader import open_bag
+from swarmabs_bag.repair.examination import Part, examine, metadata_problem, recorded_steps, silent_topics
+from swarmabs_bag.repair.rebuild import Rebuilt
+from swarmabs_bag.run.channels import bag_topics
+from swarmabs_bag.run.metadata import (
     ABORTED_KEY,
     METADATA_FILE,
     REPAIRED_KEY,
@@ -22,16 +25,13 @@ from swarmabs_bag.metadata import (
     bag_metadata,
     write_metadata,
 )
-from swarmabs_bag.output import RecordFile
-from swarmabs_bag.reader import open_bag
-from swarmabs_bag.rebuild import Rebuilt
 from swarmabs_bag.run_folder import find_bag
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from swarmabs_bag.metadata import BagChannel
-    from swarmabs_bag.salvage import Damage
+    from swarmabs_bag.repair.salvage import Damage
+    from swarmabs_bag.run.metadata import BagChannel
 
 CUT_OFF = "the recording was cut off"
 """Reason under `ABORTED_KEY` for a bag that its writer did not finish."""

@@ -1,0 +1,1 @@
+"""MCAP files: their records, chunks and index, written and read; nothing about a swarm or its messages."""
