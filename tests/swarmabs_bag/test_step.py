@@ -10,8 +10,11 @@ import pytest
 from tests.swarmabs_bag.test_systems import BEAM, LIFT, SHEET
 from tests.swarmabs_core.helpers import agent_state, builtin, singly, together
 
+from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
 from swarmabs_bag.run.figures import RunFigures, tracking_of
+from swarmabs_bag.run.gatherer import RunCollector
+from swarmabs_bag.run.ordering import recorded_steps
 from swarmabs_bag.run.step import Digest, Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
@@ -146,6 +149,16 @@ def test_a_step_has_robots_in_order_whose_lists_are_equally_long() -> None:
     longer = Record.of(robot._replace(coordinates=(*robot.coordinates, 0.0)))
     with pytest.raises(MalformedMessageError, match="lists of different lengths in one step"):
         Step.of(1, (records[0], longer, *records[2:]))
+    with pytest.raises(DamagedBagError, match=r"^bag: step 1: .*lists of different lengths in one step"):
+        list(recorded_steps((records[0], longer, *records[2:]), "bag"))
+    scenario = run("sheet")[0]
+    family = scenario.family
+    collector = RunCollector(configure.members(scenario), (), scenario.steps, family=family)
+    assert not collector.add(records[0])
+    with pytest.raises(MalformedMessageError, match="lists of other lengths than in the messages before it"):
+        list(collector.add_all(family.robot, [longer.payload]))
+    assert not collector.add(records[1]), "a rejected message changes nothing"
+    assert collector.missing_agents() == tuple(configure.members(scenario))
 
 
 @pytest.mark.parametrize("name", ["pd_het_4", "beam"])
