@@ -129,11 +129,11 @@ def test_names_are_unique_not_common_ones_and_have_defaults_units_and_bounds(nam
     for parameter in TABLES[name]:
         assert re.fullmatch(r"[a-z][a-z0-9_]*(\.[a-z0-9_]+)*", parameter.name), "a name that ROS takes"
         assert parameter.check(parameter.default) == parameter.default
-        assert parameter.description
+        assert parameter.text and "{" not in parameter.text
         default = parameter.default
         model = default[0] if isinstance(default, tuple) and default else default
         if isinstance(model, float):
-            assert UNIT.search(parameter.description), parameter
+            assert UNIT.search(parameter.text), parameter
         if isinstance(model, (int, float)) and not isinstance(model, bool):
             bounds = (parameter.minimum, parameter.maximum, parameter.above, parameter.below)
             assert any(bound is not None for bound in bounds) or parameter.name in EITHER_SIGN, parameter

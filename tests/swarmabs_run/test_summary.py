@@ -64,7 +64,7 @@ def shown(found: dict[str, Any], folder: Path) -> str:
 
 def test_no_digest_is_torn_on_a_narrow_terminal(tmp_path: Path) -> None:
     told = io.StringIO()
-    tracking = Tracking((0,), (0.02,), "z", "m")
+    tracking = Tracking((0,), (0.02,), "z", "m", "coordinate", "")
     found = summary() | {"digest": "0123456789abcdef" * 4, "events": ["one", "two"]}
     Console(width=70, file=told, soft_wrap=True).print(summary_table(found, RunFolder(tmp_path), tracking))
     lines = told.getvalue().splitlines()
@@ -74,7 +74,7 @@ def test_no_digest_is_torn_on_a_narrow_terminal(tmp_path: Path) -> None:
 
 def test_the_table_of_another_parent_has_its_tolerances_and_its_unit(tmp_path: Path) -> None:
     told = io.StringIO()
-    tracking = Tracking((0, 2), (0.02, 0.05), "z", "m")
+    tracking = Tracking((0, 2), (0.02, 0.05), "z", "m", "coordinate", "")
     Console(width=300, file=told).print(summary_table(summary(), RunFolder(tmp_path), tracking))
     text = re.sub(r" +", " ", told.getvalue())
     assert "settled within 0.02, 0.05 m from t = " in text and " rad" not in text
