@@ -179,7 +179,7 @@ class TopicDrive:
     def _knows(self, now: int) -> bool:
         """Return whether recent readings of the motion and, if needed, of the tilt are known."""
         tracks = (self._track, self._tilt) if self._weighs else (self._track,)
-        return all(each.newest is not None and now - each.newest.stamp <= self._age_limit for each in tracks)
+        return all(track.newest is not None and now - track.newest.stamp <= self._age_limit for track in tracks)
 
     def _weight(self) -> float:
         tilted, motion = self._tilt.newest, self._track.newest

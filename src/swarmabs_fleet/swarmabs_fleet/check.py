@@ -53,11 +53,11 @@ def check(paths: Sequence[Path], host: str | None) -> list[Finding]:
     for path in paths:
         if path.is_dir():
             folders = [path, *sorted(path.iterdir())]
-            found = {folder: read_manifest(folder) for folder in folders if (folder / MANIFEST).is_file()}
-            bundles |= found
+            manifests = {folder: read_manifest(folder) for folder in folders if (folder / MANIFEST).is_file()}
+            bundles |= manifests
             if (path / FLEET_FILE).is_file():
                 given.append(load_fleet(path / FLEET_FILE))
-            elif not found:
+            elif not manifests:
                 raise InputError(f"{path} contains no bundle; give a fleet file or the output of 'swarm deploy'")
         else:
             given.append(load_fleet(path))
@@ -66,8 +66,10 @@ def check(paths: Sequence[Path], host: str | None) -> list[Finding]:
     verdicts = [(f"fleet {loaded.fleet.name}", _alone(loaded)) for loaded in fleets]
     pairs = [(one.fleet, other.fleet) for one, other in combinations(fleets, 2)]
     verdicts += [(f"fleets {one.name} and {other.name}", _together(one, other)) for one, other in pairs]
-    verdicts += [(f"bundle {made.fleet}/{made.host}", _bundle(folder, made)) for folder, made in bundles.items()]
-    findings = [Finding(what, *verdict) for what, each in verdicts for verdict in each]
+    verdicts += [
+        (f"bundle {manifest.fleet}/{manifest.host}", _bundle(folder, manifest)) for folder, manifest in bundles.items()
+    ]
+    findings = [Finding(what, *verdict) for what, of_check in verdicts for verdict in of_check]
     if host is not None:
         findings += check_host(_known(host, given, bundles))
     return findings
@@ -81,13 +83,13 @@ def _known(host: str, fleets: list[LoadedFleet], bundles: dict[Path, Manifest]) 
     InputError
         If no fleet has the host, or several have.
     """
-    found = {(manifest.fleet, manifest.host): manifest for manifest in bundles.values()}
+    manifests = {(manifest.fleet, manifest.host): manifest for manifest in bundles.values()}
     for loaded in fleets:
         for name in (one.name for one in loaded.fleet.hosts):
-            found.setdefault((loaded.fleet.name, name), manifest_of(HostPlan(loaded.fleet, name), {}))
-    named = [manifest for (_, name), manifest in found.items() if name == host]
+            manifests.setdefault((loaded.fleet.name, name), manifest_of(HostPlan(loaded.fleet, name), {}))
+    named = [manifest for (_, name), manifest in manifests.items() if name == host]
     if not named:
-        raise InputError(f"no host '{host}'; {nearest(host, [name for _, name in found])}")
+        raise InputError(f"no host '{host}'; {nearest(host, [name for _, name in manifests])}")
     if len(named) > 1:
         raise InputError(f"several fleets have a host '{host}'; check one fleet at a time with --host")
     return named[0]
@@ -132,20 +134,20 @@ def _standbys(loaded: LoadedFleet) -> Iterator[Verdict]:
 
 def _together(one: Fleet, other: Fleet) -> Iterator[Verdict]:
     """Report conflicts between two fleets."""
-    found = []
+    conflicts = []
     if one.network.domain == other.network.domain:
-        found.append(f"both use ROS domain {one.network.domain}; change network.domain of one")
+        conflicts.append(f"both use ROS domain {one.network.domain}; change network.domain of one")
     shared = sorted({host.address for host in one.hosts} & {host.address for host in other.hosts})
     if shared and one.name == other.name:
-        found.append(f"both have this name on {shared[0]}, where one would replace the other; rename one")
+        conflicts.append(f"both have this name on {shared[0]}, where one would replace the other; rename one")
     if shared and one.tunnel is not None and other.tunnel is not None:
         if one.tunnel.interface == other.tunnel.interface:
-            found.append(f"both have the tunnel {one.tunnel.interface} on {shared[0]}; rename one")
+            conflicts.append(f"both have the tunnel {one.tunnel.interface} on {shared[0]}; rename one")
         if one.tunnel.port == other.tunnel.port:
-            found.append(f"both tunnels use port {one.tunnel.port} on {shared[0]}; change the port of one")
-    for text in found:
+            conflicts.append(f"both tunnels use port {one.tunnel.port} on {shared[0]}; change the port of one")
+    for text in conflicts:
         yield "bad", text
-    if not found:
+    if not conflicts:
         yield "ok", "no conflicts"
 
 
@@ -154,8 +156,8 @@ def _bundle(folder: Path, manifest: Manifest) -> Iterator[Verdict]:
     here = versions()
     differing = next((name for name, text in here.items() if manifest.versions.get(name) != text), None)
     if differing is not None:
-        made = manifest.versions.get(differing, "none")
-        text = f"made with {differing} {made}, but this machine has {here[differing]}"
+        version = manifest.versions.get(differing, "none")
+        text = f"made with {differing} {version}, but this machine has {here[differing]}"
         yield "bad", f"{text}; bring all hosts to one version, then deploy again"
     problems = list(_files(folder, manifest))
     for problem in problems:
@@ -189,9 +191,9 @@ def _files(folder: Path, manifest: Manifest) -> Iterator[str]:
             yield f"{file} has been changed; copy or install the bundle again"
         elif mode != facts.mode:
             yield f"{file} has mode {mode:04o}, not {facts.mode:04o}; run: chmod {facts.mode:04o} {file}"
-    known = {*manifest.files, MANIFEST, *_MADE_THERE}
-    found = {str(file.relative_to(folder)) for file in folder.rglob("*") if not file.is_dir()}
-    for path in sorted(found - known):
+    listed = {*manifest.files, MANIFEST, *_MADE_THERE}
+    present = {str(file.relative_to(folder)) for file in folder.rglob("*") if not file.is_dir()}
+    for path in sorted(present - listed):
         yield f"{folder / path} does not belong to the bundle; remove it"
 
 
@@ -201,15 +203,15 @@ def expiring(fleet: Fleet, file: Path) -> list[str]:
     Found are those in the bundle that is installed on this host and in all bundles next to the fleet file.
     """
     installed = Path(f"{fleet.installation.prefix}/{fleet.name}")
-    found: dict[str, str] = {}
+    lines: dict[str, str] = {}
     for folder in (installed, *(file.parent / host.name for host in fleet.hosts)):
         try:
             manifest = read_manifest(folder)
         except InputError:
             continue  # no bundle, or one that is not for this account
         if manifest.fleet == fleet.name:
-            found |= {path: f"{manifest.host}: {text}" for path, (_, text) in _ends(folder, manifest).items()}
-    return list(found.values())
+            lines |= {path: f"{manifest.host}: {text}" for path, (_, text) in _ends(folder, manifest).items()}
+    return list(lines.values())
 
 
 def _ends(folder: Path, manifest: Manifest) -> dict[str, Verdict]:
@@ -220,12 +222,12 @@ def _ends(folder: Path, manifest: Manifest) -> dict[str, Verdict]:
         if not path.endswith("permissions.xml"):
             continue
         try:
-            found = _NOT_AFTER.search((folder / path).read_bytes())
+            expiry = _NOT_AFTER.search((folder / path).read_bytes())
         except OSError:
             continue  # a check reports it as a file that differs
-        if found is None:
+        if expiry is None:
             continue
-        last = datetime.fromisoformat(f"{found[1].decode()}+00:00")
+        last = datetime.fromisoformat(f"{expiry[1].decode()}+00:00")
         if last - now < _EXPIRING:
             text = f"{path}: valid until {last:%Y-%m-%d}; remove its folder from the key folder, and deploy again"
             ends[path] = ("bad" if last < now else "note", text)
@@ -238,9 +240,9 @@ def _up_to_date(file: Path, manifest: Manifest) -> Iterator[Verdict]:
     if manifest.host not in {host.name for host in loaded.fleet.hosts}:
         yield "bad", f"{file} no longer has this host; deploy again into a new folder"
         return
-    made = host_bundle(loaded, HostPlan(loaded.fleet, manifest.host), None)
+    generated = host_bundle(loaded, HostPlan(loaded.fleet, manifest.host), None)
     listed = manifest.files
-    same = {path for path, one in made.items() if path in listed and one.mode != SECRET} - {SUMS}
-    differing = sorted(path for path in same if made[path].sha256 != listed[path].sha256)
+    same = {path for path, one in generated.items() if path in listed and one.mode != SECRET} - {SUMS}
+    differing = sorted(path for path in same if generated[path].sha256 != listed[path].sha256)
     if differing:
         yield "note", f"{file.name} now results in a different {differing[0]}; deploy again to update it"

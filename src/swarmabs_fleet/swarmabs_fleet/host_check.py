@@ -43,8 +43,8 @@ def _interface(manifest: Manifest) -> Verdict:
         return "bad", f"no interface {manifest.interface} on this host ({there}); correct the fleet file{remedy}"
     own = [entry.address for entry in interfaces[manifest.interface] if entry.family == socket.AF_INET]
     if manifest.address not in own:
-        found = ", ".join(own) or "no IPv4 address"
-        text = f"{manifest.interface} has {found} instead of {manifest.address}"
+        addresses = ", ".join(own) or "no IPv4 address"
+        text = f"{manifest.interface} has {addresses} instead of {manifest.address}"
         return "bad", f"{text}; correct the host or the fleet file"
     stats = psutil.net_if_stats().get(manifest.interface)
     if stats is not None and not stats.isup:
@@ -54,7 +54,7 @@ def _interface(manifest: Manifest) -> Verdict:
 
 def _ports(manifest: Manifest) -> Verdict:
     held = []
-    if not any(entry.address == manifest.address for found in psutil.net_if_addrs().values() for entry in found):
+    if not any(entry.address == manifest.address for entries in psutil.net_if_addrs().values() for entry in entries):
         return "note", f"not checked: this host does not have the address {manifest.address}"
     for port in manifest.ports:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -141,10 +141,10 @@ def read_timedatectl(text: str) -> ClockState | None:
 def _packages(manifest: Manifest) -> Verdict:
     for module in (*manifest.modules, "rclpy", "swarmabs_msgs"):
         try:
-            found = importlib.util.find_spec(module) is not None
+            installed = importlib.util.find_spec(module) is not None
         except ImportError:
-            found = False
-        if not found:
+            installed = False
+        if not installed:
             return "bad", f"{module} cannot be imported; bring this checkout to the fleet's version"
     return "ok", f"{len(manifest.modules)} node modules are installed"
 
@@ -231,11 +231,11 @@ class Reader:
 
     def may(self, path: Path, wanted: int) -> bool:
         """Return whether the account has the permission `os.R_OK` or `os.X_OK` for a file or folder."""
-        found = path.stat()
+        status = path.stat()
         if self.uid == 0:
             return True
-        shift = 6 if found.st_uid == self.uid else 3 if found.st_gid in self.groups else 0
-        return bool(found.st_mode >> shift & wanted)
+        shift = 6 if status.st_uid == self.uid else 3 if status.st_gid in self.groups else 0
+        return bool(status.st_mode >> shift & wanted)
 
     def stopped_at(self, path: Path) -> Path | None:
         """Return the first parent that the account cannot enter, or the file itself if the account cannot read it."""
@@ -250,14 +250,14 @@ def _python(manifest: Manifest) -> Path:
 
 
 def _systemd(manifest: Manifest) -> Verdict:
-    found = re.match(r"systemd (\d+)", _answer("systemctl", "--version"))
-    if found is None:
+    version = re.match(r"systemd (\d+)", _answer("systemctl", "--version"))
+    if version is None:
         return "bad", "not installed; bundles need hosts with systemd"
-    if int(found[1]) < _NEEDED_SYSTEMD:
-        text = f"version {found[1]} cannot restrict nodes to one interface; {_NEEDED_SYSTEMD} and later can"
+    if int(version[1]) < _NEEDED_SYSTEMD:
+        text = f"version {version[1]} cannot restrict nodes to one interface; {_NEEDED_SYSTEMD} and later can"
         return "note", f"{text}; see docs/how-to/security.md for other protection"
     running = "; the fleet's nodes are running" if _active(manifest) else ""
-    return "ok", f"version {found[1]}{running}"
+    return "ok", f"version {version[1]}{running}"
 
 
 def _active(manifest: Manifest) -> bool:

@@ -240,12 +240,12 @@ class _Authority:
             return None
         path = self._keys.folder / _REVOKED
         try:
-            found = x509.load_pem_x509_crl(content)
+            revocations = x509.load_pem_x509_crl(content)
         except ValueError as error:
             raise InputError(f"{path} is not a certificate revocation list; restore it from a backup") from error
-        if not found.is_signature_valid(self._certificate.public_key()):  # type: ignore[arg-type]
+        if not revocations.is_signature_valid(self._certificate.public_key()):  # type: ignore[arg-type]
             raise InputError(f"{path} is not signed by the authority; restore the folder that contains both")
-        return found
+        return revocations
 
     def revoke(self, names: Sequence[str]) -> None:
         """Add the certificates of enclaves to the revocation list and remove their keys."""

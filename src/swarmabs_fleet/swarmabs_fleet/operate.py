@@ -111,8 +111,8 @@ class Target:
             If the swarm has no robot with this id.
         """
         if agent_id not in self.robots:
-            known = ", ".join(map(str, self.robots[:20]))
-            raise InputError(f"{self.name} has no robot {agent_id}; it has {known}")
+            ids = ", ".join(map(str, self.robots[:20]))
+            raise InputError(f"{self.name} has no robot {agent_id}; it has {ids}")
         return agent_name(agent_id)
 
     def pair(self, coordinator: str) -> tuple[str, ...]:

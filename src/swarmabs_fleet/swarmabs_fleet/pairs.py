@@ -19,7 +19,7 @@ PAIRS = {"observer": OBSERVER, "controller": CONTROLLER}
 """The coordinators of which one of a pair leads, by their names in the fleet file."""
 
 
-def stop(found: Target, client: OperatorClient, patience: float) -> list[str]:
+def stop(operated: Target, client: OperatorClient, patience: float) -> list[str]:
     """Tell the controller and its standby to stop the swarm; return what went wrong with one of them.
 
     Raises
@@ -27,20 +27,20 @@ def stop(found: Target, client: OperatorClient, patience: float) -> list[str]:
     RunError
         If neither confirms it.
     """
-    problems = client.call_each(_of_controllers(found, STOP), patience)
+    problems = client.call_each(_of_controllers(operated, STOP), patience)
     missed = [problem for problem in problems.values() if problem]
     if len(missed) == len(problems):
         raise RunError(missed[0])
     return missed
 
 
-def can_stop(found: Target, client: OperatorClient) -> bool:
+def can_stop(operated: Target, client: OperatorClient) -> bool:
     """Return whether the controller or its standby can be told to stop at once."""
-    ready = [client.finds(service) for service in _of_controllers(found, STOP)]
+    ready = [client.finds(service) for service in _of_controllers(operated, STOP)]
     return any(ready)
 
 
-def reset(found: Target, client: OperatorClient, patience: float) -> list[str]:
+def reset(operated: Target, client: OperatorClient, patience: float) -> list[str]:
     """Tell the controller and its standby to resume; return what went wrong with the one that does not lead.
 
     Raises
@@ -48,27 +48,29 @@ def reset(found: Target, client: OperatorClient, patience: float) -> list[str]:
     RunError
         If the one that leads does not confirm it.
     """
-    services = _of_controllers(found, RESET)
+    services = _of_controllers(operated, RESET)
     problems = client.call_each(services, patience)
     missed = [problem for problem in problems.values() if problem]
-    confirmed = [node for node, service in zip(found.pair(CONTROLLER), services, strict=True) if not problems[service]]
+    confirmed = [
+        node for node, service in zip(operated.pair(CONTROLLER), services, strict=True) if not problems[service]
+    ]
     if not confirmed:
         raise RunError(missed[0])
     if missed:
         (node,) = confirmed
-        monitor = HealthMonitor({node: found.hosts[node]})
+        monitor = HealthMonitor({node: operated.hosts[node]})
         client.listen(monitor, patience, lambda: leads(monitor, node))
         if not leads(monitor, node):
             raise RunError(f"{missed[0]}; only {node} answered, which does not lead, so robots may not move")
     return missed
 
 
-def failover(found: Target, client: OperatorClient, kind: str, patience: float) -> str:
+def failover(operated: Target, client: OperatorClient, kind: str, patience: float) -> str:
     """Let the standing-by one of a pair take over; return the name of the node that then leads.
 
     Parameters
     ----------
-    found : Target
+    operated : Target
         The swarm.
     client : OperatorClient
         The connection to it.
@@ -82,8 +84,8 @@ def failover(found: Target, client: OperatorClient, kind: str, patience: float) 
     RunError
         If not exactly one leads while the other stands by, or the takeover does not happen.
     """
-    pair = found.pair(PAIRS[kind])
-    monitor = HealthMonitor({node: found.hosts[node] for node in pair})
+    pair = operated.pair(PAIRS[kind])
+    monitor = HealthMonitor({node: operated.hosts[node] for node in pair})
 
     def doing(state: PairRole) -> list[str]:
         return [node for node in pair if monitor.value(node, ROLE) == state.value]
@@ -91,19 +93,23 @@ def failover(found: Target, client: OperatorClient, kind: str, patience: float) 
     client.listen(monitor, patience, lambda: len(doing(PairRole.LEADING)) == len(doing(PairRole.FOLLOWING)) == 1)
     if not (len(doing(PairRole.LEADING)) == len(doing(PairRole.FOLLOWING)) == 1):
         said = ", ".join(f"{node} {monitor.value(node, ROLE) or 'is silent'}" for node in pair)
-        raise RunError(f"{found.name}: {said}; a failover needs one that leads and one that stands by, so start both")
+        raise RunError(
+            f"{operated.name}: {said}; a failover needs one that leads and one that stands by, so start both"
+        )
     (leader,), (peer,) = doing(PairRole.LEADING), doing(PairRole.FOLLOWING)
     client.call(RELEASE.replace("~", leader), patience)
     client.listen(monitor, patience, lambda: doing(PairRole.LEADING) == [peer])
     if doing(PairRole.LEADING) != [peer]:
         leads = ", ".join(doing(PairRole.LEADING)) or "none"
-        raise RunError(f"{found.name}: {peer} has not taken over, {leads} leads; see the node's journal and try again")
+        raise RunError(
+            f"{operated.name}: {peer} has not taken over, {leads} leads; see the node's journal and try again"
+        )
     return peer
 
 
-def _of_controllers(found: Target, service: str) -> tuple[str, ...]:
+def _of_controllers(operated: Target, service: str) -> tuple[str, ...]:
     """Return a service's name at the controller, and at its standby if there is one."""
-    return (service, standby_service(service))[: len(found.pair(CONTROLLER))]
+    return (service, standby_service(service))[: len(operated.pair(CONTROLLER))]
 
 
 def leads(monitor: HealthMonitor, node: str) -> bool:
@@ -116,17 +122,17 @@ def role(values: Mapping[str, str]) -> str:
     return f"{values[ROLE]} for {values[ROLE_FOR]} s" if ROLE in values and ROLE_FOR in values else ""
 
 
-def has_standbys(found: Target) -> bool:
+def has_standbys(operated: Target) -> bool:
     """Return whether any coordinator of this swarm has a standby, the recorder included."""
-    return any(len(found.pair(node)) > 1 for node in (*PAIRS.values(), RECORDER))
+    return any(len(operated.pair(node)) > 1 for node in (*PAIRS.values(), RECORDER))
 
 
-def paired(found: Target) -> list[str]:
+def paired(operated: Target) -> list[str]:
     """Return the keys of `PAIRS` whose coordinator has a standby in this swarm."""
-    return [kind for kind, node in PAIRS.items() if len(found.pair(node)) > 1]
+    return [kind for kind, node in PAIRS.items() if len(operated.pair(node)) > 1]
 
 
-def chosen(found: Target, kind: str | None) -> list[str]:
+def chosen(operated: Target, kind: str | None) -> list[str]:
     """Return the pairs of a failover: all, or the one that is named.
 
     Raises
@@ -134,8 +140,8 @@ def chosen(found: Target, kind: str | None) -> list[str]:
     InputError
         If the swarm has none, or not this one.
     """
-    pairs = [name for name in paired(found) if kind in {None, name}]
+    pairs = [name for name in paired(operated) if kind in {None, name}]
     if not pairs:
         what = f"the {kind} has no standby" if kind else "no coordinator has a standby"
-        raise InputError(f"{found.name}: {what}; add 'standby: HOST' to coordinators.{kind or 'controller'}")
+        raise InputError(f"{operated.name}: {what}; add 'standby: HOST' to coordinators.{kind or 'controller'}")
     return pairs

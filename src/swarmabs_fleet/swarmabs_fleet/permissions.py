@@ -46,12 +46,12 @@ class Rights:
 
 def host_rights(host: HostPlan) -> dict[str, Rights]:
     """Return the rights of a host's enclaves by name: one per node, and one per role of tools."""
-    found = {node.name: node_rights(host.fleet, node) for node in host.nodes}
+    rights = {node.name: node_rights(host.fleet, node) for node in host.nodes}
     if "driver" in host.roles:
-        found[host.tools("driver")] = _driver_rights(host)
+        rights[host.tools("driver")] = _driver_rights(host)
     if "operator" in host.roles:
-        found[host.tools("operator")] = _operator_rights(host.fleet)
-    return found
+        rights[host.tools("operator")] = _operator_rights(host.fleet)
+    return rights
 
 
 def node_rights(fleet: Fleet, node: NodePlan) -> Rights:

@@ -23,6 +23,8 @@ _MOST = 50
 
 def send_events(status: StatusChannel, report: Literal["publishes", "recorded"], events: Sequence[SwarmEvent]) -> None:
     """Report events, each as digest, step, robot and kind; a node does so before it publishes them."""
-    known = [(blake2b(encode(each), digest_size=8).hexdigest(), each.step, each.agent_id, each.kind) for each in events]
-    for first in range(0, len(known), _MOST):
-        status.send(report, events=known[first : first + _MOST])
+    digests = [
+        (blake2b(encode(event), digest_size=8).hexdigest(), event.step, event.agent_id, event.kind) for event in events
+    ]
+    for first in range(0, len(digests), _MOST):
+        status.send(report, events=digests[first : first + _MOST])

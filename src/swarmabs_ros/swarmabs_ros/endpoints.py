@@ -54,16 +54,16 @@ def ros_type(topic: Topic) -> Any:
 
 def profile(qos: Qos) -> QoSProfile:
     """Convert a quality of service to an rclpy profile."""
-    found = QoSProfile(
+    policies = QoSProfile(
         history=QoSHistoryPolicy.KEEP_LAST,
         depth=qos.depth,
         reliability=_RELIABILITY[qos.reliability],
         durability=_DURABILITY[qos.durability],
     )
     if qos.lease:
-        found.liveliness = QoSLivelinessPolicy.MANUAL_BY_TOPIC
-        found.liveliness_lease_duration = Duration(seconds=qos.lease)
-    return found
+        policies.liveliness = QoSLivelinessPolicy.MANUAL_BY_TOPIC
+        policies.liveliness_lease_duration = Duration(seconds=qos.lease)
+    return policies
 
 
 def advertise(node: Node, topic: Topic, driver: Driver = LOCKSTEP) -> Publisher:
@@ -142,10 +142,10 @@ class IdentifyingTake:
             self._take = library.rcl_take_serialized_message
             topic_name.argtypes, topic_name.restype = (ctypes.c_void_p,), ctypes.c_char_p
             with self._handle:
-                known = topic_name(self._handle.pointer)
+                topic = topic_name(self._handle.pointer)
         except (AttributeError, OSError) as error:
             raise ImportError(f"this rclpy does not give access to rcl: {error}") from error
-        if known != subscription.topic_name.encode():
+        if topic != subscription.topic_name.encode():
             raise ImportError("this rclpy does not give access to rcl: a subscription is not what rcl knows")
         allocator.restype = _Allocator
         make.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)

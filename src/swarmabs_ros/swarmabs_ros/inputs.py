@@ -61,12 +61,12 @@ class Inputs:
             return
         step, offset = step_of(data, topic.type_name), _offset_of_agent_id(topic)
         robot = b"" if offset is None else data[offset : offset + 2]
-        known = self._steps.get(step)
-        if known is None:
-            known = self._steps[step] = {}
+        messages = self._steps.get(step)
+        if messages is None:
+            messages = self._steps[step] = {}
             if len(self._steps) > self._most:
                 del self._steps[next(iter(self._steps))]
-        first = known.setdefault((topic, robot), data)
+        first = messages.setdefault((topic, robot), data)
         if first is data or first == data:
             return
         if canonical(topic.message, first) != canonical(topic.message, data):

@@ -264,15 +264,15 @@ class Lockstep:
         A node that handles messages in batches gathers the next one first.
         """
         behaviour, single = self._behaviour, self._spec.hear_all is None
-        found = False
+        again = False
         for topic in topics:
             for answer in self._answers(topic):
-                found = single
+                again = single
                 if answer:
                     self._progress(answer, self._clock())
                 if behaviour.awaits() != topics:
                     return True
-        return found
+        return again
 
     def _answers(self, topic: Topic) -> Iterator[Messages]:
         """Take the messages of a topic, one after the other or all at once, and yield the answers."""

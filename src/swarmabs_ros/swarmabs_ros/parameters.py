@@ -28,8 +28,8 @@ _OF_RCLPY = (SIM_TIME, "start_type_description_service", "qos_overrides.")
 
 def choose(table: tuple[Parameter, ...], *names: str) -> tuple[Parameter, ...]:
     """Return parameters of a table by name."""
-    known = {parameter.name: parameter for parameter in table}
-    return tuple(known[name] for name in names)
+    by_name = {parameter.name: parameter for parameter in table}
+    return tuple(by_name[name] for name in names)
 
 
 class BySystem(NamedTuple):
@@ -55,12 +55,12 @@ def table_of(
 
     Given values may select parts that add parameters. Raises `InputError` if there is no such part.
     """
-    found = {parameter.name: parameter for parameter in common}
+    by_name = {parameter.name: parameter for parameter in common}
     for declared in own:
-        each = declared.chosen(given) if isinstance(declared, BySystem) else declared
-        for parameter in (each,) if isinstance(each, Parameter) else parameters_of(each, given):
-            found.setdefault(parameter.name, parameter)
-    return tuple(found.values())
+        entry = declared.chosen(given) if isinstance(declared, BySystem) else declared
+        for parameter in (entry,) if isinstance(entry, Parameter) else parameters_of(entry, given):
+            by_name.setdefault(parameter.name, parameter)
+    return tuple(by_name.values())
 
 
 def refuse_sim_time(node: Node) -> None:

@@ -71,10 +71,10 @@ def check_finite(*values: float) -> None:
             raise RefusedReadingError("not finite", f"a value is {value}")
 
 
-def check_frame(found: str, wanted: str) -> None:
+def check_frame(frame: str, wanted: str) -> None:
     """Reject a frame other than `wanted`; an empty string allows all."""
-    if wanted and found != wanted:
-        raise RefusedReadingError("frame", f"frame {found[:80]!r}, not {wanted!r}")
+    if wanted and frame != wanted:
+        raise RefusedReadingError("frame", f"frame {frame[:80]!r}, not {wanted!r}")
 
 
 def normalised(rotation: Quaternion) -> Quaternion:
@@ -119,8 +119,8 @@ def tilt(rotation: Quaternion, axis: int) -> float:
 def joint_values(reading: Joints, joint: str) -> tuple[float, float | None]:
     """Return position and velocity of a joint (None if the message has no velocity); reject it without a position."""
     if joint not in reading.names:
-        known = ", ".join(reading.names[:8])[:200]
-        raise RefusedReadingError("joint", f"no joint {joint!r}, only {known or 'none'}")
+        joints = ", ".join(reading.names[:8])[:200]
+        raise RefusedReadingError("joint", f"no joint {joint!r}, only {joints or 'none'}")
     place = reading.names.index(joint)
     if place >= len(reading.positions):
         raise RefusedReadingError("joint", f"joint {joint!r} has no position")

@@ -135,8 +135,8 @@ class Settings:
         if members is None:
             own = self._values.get("agent_id")
             members = cast("tuple[int, ...]", self._values.get("members", () if own is None else (own,)))
-        known = len(members) if robots is None else robots
-        return endpoints(node, driver, options_of(self._values) | {*also}, robots=known, members=members)
+        count = len(members) if robots is None else robots
+        return endpoints(node, driver, options_of(self._values) | {*also}, robots=count, members=members)
 
 
 def run_node(

@@ -46,12 +46,14 @@ class SensorSubscription:
 
     def take(self) -> list[Reading]:
         """Return the readings that have arrived since the last call, in order, without waiting."""
-        found: list[Reading] = []
-        while len(found) < DEPTH and (taken := self._subscription.handle.take_message(self._type, False)) is not None:
+        readings: list[Reading] = []
+        while (
+            len(readings) < DEPTH and (taken := self._subscription.handle.take_message(self._type, False)) is not None
+        ):
             message, info = taken
             stamp = info["received_timestamp"] if self._arrival else None
-            found.append(reading(message, stamp))
-        return found
+            readings.append(reading(message, stamp))
+        return readings
 
 
 def reading(message: Any, stamp: int | None = None) -> Reading:

@@ -67,9 +67,9 @@ class Tuning:
 
         def adopt(parameters: list[RosParameter]) -> None:
             self.settings, self._install = self._next
-            for each in parameters:
-                value = plain(each.value)
-                node.get_logger().info(f"{each.name} set to {list(value) if isinstance(value, tuple) else value}")
+            for parameter in parameters:
+                value = plain(parameter.value)
+                node.get_logger().info(f"{parameter.name} set to {list(value) if isinstance(value, tuple) else value}")
 
         node.add_on_set_parameters_callback(check)
         node.add_post_set_parameters_callback(adopt)
@@ -77,11 +77,11 @@ class Tuning:
     def _check(self, name: str, state: str, parameters: list[RosParameter]) -> None:
         """Raise `InputError` if the parameters cannot be set; otherwise store the result in `_next`."""
         new = {}
-        for each in parameters:
-            if each.name == SIM_TIME and each.value:
+        for parameter in parameters:
+            if parameter.name == SIM_TIME and parameter.value:
                 raise InputError(NO_SIM_TIME)
-            if each.name in self._gains:
-                new[each.name] = self._gains[each.name].check(plain(each.value))
+            if parameter.name in self._gains:
+                new[parameter.name] = self._gains[parameter.name].check(plain(parameter.value))
         if new and state not in {"unconfigured", "inactive"}:
             raise InputError(
                 f"parameter {min(new)}: {name} is {state}, and gains take effect when it is activated; "

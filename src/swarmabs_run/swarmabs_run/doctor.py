@@ -51,8 +51,8 @@ def examine() -> list[Finding]:
 
 
 def _python() -> Verdict:
-    found = ", ".join(f"{name} {text}" for name, text in versions().items())
-    return "ok", f"{found}; libm {libm_fingerprint()}"
+    listed = ", ".join(f"{name} {text}" for name, text in versions().items())
+    return "ok", f"{listed}; libm {libm_fingerprint()}"
 
 
 def _ros() -> Verdict:

@@ -108,17 +108,17 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Track
 def _wall_time(summary: Mapping[str, Any]) -> str:
     """Return the duration of the command without the set-up of the checkout, and of its parts as far as known."""
     parts = {"start": summary["startup_time"], "run": summary["run_time"]}
-    known = [f"{name} {seconds:.1f} s" for name, seconds in parts.items() if seconds is not None]
+    durations = [f"{name} {seconds:.1f} s" for name, seconds in parts.items() if seconds is not None]
     if summary["real_time_factor"]:
-        known.append(f"{summary['real_time_factor']:.1f} x real time")
-    return f"{summary['wall_time'] - summary['setup_time']:.1f} s" + (f": {', '.join(known)}" if known else "")
+        durations.append(f"{summary['real_time_factor']:.1f} x real time")
+    return f"{summary['wall_time'] - summary['setup_time']:.1f} s" + (f": {', '.join(durations)}" if durations else "")
 
 
 def _realtime_rows(realtime: Mapping[str, Any]) -> dict[str, str]:
     """Return the rows that apply only to a run in real time."""
     missed, longest = realtime.get("missed_periods", {}), realtime.get("longest_us", {})
     losses, ages = realtime.get("losses", {}), realtime.get("broadcast_ages", {})
-    missing = {topic: found["missing"] for topic, found in losses.items() if found["missing"]}
+    missing = {topic: loss["missing"] for topic, loss in losses.items() if loss["missing"]}
     rows = {
         "missed periods": ", ".join(f"{name} {n}" for name, n in missed.items() if n) or "none",
         "latest step": f"{max(longest.values()) / 1000:.1f} ms late" if longest else "-",

@@ -145,10 +145,10 @@ class SwarmColumns:
         law_si: Any = single_integrator_command
         law_di: Any = double_integrator_command
         common = (self._gains, self._gravity, abstract, auxiliary, desired)
-        found = np.empty_like(p)
-        found[si] = law_si(m[si], p[si], *common)
-        found[di] = law_di(m[di], self._damping, p[di], v[di], *common)
-        return found
+        commands = np.empty_like(p)
+        commands[si] = law_si(m[si], p[si], *common)
+        commands[di] = law_di(m[di], self._damping, p[di], v[di], *common)
+        return commands
 
     def moved(self, p: Floats, v: Floats, command: Floats) -> tuple[Floats, Floats]:
         """Return positions and velocities one period later."""

@@ -56,8 +56,8 @@ class _Kind:
         )
         self.rows = list(map(encode, states))
         limits = getattr(system.made, "limits", None)
-        found = [limits(config.constants, word(first.kind)) for config in configs] if limits else []
-        self._limits = tuple(zip(*(column(ends) for ends in zip(*found, strict=True)), strict=True))
+        ends_of_robots = [limits(config.constants, word(first.kind)) for config in configs] if limits else []
+        self._limits = tuple(zip(*(column(ends) for ends in zip(*ends_of_robots, strict=True)), strict=True))
 
     def moved(self, heard: Any) -> RobotState:
         """Return the state one period later, under the commands that follow from the broadcasts."""
@@ -97,7 +97,7 @@ class SystemSwarm:
     def observed(self, step: int, stamp: int) -> tuple[SwarmAbstract, SwarmAuxiliary]:
         """Return abstract and auxiliary state."""
         with np.errstate(all="ignore"):
-            found: tuple[SwarmAbstract, SwarmAuxiliary] = self._individual(
+            state_of_swarm: tuple[SwarmAbstract, SwarmAuxiliary] = self._individual(
                 observed,
                 self._system,
                 stamp,
@@ -107,10 +107,10 @@ class SystemSwarm:
                 count=len(self.ids),
                 add=_add,
             )
-        abstract, auxiliary = found
+        abstract, auxiliary = state_of_swarm
         if not all(map(isfinite, (*abstract.value, *abstract.rate, *auxiliary.gram, *auxiliary.drift))):
             raise NotVectorisableError  # rounding of what is not finite is not the same
-        return found
+        return state_of_swarm
 
     def parent(self, step: int, stamp: int) -> ParentState:  # noqa: ARG002 - the parent knows its period
         """Return the measured state of the parent."""

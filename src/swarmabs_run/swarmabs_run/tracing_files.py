@@ -40,12 +40,12 @@ def tracing_files_removed(*, if_orphaned: bool = False) -> Iterator[None]:
 
 def _files() -> set[Path]:
     """Return the files that belong to this user."""
-    found = set()
+    own = set()
     for path in SHARED_MEMORY.glob(_PATTERN):
         with suppress(OSError):
             if path.stat().st_uid == os.getuid():
-                found.add(path)
-    return found
+                own.add(path)
+    return own
 
 
 def mapped_by_others() -> tuple[set[Path], bool]:

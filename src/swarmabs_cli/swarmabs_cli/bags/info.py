@@ -20,9 +20,9 @@ def info(bags: tuple[Path, ...], *, as_json: bool) -> int:
 
     A BAG is the folder of a run, its bag folder, or an .mcap file.
     """
-    found = [bag_info(path) for path in bags]
+    summaries = [bag_info(path) for path in bags]
     if as_json:
-        print_documents([asdict(one) for one in found])
+        print_documents([asdict(one) for one in summaries])
     else:
-        print_tables(*map(render, found))
-    return 0 if all(one.complete for one in found) else 1
+        print_tables(*map(render, summaries))
+    return 0 if all(one.complete for one in summaries) else 1

@@ -49,15 +49,15 @@ def report(
         raise click.UsageError(f"--html and --png both name {html}; name two files.")
     for path in targets:
         check_target(path)
-    made = make_report(bag, namespace=namespace, scenario=scenario)
-    contents = {html: made.html.encode() if html else b"", png: made.png if png else b""}
+    written_report = make_report(bag, namespace=namespace, scenario=scenario)
+    contents = {html: written_report.html.encode() if html else b"", png: written_report.png if png else b""}
     written = []
     for target in targets:
         if write_file(target, contents[target]):
             click.echo(f"replaced an earlier report: {target}", err=True)
         written.append(str(target))
     if as_json:
-        print_json({"files": written, "bag": str(made.bag), **made.numbers})
+        print_json({"files": written, "bag": str(written_report.bag), **written_report.numbers})
     else:
         for name in written:
             click.echo(name)

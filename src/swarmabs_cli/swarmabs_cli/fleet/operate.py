@@ -63,25 +63,25 @@ def stop(swarm: Path, patience: float, *, armed: bool, as_json: bool) -> None:
     Robots confirm by their states that they are in their safe stop. The exit code is 1 if one is not known to have
     stopped. Starting and connecting take longer than stopping: keep a terminal with --armed open while robots move.
     """
-    with target(swarm) as found, joined(found) as client:
+    with target(swarm) as operated, joined(operated) as client:
         watch = client.watch()
         if armed:
-            _wait_for_key(found, client, watch, patience, quiet=as_json)
+            _wait_for_key(operated, client, watch, patience, quiet=as_json)
         watch.ask()
-        warnings = pairs.stop(found, client, patience)
+        warnings = pairs.stop(operated, client, patience)
         watch.confirm()
         watch.listen(patience, lambda: not watch.monitor.problems())
-        _print_stop(found, watch.monitor, as_json=as_json)
+        _print_stop(operated, watch.monitor, as_json=as_json)
         print_warnings(warnings)
     if problems := watch.monitor.problems():
         unknown = ", ".join(map(str, problems))
         raise RunError(
-            f"{found.name}: {len(problems)} of {len(found.robots)} robots are not known to have stopped: {unknown}; "
-            "check them, and stop them by hand if they move"
+            f"{operated.name}: {len(problems)} of {len(operated.robots)} robots are not known to have stopped: "
+            f"{unknown}; check them, and stop them by hand if they move"
         )
 
 
-def _print_stop(found: Target, monitor: StopMonitor, *, as_json: bool) -> None:
+def _print_stop(operated: Target, monitor: StopMonitor, *, as_json: bool) -> None:
     """Print which robots have stopped, before leaving the network, which takes longer."""
     problems = monitor.problems()
     if as_json:
@@ -89,17 +89,17 @@ def _print_stop(found: Target, monitor: StopMonitor, *, as_json: bool) -> None:
             {"robot": robot, "stopped_after": None, "problem": problems[robot]}
             if robot in problems
             else {"robot": robot, "stopped_after": monitor.delay(robot), "problem": None}
-            for robot in found.robots
+            for robot in operated.robots
         ]
-        print_json({"swarm": found.name, "all_stopped": not problems, "robots": robots})
+        print_json({"swarm": operated.name, "all_stopped": not problems, "robots": robots})
         return
-    for robot in found.robots:
+    for robot in operated.robots:
         click.echo(f"robot {robot}: {problems.get(robot) or f'stopped after {1e3 * monitor.delay(robot):.0f} ms'}")
     if not problems:
-        click.echo(f"{found.name}: all robots have stopped, until a reset")
+        click.echo(f"{operated.name}: all robots have stopped, until a reset")
 
 
-def _wait_for_key(found: Target, client: OperatorClient, watch: RobotWatch, patience: float, *, quiet: bool) -> None:
+def _wait_for_key(operated: Target, client: OperatorClient, watch: RobotWatch, patience: float, *, quiet: bool) -> None:
     """Connect to controller and robots, then wait for a key; if `quiet`, the prompt is not on standard output.
 
     Raises
@@ -107,12 +107,12 @@ def _wait_for_key(found: Target, client: OperatorClient, watch: RobotWatch, pati
     RunError
         If no controller is found, or no key can be pressed because standard input ends.
     """
-    robots = len(found.robots)
-    watch.listen(patience, lambda: pairs.can_stop(found, client) and watch.monitor.heard() == robots)
-    if not pairs.can_stop(found, client):
-        raise RunError(f"{found.name}: no controller was found; check that it is running")
+    robots = len(operated.robots)
+    watch.listen(patience, lambda: pairs.can_stop(operated, client) and watch.monitor.heard() == robots)
+    if not pairs.can_stop(operated, client):
+        raise RunError(f"{operated.name}: no controller was operated; check that it is running")
     click.echo(
-        f"{found.name}: armed, {watch.monitor.heard()} of {robots} robots heard; press a key to stop them", err=quiet
+        f"{operated.name}: armed, {watch.monitor.heard()} of {robots} robots heard; press a key to stop them", err=quiet
     )
     with _single_keys() as pressed:
         watch.listen(inf, pressed)
@@ -146,9 +146,9 @@ def reset(swarm: Path, patience: float) -> None:
 
     A fleet that starts in the stopped state moves after its first `reset`.
     """
-    with target(swarm) as found, joined(found) as client:
-        print_warnings(pairs.reset(found, client, patience))
-    click.echo(f"{found.name}: robots stand still for one second, then follow the controller again")
+    with target(swarm) as operated, joined(operated) as client:
+        print_warnings(pairs.reset(operated, client, patience))
+    click.echo(f"{operated.name}: robots stand still for one second, then follow the controller again")
 
 
 @click.command(epilog=examples("failover examples/fleet/standby.yaml controller"))
@@ -161,17 +161,17 @@ def failover(swarm: Path, coordinator: str | None, patience: float, *, as_json: 
 
     Without COORDINATOR, each pair changes roles. The robots keep moving.
     """
-    with target(swarm) as found:
-        kinds = pairs.chosen(found, coordinator)
+    with target(swarm) as operated:
+        kinds = pairs.chosen(operated, coordinator)
         leaders = []
-        with joined(found) as client:
+        with joined(operated) as client:
             for kind in kinds:
-                leader = pairs.failover(found, client, kind, patience)
-                leaders.append({"coordinator": kind, "leader": leader, "host": found.hosts[leader]})
+                leader = pairs.failover(operated, client, kind, patience)
+                leaders.append({"coordinator": kind, "leader": leader, "host": operated.hosts[leader]})
                 if not as_json:
-                    click.echo(f"{found.name}: {leader} leads, on {found.hosts[leader]}")
+                    click.echo(f"{operated.name}: {leader} leads, on {operated.hosts[leader]}")
         if as_json:
-            print_json({"swarm": found.name, "leaders": leaders})
+            print_json({"swarm": operated.name, "leaders": leaders})
 
 
 @click.command(epilog=examples("drain runs/pd_het_4-001 2"))
@@ -194,11 +194,11 @@ def join(swarm: Path, robot: int, patience: float) -> None:
 
 def _call(swarm: Path, service: Callable[[Target], str], patience: float, done: str) -> None:
     """Call a service of a node of the swarm, and print the effect."""
-    with target(swarm) as found:
-        name = service(found)
-        with joined(found) as client:
+    with target(swarm) as operated:
+        name = service(operated)
+        with joined(operated) as client:
             client.call(name, patience)
-    click.echo(f"{found.name}: {done}")
+    click.echo(f"{operated.name}: {done}")
 
 
 @click.command(epilog=examples("remove runs/pd_het_4-001 2"))
@@ -209,23 +209,23 @@ def remove(swarm: Path, robot: int, patience: float) -> None:
     The observer then no longer counts its weight as on the plane; of a pair, the one that leads must confirm it. For a
     robot that is not silent, use `drain`.
     """
-    with target(swarm) as found:
-        found.robot(robot)
-        observers = found.pair(OBSERVER)
-        monitor = HealthMonitor({node: found.hosts[node] for node in observers})
+    with target(swarm) as operated:
+        operated.robot(robot)
+        observers = operated.pair(OBSERVER)
+        monitor = HealthMonitor({node: operated.hosts[node] for node in observers})
 
         def gone() -> bool:
             leaders = [node for node in observers if len(observers) == 1 or pairs.leads(monitor, node)]
             return any(str(robot) in monitor.value(node, "left").split() for node in leaders)
 
-        with joined(found) as client, client.carried_away(robot, patience):
+        with joined(operated) as client, client.carried_away(robot, patience):
             client.listen(monitor, patience, gone)
     if not gone():
         raise RunError(
-            f"{found.name}: the observer has not removed robot {robot}, because only a silent robot can be removed; "
+            f"{operated.name}: the observer has not removed robot {robot}, because only a silent robot can be removed; "
             f"use drain {robot} for one that is running"
         )
-    click.echo(f"{found.name}: robot {robot} counts as off the plane")
+    click.echo(f"{operated.name}: robot {robot} counts as off the plane")
 
 
 @click.command(epilog=examples("status runs/pd_het_4-001", "status examples/fleet/lan.yaml --watch"))
@@ -241,14 +241,14 @@ def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
     """
     if watch and as_json:
         raise click.UsageError("--watch cannot be combined with --json; remove one of them")
-    with target(swarm) as found, joined(found) as client:
-        monitor = HealthMonitor(found.hosts)
-        print_warnings(found.warnings)
+    with target(swarm) as operated, joined(operated) as client:
+        monitor = HealthMonitor(operated.hosts)
+        print_warnings(operated.warnings)
         if watch:
-            with Live(_table(found, monitor.rows(0.0)), refresh_per_second=2) as live:
+            with Live(_table(operated, monitor.rows(0.0)), refresh_per_second=2) as live:
 
                 def refresh() -> bool:
-                    live.update(_table(found, monitor.rows(time.monotonic())))
+                    live.update(_table(operated, monitor.rows(time.monotonic())))
                     return False
 
                 client.listen(monitor, float("inf"), refresh)
@@ -256,15 +256,15 @@ def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
         rows = monitor.rows(time.monotonic())
     if as_json:
         nodes = [row._asdict() for row in rows]
-        print_json({"swarm": found.name, "in_order": in_order(rows), "nodes": nodes, "warnings": found.warnings})
+        print_json({"swarm": operated.name, "in_order": in_order(rows), "nodes": nodes, "warnings": operated.warnings})
     else:
-        Console(highlight=False).print(_table(found, rows))
+        Console(highlight=False).print(_table(operated, rows))
     return 0 if in_order(rows) else 1
 
 
-def _table(found: Target, rows: Sequence[Row]) -> Table:
+def _table(operated: Target, rows: Sequence[Row]) -> Table:
     table = Table(box=None, pad_edge=False)
-    roles = pairs.has_standbys(found)
+    roles = pairs.has_standbys(operated)
     for head in ("node", "host", "health", *(["role"] * roles), "message"):
         table.add_column(head, overflow="fold")
     for row in rows:

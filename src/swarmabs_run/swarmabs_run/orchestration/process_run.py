@@ -123,7 +123,7 @@ class ProcessRun:
         state = self._supervision
         self._spawn(self._plan)
         news = self._machine.now()
-        known = 0
+        counted = 0
         while not (self._machine.end_asked() or state.restart):
             self._listen()
             now = self._machine.now()
@@ -135,9 +135,9 @@ class ProcessRun:
             if state.done is not None:
                 return None
             if self._started is None:
-                come = len(state.pids) + len(state.ready)
-                if come > known or self._restart_lost():
-                    known, news = come, now
+                count = len(state.pids) + len(state.ready)
+                if count > counted or self._restart_lost():
+                    counted, news = count, now
                 if state.all_ready():
                     state.started = True
                     write_processes(self._folder.logs, {"launcher": self._machine.launcher, **state.pids})

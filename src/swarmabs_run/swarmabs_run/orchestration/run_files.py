@@ -123,10 +123,10 @@ def write_processes(logs: Path, processes: Mapping[str, int]) -> None:
 def read_processes(run: Path) -> dict[str, int] | None:
     """Return the ids of a run's processes by name, the command's first; None before all are ready."""
     try:
-        found = json.loads((run / "logs" / PROCESSES_FILE).read_text(encoding="utf-8"))
+        pids = json.loads((run / "logs" / PROCESSES_FILE).read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
-    return {str(name): int(pid) for name, pid in found.items()}
+    return {str(name): int(pid) for name, pid in pids.items()}
 
 
 def start_of(pid: int) -> int | None:

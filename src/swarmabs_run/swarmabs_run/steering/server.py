@@ -185,9 +185,9 @@ class RequestQueue:
             answer.set_result({"ok": True, **self._status()})
             return
         if asked.request is not None:
-            known = self._named.get(asked.request)
-            if known is not None:
-                self._repeat(asked, answer, *known)
+            earlier = self._named.get(asked.request)
+            if earlier is not None:
+                self._repeat(asked, answer, *earlier)
                 return
             self._named[asked.request] = (asked, answer)
             if len(self._named) > MOST_NAMED:
