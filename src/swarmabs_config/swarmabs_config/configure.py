@@ -22,7 +22,7 @@ from swarmabs_core.faults import (
     SettingFault,
 )
 from swarmabs_core.membership import ALWAYS, SETTLING_NS, Change, ChangeKind
-from swarmabs_core.messages import SYSTEM_FAMILY, Kind
+from swarmabs_core.messages import Kind
 from swarmabs_core.models import (
     AgentConfig,
     ControllerConfig,
@@ -65,7 +65,7 @@ def plugins(scenario: AnyScenario) -> Plugins:
 def options_for(scenario: AnyScenario) -> frozenset[Option]:
     """Return the options that a scenario gives every node."""
     asked = {
-        Option.SYSTEM: scenario.family is SYSTEM_FAMILY,
+        Option.SYSTEM: scenario.other_system is not None,
         Option.CHANGING: bool(schedule(scenario)) or division(scenario) == ALWAYS,
     }
     return frozenset(option for option, given in asked.items() if given)

@@ -563,6 +563,11 @@ ROBOT_STATES = (AgentState, RobotState)
 PARENT_STATES = (PlaneState, ParentState)
 
 
+def numbers_of(parent: AnyParentState) -> Vector:
+    """Return the numbers of a parent's state that may follow a reference; on the plane its angle, rad."""
+    return (parent.angle,) if isinstance(parent, PlaneState) else parent.state
+
+
 def coordinates_of(state: AnyRobotState) -> Vector:
     """Return the coordinates of a robot; on the plane its position, m."""
     return (state.position,) if isinstance(state, AgentState) else state.coordinates

@@ -10,7 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.attached import scenario_of
-from swarmabs_bag.run.figures import PLANE_TRACKING, RunFigures, Tracking
+from swarmabs_bag.run.figures import RunFigures, tracking_of
 from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_bag.run.step import STEP_BYTES, STEP_SECONDS
 from swarmabs_config import configure
@@ -21,7 +21,7 @@ from swarmabs_core.arrays import RunArrays, RunEvent, run_arrays, run_event, tab
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
-from swarmabs_core.messages import EVENTS, PLANE_STATE, SYSTEM_FAMILY, TOPIC_OF
+from swarmabs_core.messages import EVENTS, PLANE_STATE, TOPIC_OF
 from swarmabs_core.nodes import NodeKind, NodeName
 from swarmabs_core.systems import SystemTables
 from swarmabs_run.swarm_columns import NotVectorisableError
@@ -71,7 +71,7 @@ def _robot(config: AgentConfig | SystemAgentConfig) -> NodeInProcess:
     """Return the node of a robot."""
     agent = Agent(config)
     feeling = {Option.FEELING} if PLANE_STATE in agent.needs else set()
-    return _node(agent, ROBOT, feeling | ({Option.SYSTEM} if config.family is SYSTEM_FAMILY else set()))
+    return _node(agent, ROBOT, feeling | (set() if config.system_hash is None else {Option.SYSTEM}))
 
 
 def _node(behaviour: Behaviour, name: str, options: Collection[Option]) -> NodeInProcess:
@@ -245,8 +245,8 @@ def simulate(
     """
     changed = _changed(scenario, [as_override(path, value) for path, value in (overrides or {}).items()])
     reference, period_ns = configure.reference(changed), changed.step_ns
-    system = getattr(changed, "named", None)
-    figures = RunFigures(reference, Tracking.of(system.made) if system else PLANE_TRACKING)
+    system = changed.other_system
+    figures = RunFigures(reference, tracking_of(changed))
     events: list[RunEvent] = []
     gathered = {topic: bytearray() for topic in changed.family.main}
     for step in simulated_steps(changed):

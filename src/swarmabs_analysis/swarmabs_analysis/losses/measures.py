@@ -11,15 +11,15 @@ from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.messages import (
     NEVER,
+    PARENT_STATES,
     AgentState,
     AuxiliaryState,
     Kind,
-    ParentState,
-    PlaneState,
     RobotState,
     SwarmAuxiliary,
     SwarmEvent,
     coordinates_of,
+    numbers_of,
     word,
 )
 from swarmabs_core.ranges import Strays, lane
@@ -27,7 +27,7 @@ from swarmabs_core.systems.law import Gram
 
 if TYPE_CHECKING:
     from swarmabs_config.scenario import AnyScenario
-    from swarmabs_core.messages import AnyRobotState, Message
+    from swarmabs_core.messages import AnyParentState, AnyRobotState, Message
     from swarmabs_core.robot_controller import Limits
     from swarmabs_core.systems.interface import NamedSystem, Vector
 
@@ -145,10 +145,9 @@ class Measures:
         """Return the number of steps in a time, s."""
         return round(time / self.period)
 
-    def errors(self, parent: PlaneState | ParentState) -> tuple[float, float]:
+    def errors(self, parent: AnyParentState) -> tuple[float, float]:
         """Return the parent's distance from its reference, and its largest error in units of the tolerances."""
-        state = (parent.angle,) if isinstance(parent, PlaneState) else parent.state
-        errors = self._tracking.errors(self._reference(parent.stamp / 1e9), state)
+        errors = self._tracking.errors(self._reference(parent.stamp / 1e9), numbers_of(parent))
         shares = [abs(e) / tolerance for e, tolerance in zip(errors, self._tracking.tolerances, strict=True)]
         return hypot(*errors), max(shares, default=0.0)
 
@@ -198,7 +197,7 @@ class Watch:
             self.take(message)
         elif isinstance(message, AuxiliaryState | SwarmAuxiliary):
             self.pivot = min(self.pivot, self._of.pivot(message))
-        elif isinstance(message, PlaneState | ParentState):
+        elif isinstance(message, PARENT_STATES):
             deviation, self.errors[message.step] = self.measures.errors(message)
             self.deviation, self.newest = max(self.deviation, deviation), message.step
         elif isinstance(message, SwarmEvent):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from swarmabs_config.scenario import SystemScenario
 from swarmabs_core.events import EventCode, code_of
 from swarmabs_core.messages import SwarmEvent
 from swarmabs_core.ranges import RangeMonitor, crossing_of
@@ -27,7 +26,7 @@ def are_earlier(events: Iterable[SwarmEvent], scenario: AnyScenario) -> bool:
             return False
         if code_of(event) is EventCode.OFF_END:
             return True
-    stated = scenario.named.made.robot if isinstance(scenario, SystemScenario) else ()
+    stated = () if scenario.other_system is None else scenario.other_system.made.robot
     return not any(isfinite(end) for row in stated for end in (row.low, row.high))
 
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.comparison.messages import MessageComparison
 from swarmabs_config import configure
-from swarmabs_config.scenario import SystemScenario
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import SystemDescription
 from swarmabs_core.nodes import NodeKind
@@ -55,7 +54,7 @@ class Trial:
         self.nodes = tuple(dict.fromkeys(nodes))
         self.overrides = tuple(overrides)
         self._scenario = scenario
-        self._changed, self._recorded = _system(scenario), _system(recorded)
+        self._changed, self._recorded = scenario.other_system, recorded.other_system
         self._comparison = MessageComparison()
         _check_nodes(self.nodes, recorded)
         _check_changes(scenario, recorded)
@@ -125,14 +124,9 @@ def _contradicted(scenario: AnyScenario, recorded: AnyScenario) -> Iterator[str]
             yield what
 
 
-def _system(scenario: AnyScenario) -> NamedSystem | None:
-    """Return the parent system of a scenario, None for the plane."""
-    return scenario.named if isinstance(scenario, SystemScenario) else None
-
-
 def _quantities(scenario: AnyScenario) -> SystemTables | None:
     """Return names and units in the messages of a scenario's parent system, None for the plane."""
-    system = _system(scenario)
+    system = scenario.other_system
     return None if system is None else SystemTables.read(system.description)._replace(settings={})
 
 

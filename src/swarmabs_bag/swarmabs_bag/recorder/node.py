@@ -13,7 +13,7 @@ from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_bag.run_folder import Split
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, RECORDER
-from swarmabs_config.scenario import SystemScenario, load_scenario
+from swarmabs_config.scenario import load_scenario
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import InputError
@@ -163,7 +163,7 @@ class Recorder:
             drops=scenario.lockstep.on_stall == "drop",
             division=configure.division(scenario),
             family=family,
-            system=scenario.named.hash if isinstance(scenario, SystemScenario) else None,
+            system=scenario.system_hash,
         )
         states = SWARM_STATES if packed else family.robot
         # What robots act on is compared with what is recorded.

@@ -7,7 +7,6 @@ from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.run.step import Digest
-from swarmabs_config.scenario import SystemScenario
 from swarmabs_core.desired_state import fallen
 from swarmabs_core.messages import (
     MAIN_TOPICS,
@@ -19,6 +18,7 @@ from swarmabs_core.messages import (
     Source,
     SwarmEvent,
     Topic,
+    numbers_of,
 )
 from swarmabs_core.ranges import Strays
 from swarmabs_core.systems.interface import Quantity
@@ -89,7 +89,7 @@ PLANE_TRACKING = Tracking()
 
 def tracking_of(scenario: AnyScenario) -> Tracking:
     """Return what the parent system of a scenario tracks."""
-    return Tracking.of(scenario.named.made) if isinstance(scenario, SystemScenario) else PLANE_TRACKING
+    return PLANE_TRACKING if scenario.other_system is None else Tracking.of(scenario.other_system.made)
 
 
 class Latest(NamedTuple):
@@ -208,8 +208,7 @@ class RunFigures(Figures):
         for distance in step.max_abs_positions:
             self.reach(distance)
         for parent in step.parents:
-            state = (parent.angle,) if isinstance(parent, PlaneState) else parent.state
-            self.follow(parent.step, parent.stamp / 1e9, state)
+            self.follow(parent.step, parent.stamp / 1e9, numbers_of(parent))
 
     def digest(self) -> str:
         """Return the digest of the steps so far."""

@@ -181,6 +181,16 @@ class AnyScenario(Model):
         def warnings(self) -> tuple[str, ...]:
             """Return one line for each setting that is valid but likely to cause trouble."""
 
+    @property
+    def other_system(self) -> NamedSystem | None:
+        """The parent system; None on the plane."""
+        return None
+
+    @property
+    def system_hash(self) -> int | None:
+        """Hash of the description of the parent system, which its messages carry; None on the plane."""
+        return None if self.other_system is None else self.other_system.hash
+
     @cached_property
     def step_ns(self) -> int:
         """The control period in ns."""
@@ -282,6 +292,11 @@ class UncheckedSystemScenario(AnyScenario):
     def named(self) -> NamedSystem:
         """The parent system, with its settings."""
         return NamedSystem(self.system.type, settings_of(self.system))
+
+    @property
+    def other_system(self) -> NamedSystem:
+        """The parent system."""
+        return self.named
 
     @cached_property
     def agents(self) -> tuple[SystemAgent, ...]:
