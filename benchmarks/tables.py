@@ -282,7 +282,7 @@ def _reading(rows: list[dict[str, Any]]) -> Table:
 def _functions(rows: list[dict[str, Any]]) -> Table:
     return Table(
         "functions",
-        "processor time of a call, ns: correctly rounded, by the machine's library, and their ratio",
+        "time of a call, ns, in the fastest of many passes: correctly rounded, by the machine's library, and the ratio",
         ("function", "arguments", "correctly rounded", "machine", "ratio"),
         tuple(
             (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,17 +22,23 @@ class _Columns:
 
     def __init__(self, nodes: Nodes) -> None:
         self._nodes = nodes
+        self._end = nodes.limit + _STEP  # a place without a node, as are all places outside and NaN
+        size = int(2.0 * self._end / _STEP) + 1
+        self._table = np.empty((10, size))
+        self._known = np.zeros(size, dtype=bool)
 
     def __getitem__(self, places: Floats) -> Floats:
-        last = self._nodes.limit + _STEP  # a place without a node, as all places outside and NaN
-        inside = (places >= -last) & (places <= last)
-        index = ((np.where(inside, places, last) + last) / _STEP).astype(np.int64)
-        used = np.zeros(int(2.0 * last / _STEP) + 1, dtype=bool)
-        used[index] = True
-        which = np.flatnonzero(used)
-        table = np.empty((10, len(used)))
-        table[:, which] = np.transpose([self._nodes[float(c)] for c in which * _STEP - last])
-        return table[:, index]
+        inside = (places >= -self._end) & (places <= self._end)
+        index = ((np.where(inside, places, self._end) + self._end) / _STEP).astype(np.intp)
+        for n in set(index[~self._known[index]].tolist()):
+            self._table[:, n] = self._nodes[n * _STEP - self._end]
+            self._known[n] = True
+        return self._table.take(index, axis=1)
+
+
+@cache
+def _columns(function: Callable[[float], float]) -> _Columns:
+    return _Columns(NODES[function])
 
 
 def elementwise(function: Callable[[float], float], values: Floats) -> Floats:
@@ -46,7 +53,7 @@ def elementwise(function: Callable[[float], float], values: Floats) -> Floats:
     """
     x = values.ravel()
     with np.errstate(over="ignore", invalid="ignore"):  # arguments without a node
-        hi, lo, e = near(_Columns(NODES[function]), x, 0.0)
+        hi, lo, e = near(_columns(function), x, 0.0)
         result: Floats = hi + (lo - e)
         undecided = np.flatnonzero(result != hi + (lo + e))
     for n in undecided:
