@@ -258,6 +258,7 @@ def test_arrays_have_the_bits_of_their_numbers(function: Function) -> None:
     assert found.shape == values.shape
     assert [bits(y) for y in found.ravel()] == [bits(function(x)) for x in values.ravel().tolist()]
     assert elementwise(function, np.array(0.5)) == function(0.5)
+    assert elementwise(function, np.array([])).shape == (0,)
     assert elementwise(function, values[:, ::2]).tolist()[1] == found[1, ::2].tolist()
 
 

@@ -369,7 +369,7 @@ def _expm1_elsewhere(x: float) -> float:
 
 def _expm1(x: float, p: int) -> tuple[int, int]:
     value, q = _exp(_fixed(x, p + _GUARD), p)
-    return value - (1 << q) if q > 0 else value, q  # without a place before the point, 1 is less than a unit
+    return value - (1 << q) if q > 0 else value, q  # without a place after the point, 1 is at most a unit
 
 
 def _tanh_node(c: float) -> Node:

@@ -49,7 +49,7 @@ def elementwise(function: Callable[[float], float], values: Floats) -> Floats:
     function : callable
         `sin`, `cos`, `tanh` or `expm1` of `swarmabs_core.elementary`.
     values : array
-        Numbers, of any shape, at least one.
+        Numbers, of any shape.
     """
     x = values.ravel()
     with np.errstate(over="ignore", invalid="ignore"):  # arguments without a node
