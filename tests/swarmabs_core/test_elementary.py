@@ -17,6 +17,7 @@ from gmpy2 import mpfr
 from swarmabs_core import elementary
 from swarmabs_core.elementary import (
     _COS,
+    _ERROR,
     _EXP,
     _EXPM1,
     _GRID,
@@ -192,6 +193,23 @@ def test_integers_alone_give_the_same_bits(name: str) -> None:
         x = abs(drawn(draw)) if name == "log" else drawn(draw)
         if 2.0**-53 < abs(x) < (20.0 if name == "tanh" else 700.0):
             assert bits(function(x)) == bits(_decided(lambda p, x=x: IN_INTEGERS[function](x, p)))  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_integers_keep_their_bound_and_take_more_bits_until_they_decide(name: str) -> None:
+    """Few bits at first, which leave hard cases undecided."""
+    function, oracle = IN_INTEGERS[FUNCTIONS[name]], getattr(gmpy2, name)
+    cases = [x for x in hard_cases(name) if 2.0**-7 < abs(x) < (16.0 if name == "tanh" else 700.0)]
+    assert len(cases) > 100
+    with gmpy2.context(gmpy2.ieee(64)):
+        expected = [float(oracle(mpfr(x))) for x in cases]
+    for p in (52, 56, 64):
+        assert [_decided(lambda bits, x=x: function(x, bits), p) for x in cases] == expected  # type: ignore[misc]
+    with gmpy2.context(precision=800, emin=-4000, emax=4000):
+        for x in cases:
+            for p in (60, 130, 500):
+                value, q = function(x, p)
+                assert abs(value - oracle(mpfr(x)) * mpfr(2) ** q) < _ERROR
 
 
 @pytest.mark.parametrize("odd", [sin, tanh])
