@@ -44,6 +44,7 @@ PROGRAMS = {
     "sweep": "sweep",
     "recorder": "recorder",
     "reading": "reading",
+    "functions": "functions",
 }
 """The program that measures each suite."""
 WIDTH = 160

@@ -10,7 +10,7 @@ from benchmarks.results import read_result
 from benchmarks.tables import draw, draw_large, markdown, notes, tables
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = (*DOCS.glob("*/performance.md"), DOCS / "explanation" / "scaling.md")
+PAGES = (*DOCS.glob("*/performance.md"), *(DOCS / "explanation" / name for name in ("arithmetic.md", "scaling.md")))
 CHART, LARGE_CHART = DOCS / "images" / "speed.svg", DOCS / "images" / "large.svg"
 _PART = re.compile(r"(<!-- bench: ([a-z]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 

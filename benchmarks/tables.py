@@ -77,6 +77,7 @@ def tables(document: Document) -> tuple[Table, ...]:
         ("sweep", _sweep),
         ("recorder", _recorder),
         ("reading", _reading),
+        ("functions", _functions),
     )
     return (*(make(document[suite]) for suite, make in made if suite in document), *_modelled(document))
 
@@ -278,6 +279,22 @@ def _reading(rows: list[dict[str, Any]]) -> Table:
     )
 
 
+def _functions(rows: list[dict[str, Any]]) -> Table:
+    return Table(
+        "functions",
+        "time of a call, ns, in the fastest of many passes: correctly rounded, by the machine's library, and the ratio",
+        ("function", "arguments", "correctly rounded", "machine", "ratio"),
+        tuple(
+            (
+                row["function"],
+                row["between"],
+                *(shown(row["summary"][key]) for key in ("nanoseconds", "machine_nanoseconds", "ratio")),
+            )
+            for row in rows
+        ),
+    )
+
+
 def _rows(rows: list[dict[str, Any]], keys: tuple[str, ...], unit: float = 1.0) -> tuple[tuple[str, ...], ...]:
     """Return table rows with these spreads."""
     return tuple((str(row["robots"]), *(shown(row["summary"][key], unit) for key in keys)) for row in rows)
@@ -381,34 +398,35 @@ def _finish(axes: Axes, numbers: list[int]) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _measures(document: Document) -> Iterator[tuple[str, int, str, Mapping[str, float]]]:
-    """Yield suite, robots, name and spread of every measurement."""
-    for suite in ("product", "start", "memory", "large", "simulate", "sweep", "recorder", "reading"):
+def _measures(document: Document) -> Iterator[tuple[str, str, str, Mapping[str, float]]]:
+    """Yield suite, robots or function, name and spread of every measurement."""
+    for suite in ("product", "start", "memory", "large", "simulate", "sweep", "recorder", "reading", "functions"):
         for row in document.get(suite, ()):
             summary = dict(row["summary"])
             if suite == PRODUCT:
                 summary |= summary.pop("steps_per_second")
             for name, spread in summary.items():
                 if isinstance(spread, dict):
-                    yield suite, row["robots"], name, spread
+                    measured = f"{row['function']}, {row['between']}" if suite == "functions" else str(row["robots"])
+                    yield suite, measured, name, spread
 
 
 def comparison(old: Document, new: Document) -> Table:
     """Return the ratios new/old of measurements in both results; overlapping ranges count as no difference."""
-    before = {(suite, robots, name): spread for suite, robots, name, spread in _measures(old)}
+    before = {(suite, measured, name): spread for suite, measured, name, spread in _measures(old)}
     rows = []
-    for suite, robots, name, spread in _measures(new):
-        known = before.get((suite, robots, name))
+    for suite, measured, name, spread in _measures(new):
+        known = before.get((suite, measured, name))
         if known is not None and known["median"]:
             apart = spread["smallest"] > known["largest"] or spread["largest"] < known["smallest"]
             ratio = f"{spread['median'] / known['median']:.2f}"
             verdict = "" if apart else "within the spread"
-            rows.append((suite, str(robots), name, shown(known), shown(spread), ratio, verdict))
+            rows.append((suite, measured, name, shown(known), shown(spread), ratio, verdict))
     rows.extend(_compared_starts(old, new))
     return Table(
         "comparison",
         "medians (smallest-largest) of two results",
-        ("suite", "robots", "measure", "old", "new", "new/old", ""),
+        ("suite", "robots or function", "measure", "old", "new", "new/old", ""),
         tuple(rows),
     )
 

@@ -32,8 +32,8 @@ KEYS = {
     "zstandard": "mcap-ros2-support",
 }
 """The rosdep keys of modules that have neither their own name nor that of Debian's package."""
-WITHOUT_KEY = {"dask", "distributed", "foxglove", "playwright", "pyarrow"}
-"""Modules that rosdep does not know; all are optional."""
+WITHOUT_KEY = {"dask", "distributed", "foxglove", "gmpy2", "playwright", "pyarrow"}
+"""Modules that rosdep does not know; all are optional, or of tests only."""
 DISTRIBUTIONS = {"foxglove": "foxglove-sdk", "markupsafe": "jinja2", "mpl_toolkits": "matplotlib", "yaml": "PyYAML"}
 LINTERS = {
     "ament_flake8": ["--config", str(ROOT / "scripts" / "ament_flake8.ini")],

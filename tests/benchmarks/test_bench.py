@@ -15,7 +15,7 @@ from benchmarks import baseline_programs
 from benchmarks.baseline_programs import BASELINES, FOLDER, Baseline, measure_baseline
 from benchmarks.processes import AGENTS
 from benchmarks.results import CHART, DOCUMENT, LARGE_CHART, TABLES
-from benchmarks.tables import READERS
+from benchmarks.tables import READERS, comparison
 from tests.processes import marked_processes, until
 
 from swarmabs_core.errors import RunError
@@ -50,16 +50,27 @@ MEASURES = {
 }
 
 
-def measured(folder: Path, suite: str) -> dict[str, Any]:
+def measured(folder: Path, suite: str, told: str = "4 robots") -> dict[str, Any]:
     """Return the document of a tiny run of a suite."""
     arguments = ["--suite", suite, "--repeat", "1", "--window", "0.6", "--json", "-o", str(folder)]
     busy = ["--starts", "2", "--busy"] if suite == "start" else []
     shown = subprocess.run([*BENCH, *arguments, *busy], capture_output=True, text=True, check=True)
     found: dict[str, Any] = json.loads(shown.stdout)
     assert found == json.loads((folder / DOCUMENT).read_text(encoding="utf-8"))
-    assert (folder / TABLES).is_file() and "4 robots" in shown.stderr
+    assert (folder / TABLES).is_file() and told in shown.stderr
     assert found["machine"]["cores"] >= 1 and found["settings"]["suites"] == [suite]
     return found
+
+
+@pytest.mark.usefixtures("nothing_survives")
+def test_functions_are_measured_with_those_of_the_machine(tmp_path: Path) -> None:
+    rows = measured(tmp_path, "functions", "normal_quantile")["functions"]
+    assert {row["function"] for row in rows} == {"sin", "cos", "exp", "expm1", "tanh", "log", "normal_quantile"}
+    for row in rows:
+        assert row["summary"].keys() == {"nanoseconds", "machine_nanoseconds", "ratio"}
+        assert all(spread.keys() == SPREAD and spread["smallest"] > 0.0 for spread in row["summary"].values())
+    compared = comparison({"functions": rows}, {"functions": rows}).rows
+    assert [row[5] for row in compared] == ["1.00"] * len(compared) and len(compared) == 3 * len(rows)
 
 
 @pytest.mark.usefixtures("nothing_survives")

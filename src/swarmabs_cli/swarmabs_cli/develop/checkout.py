@@ -17,7 +17,7 @@ from swarmabs_cli.options import Number, WholeNumber, examples, json_option, out
 from swarmabs_core.errors import InputError
 from swarmabs_run.ending import GRACE
 
-SUITES = ("product", "start", "memory", "large", "simulate", "sweep", "recorder", "reading")
+SUITES = ("product", "start", "memory", "large", "simulate", "sweep", "recorder", "reading", "functions")
 _LONGEST_WARM_UP = 2.0
 """Longest warm-up before a measurement, s; at most a third of its length."""
 
