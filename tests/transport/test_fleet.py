@@ -10,7 +10,7 @@ from tests.transport.fleet import Network, VirtualFleet
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, agent_name, own_topic
 from swarmabs_core import messages as msg
-from swarmabs_core.realtime.observer import CARRIED_AWAY
+from swarmabs_core.events import EventCode
 from swarmabs_run.simulation import Simulation
 
 M = TypeVar("M", bound=msg.Message)
@@ -194,7 +194,7 @@ def test_a_dead_robot_that_was_carried_away_counts_no_more_until_it_is_heard() -
     fleet = fleet_of()
 
     def removal(later: float = 0.0) -> msg.Removal:
-        return msg.Removal(0, round((fleet.time + later) / PERIOD), 4, msg.EventKind.LEFT, 0.0, CARRIED_AWAY)
+        return msg.Removal(*EventCode.CARRIED_AWAY.event(0, round((fleet.time + later) / PERIOD), robot=4))
 
     early = removal()
     fleet.inject(early, [OBSERVER])  # it lives, so this is not believed

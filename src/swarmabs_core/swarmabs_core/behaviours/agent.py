@@ -37,7 +37,6 @@ from swarmabs_core.settings import LifeSpan
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from swarmabs_core.messages import AnyRobotState
     from swarmabs_core.model import AgentConfig, Body
 
 UNLIMITED_NS = 500_000_000

@@ -20,10 +20,11 @@ const SHAPES = {
   },
 };
 const SIGNS = {
-  circle: '<circle cx="8" cy="8" r="6"/>',
-  square: '<rect x="2.5" y="2.5" width="11" height="11"/>',
-  diamond: '<path d="M8 0.5 15.5 8 8 15.5 0.5 8Z"/>',
+  circle: ["circle", { cx: 8, cy: 8, r: 6 }],
+  square: ["rect", { x: 2.5, y: 2.5, width: 11, height: 11 }],
+  diamond: ["path", { d: "M8 0.5 15.5 8 8 15.5 0.5 8Z" }],
 };
+const SVG = "http://www.w3.org/2000/svg";
 
 // Add the outline of a robot of a kind to the path of a context.
 export function outline(context, kind, x, y, size) {
@@ -34,9 +35,16 @@ export function outline(context, kind, x, y, size) {
 export function legend() {
   return Object.entries(KINDS).map(([kind, { legend: text, colour, shape }]) => {
     const item = Object.assign(document.createElement("li"), { className: kind });
-    item.innerHTML = `<svg viewBox="0 0 16 16" aria-hidden="true">${SIGNS[shape]}</svg>`;
-    item.firstChild.style.fill = `var(--${colour})`;
-    item.append(text);
+    const sign = drawn("svg", { viewBox: "0 0 16 16", "aria-hidden": true });
+    sign.append(drawn(...SIGNS[shape]));
+    sign.style.fill = `var(--${colour})`;
+    item.append(sign, text);
     return item;
   });
+}
+
+function drawn(tag, attributes) {
+  const element = document.createElementNS(SVG, tag);
+  Object.entries(attributes).forEach(([name, value]) => element.setAttribute(name, value));
+  return element;
 }
