@@ -11,7 +11,8 @@ from swarmabs_analysis.replay.player import Player, answered, played
 from swarmabs_analysis.replay.source import complete_steps
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.run.step import Digest, Step
+from swarmabs_bag.run.digest import Digest
+from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, OBSERVER, RECORDER, agent_name
 from swarmabs_core.behaviours import LifeSpan, Observer

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.reader import BagReader, open_bag
+from swarmabs_bag.run.digest import Digest
 from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_bag.run.metadata import dump_yaml
-from swarmabs_bag.run.step import Digest, Step
+from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.errors import InputError
