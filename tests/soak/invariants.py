@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.run.step import Digest, Step
+from swarmabs_bag.run.digest import Digest
+from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.errors import RunError

@@ -115,7 +115,7 @@ def found(changes: dict[Any, dict[str, Any]], *overrides: str) -> list[tuple[str
     def change(record: Record) -> Record:
         message: Any = record.message
         fields = changes.get((type(message), message.step, record.agent_id), {})
-        return record._replace(message=message._replace(**fields))
+        return Record.of(message._replace(**fields)) if fields else record
 
     tampered = (Step.of(step.step, tuple(map(change, step.records))) for step in steps)
     return [violation[:3] for violation in violations(scenario, tampered)]

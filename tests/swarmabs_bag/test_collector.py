@@ -83,10 +83,10 @@ def relayed(step: Step, robot: msg.Topic) -> Arrived:
 def padding(topic: msg.Topic) -> list[slice]:
     """Return where the padding is in a message without lists."""
     found, offset = [], 0
-    for name, _, size in places(topic.message):
-        offset += size
-        if not name:
-            found.append(slice(offset - size, offset))
+    for place in places(topic.message):
+        offset += place.size
+        if not place.name:
+            found.append(slice(offset - place.size, offset))
     return found
 
 

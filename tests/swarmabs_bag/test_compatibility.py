@@ -14,8 +14,8 @@ from swarmabs_bag.errors import UnknownTypeError
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run.channels import READABLE
+from swarmabs_bag.run.digest import Digest
 from swarmabs_bag.run.schemas import message_schema
-from swarmabs_bag.run.step import Digest
 from swarmabs_cli import main
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.events import code_of

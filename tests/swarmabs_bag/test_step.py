@@ -12,10 +12,11 @@ from tests.swarmabs_core.helpers import agent_state, builtin, singly, together
 
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
+from swarmabs_bag.run.digest import Digest
 from swarmabs_bag.run.figures import RunFigures, tracking_of
 from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_bag.run.ordering import recorded_steps
-from swarmabs_bag.run.step import Digest, Step
+from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core import messages as msg

@@ -8,7 +8,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmabs_bag.run.step import Digest, Step
+from swarmabs_bag.run.digest import Digest
+from swarmabs_bag.run.step import Step
 from swarmabs_config.scenario import Scenario, load_scenario
 from swarmabs_core import messages as msg
 from swarmabs_run.simulation import Simulation

@@ -14,7 +14,8 @@ from tests.swarmabs_core.helpers import Run, builtin, digest
 from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder.recording import Recording
-from swarmabs_bag.run.step import Digest, Step
+from swarmabs_bag.run.digest import Digest
+from swarmabs_bag.run.step import Step
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_config.scenario import Scenario, dump_scenario, parse_scenario
 from swarmabs_core.errors import InputError, RunError

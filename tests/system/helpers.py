@@ -19,7 +19,7 @@ import pytest
 from mcap.reader import make_reader
 from tests.processes import marked_processes, until
 
-from swarmabs_bag.run.step import Digest
+from swarmabs_bag.run.digest import Digest
 from swarmabs_bag.run_folder import new_run_folder
 from swarmabs_cli import main
 from swarmabs_config.scenarios import find_scenario

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from random import Random
+from typing import NamedTuple
 
 import pytest
 from hypothesis import given, settings
@@ -36,13 +37,20 @@ LATEST = 0.08
 ROBOTS = tuple(agent_name(i) for i in (1, 2, 3))
 
 
+class Period(NamedTuple):
+    """A period with the messages that were sent in it, of whatever step; for invariants it is like a step."""
+
+    step: int
+    records: tuple[Record, ...]
+
+
 class StaysWithin(Invariant):
     """No robot is nearer to the plane's end than it may come."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._lane = max(0.0, 0.5 * scenario.plane.length - scenario.realtime.lane_margin)
 
-    def check(self, step: Step) -> Iterator[Violation]:
+    def check(self, step: Step | Period) -> Iterator[Violation]:
         for state in states(step):
             if abs(state.position) > self._lane + 1e-9:
                 yield Violation("lane", step.step, state.agent_id, f"{state.position:.6g} m is outside of its lane")
@@ -57,7 +65,7 @@ class NothingDoubtful(Invariant):
         self._ahead = clock.ahead(scenario.realtime.clock_tolerance)
         self._before: dict[int, int] = {}
 
-    def check(self, step: Step) -> Iterator[Violation]:
+    def check(self, step: Step | Period) -> Iterator[Violation]:
         for state in states(step):
             decided, self._before[state.agent_id] = self._before.get(state.agent_id), state.step
             if state.broadcast_step == NEVER:
@@ -81,7 +89,7 @@ class FollowsFromItsBasis(Invariant):
         self._verification = RealtimeVerification(scenario, world)
         self._period_ns = scenario.step_ns
 
-    def check(self, step: Step) -> Iterator[Violation]:
+    def check(self, step: Step | Period) -> Iterator[Violation]:
         time = EPOCH + step.step * self._period_ns
         for record in step.records:
             for kept in self._collector.add(record, time):
@@ -164,13 +172,13 @@ def gone_through(doings: Script, seed: int = 1) -> VirtualFleet:
     return fleet
 
 
-def periods(fleet: VirtualFleet) -> Iterator[Step]:
+def periods(fleet: VirtualFleet) -> Iterator[Period]:
     found: dict[int, list[Record]] = {}
     for time, _, message in fleet.published:
         record = Record(TOPIC_OF[type(message)], getattr(message, "agent_id", 0), message, encode(message))
         found.setdefault(time // scenario().step_ns, []).append(record)
     for step, records in found.items():
-        yield Step.of(step, tuple(records))
+        yield Period(step, tuple(records))
 
 
 def wrongs(doings: Script) -> list[str]:

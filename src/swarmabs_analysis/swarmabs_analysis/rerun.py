@@ -21,8 +21,8 @@ from swarmabs_bag.attached import (
 )
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.reader import open_bag
+from swarmabs_bag.run.digest import Digest
 from swarmabs_bag.run.ordering import recorded_steps
-from swarmabs_bag.run.step import Digest
 from swarmabs_config import configure
 from swarmabs_config.model.errors import printable, shorten, show
 from swarmabs_config.scenario.steered import as_planned

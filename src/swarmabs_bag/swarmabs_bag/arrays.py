@@ -18,7 +18,7 @@ from swarmabs_bag.attached import description_of, event_time, is_realtime
 from swarmabs_bag.bag_summary import reference_of_bag, summarise_bag
 from swarmabs_bag.errors import BagTooLargeError, DamagedBagError, NotABagError
 from swarmabs_bag.reader import BagReader, open_bag
-from swarmabs_bag.run.step import digest_head
+from swarmabs_bag.run.digest import digest_head
 from swarmabs_core.arrays import LAYOUT, LENGTH, PADDING, RunArrays, Tables, layout_of, run_arrays, run_event
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, lengths_of
 from swarmabs_core.messages import EVENTS, ROBOT_STATES, STANDING, SwarmEvent, Topic

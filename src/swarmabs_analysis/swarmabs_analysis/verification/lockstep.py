@@ -14,7 +14,8 @@ from swarmabs_analysis.difference import MESSAGE, Difference, judge, missing, su
 from swarmabs_analysis.verification.base import Verification
 from swarmabs_analysis.verification.earlier import EarlierEnds
 from swarmabs_analysis.verification.recomputation import Recomputation
-from swarmabs_bag.run.step import Digest, Step
+from swarmabs_bag.run.digest import Digest
+from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.behaviours import Observer, Parent

@@ -118,17 +118,20 @@ class MessageRecords:
         return self.data[int(self._begins[first]) : int(self._ends[stop - 1])]
 
     def times(self, first: int, stop: int) -> NDArray[np.int64]:
-        """Return the log times of messages `first` to `stop` - 1, ns."""
-        return self._times[np.arange(first, stop) // len(self._channels)]
+        """Return the log times of the groups of messages `first` to `stop` - 1, ns."""
+        count = len(self._channels)
+        return self._times[first // count : (stop - 1) // count + 1]
 
     def entries(self, first: int, stop: int, offset: int) -> Iterator[tuple[int, bytes]]:
         """Yield each channel of messages `first` to `stop` - 1, in order, with the entries of its message index.
 
         `offset` is that of the first record in its chunk.
         """
-        channels = self._channels[np.arange(first, stop) % len(self._channels)]
-        offsets = self._begins[first:stop] - self._begins[first] + offset
-        entries = np.stack((self.times(first, stop), offsets), axis=1)
+        groups, places = np.divmod(np.arange(first, stop), len(self._channels))
+        channels = self._channels[places]
+        entries = np.empty((stop - first, 2), dtype=np.int64)
+        entries[:, 0] = self._times[groups]
+        entries[:, 1] = self._begins[first:stop] - (self._begins[first] - offset)
         for channel in dict.fromkeys(channels[: len(self._channels)].tolist()):
             yield channel, entries[channels == channel].tobytes()
 

@@ -85,7 +85,7 @@ class Arrivals:
     def __init__(
         self, family: Family, membership: Membership, members: Iterable[int], memory: int, system: int | None
     ) -> None:
-        self._family = family
+        self._family, self._coordinated = family, family.main[1:]
         self._membership = membership
         self._members = np.array(sorted(members))
         self._capacity = memory + KEPT_STEPS
@@ -203,7 +203,7 @@ class Arrivals:
 
     def complete(self, step: int) -> int:
         """Return the number of steps from a step on of which all messages are there, with the robots of this step."""
-        tables, place, coordinated = self._tables, step % self._capacity, self._family.main[1:]
+        tables, place, coordinated = self._tables, step % self._capacity, self._coordinated
         # That one of the few messages is missing is found faster than whether that of a robot is.
         if self.newest < step or not all(topic in tables and tables[topic].filled[place] for topic in coordinated):
             return 0

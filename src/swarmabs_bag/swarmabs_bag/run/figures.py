@@ -6,7 +6,7 @@ from collections import Counter
 from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from swarmabs_bag.run.step import Digest
+from swarmabs_bag.run.digest import Digest
 from swarmabs_core.desired_state import fallen
 from swarmabs_core.messages import (
     MAIN_TOPICS,

@@ -100,7 +100,7 @@ class RunCollector:
         family: Family = PLANE_FAMILY,
         system: int | None = None,
     ) -> None:
-        self._family = family
+        self._family, self._main = family, family.main
         self._system = system
         ids = sorted(members)
         changes = tuple(schedule)
@@ -183,7 +183,7 @@ class RunCollector:
             apart = [state for data in payloads for state in split(topic.message, data)] if joined else payloads
         try:
             for payload in apart:
-                if topic in self._family.main or topic is EVENTS:  # what is complete before this message has come
+                if topic in self._main or topic is EVENTS:  # what is complete before this message has come
                     yield from self.ready()
                 yield from self._add(Record.heard(topic, payload))
         except (ProtocolError, MalformedMessageError):
@@ -193,7 +193,7 @@ class RunCollector:
 
     def _arrange(self, topic: Topic, payloads: Sequence[bytes], *, joined: bool) -> Sequence[bytes] | None:
         """Hold ordinary messages; return those of steps far ahead, None if all must be added singly."""
-        if topic not in self._family.main or not payloads:
+        if topic not in self._main or not payloads:
             return None
         messages = self._arrivals.read(topic, payloads, joined=joined)
         if messages is None:
@@ -210,7 +210,7 @@ class RunCollector:
         topic, message = record.topic, record.message
         if isinstance(message, ROBOT_STATES):
             self._hold_state(record, message)
-        elif topic in self._family.main:
+        elif topic in self._main:
             if not self._arrivals.put(topic, 0, message.step, record.payload):
                 raise ConflictError(topic.name, message.step)
         elif self._others.setdefault(message.step, {}).setdefault(topic, record.payload) != record.payload:
@@ -277,14 +277,14 @@ class RunCollector:
     def _others_there(self, step: int) -> bool:
         """Return whether the messages of a step on other than the main topics have arrived."""
         others = self._others.get(step, {})
-        return all(topic in others for topic in self._coordinated(step) if topic not in self._family.main)
+        return all(topic in others for topic in self._coordinated(step) if topic not in self._main)
 
     def _take(self, count: int) -> Step:
         """Return so many complete steps, and go on to the next one."""
         step = self._step
         tables = self._arrivals.tables(step, count)
         for topic in self._coordinated(step):
-            if topic not in self._family.main:
+            if topic not in self._main:
                 payloads = [self._others[number][topic] for number in range(step, step + count)]
                 tables[topic] = rows_of(topic, payloads)
         events = self._events.get(step + count - 1, {})
@@ -350,7 +350,7 @@ class RunCollector:
         """Return the topics with one message in a step, in the order of a bag after the robots' states."""
         family = self._family
         divided = self._membership.divides(step, self._division)
-        return (*(() if step else family.once), *family.main[1:-1], *((STANDING,) if divided else ()), family.desired)
+        return (*(() if step else family.once), *self._main[1:-1], *((STANDING,) if divided else ()), family.desired)
 
     def missing_agents(self) -> tuple[int, ...]:
         """Return the robots whose state is missing in the current step."""

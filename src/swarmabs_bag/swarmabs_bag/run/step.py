@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from hashlib import sha256
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmabs_bag.run.digest import digest_head
 from swarmabs_core.arrays import canonical_table, layout_of, raw
 from swarmabs_core.cdr import SECOND, decode
 from swarmabs_core.errors import MalformedMessageError
@@ -286,30 +286,6 @@ def rows_of(topic: Topic, payloads: Sequence[bytes]) -> Rows:
         raise MalformedMessageError(topic.message.__name__, "lists of different lengths in one step")
     layout = layout_of(topic, payloads[0]) if topic in _MAIN else np.dtype(f"V{len(payloads[0])}")
     return np.frombuffer(b"".join(payloads), layout)
-
-
-class Digest:
-    """SHA-256 over the main topics of a run, with steps in ascending order.
-
-    Every message contributes the name of its topic without namespace, a zero byte, the length of its payload as
-    little-endian uint32, and the payload; within a step, messages are sorted by topic and robot.
-    """
-
-    def __init__(self) -> None:
-        self._hash = sha256()
-
-    def update(self, step: Step) -> None:
-        """Add the next step, or steps."""
-        self._hash.update(step.digest_text())
-
-    def hexdigest(self) -> str:
-        """Return the digest of the steps so far."""
-        return self._hash.hexdigest()
-
-
-def digest_head(topic: Topic, size: int) -> bytes:
-    """Return the bytes before a payload of this size in the digest: topic, zero, length."""
-    return b"%b\x00%b" % (topic.name.encode(), size.to_bytes(4, "little"))
 
 
 @lru_cache(maxsize=64)
