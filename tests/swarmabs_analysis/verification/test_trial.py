@@ -3,12 +3,12 @@
 from collections.abc import Iterator, Sequence
 
 import pytest
-from tests.swarmabs_core.helpers import builtin
+from tests.swarmabs_core.helpers import builtin, singly
 
 from swarmabs_analysis.verification.base import VerificationResult
 from swarmabs_analysis.verification.lockstep import LockstepVerification
 from swarmabs_analysis.verification.trial import Trial
-from swarmabs_bag.run.step import RecordedStep
+from swarmabs_bag.run.step import Step
 from swarmabs_config.scenario import Scenario
 from swarmabs_core import messages as msg
 from swarmabs_core.cdr import encode
@@ -48,14 +48,14 @@ def names(*texts: str) -> tuple[NodeName, ...]:
     return tuple(map(NodeName.parse, texts))
 
 
-def run(*overrides: str, division: int | None = None) -> tuple[Scenario, list[RecordedStep]]:
+def run(*overrides: str, division: int | None = None) -> tuple[Scenario, list[Step]]:
     scenario = builtin("pd_het_4", "duration=1", *overrides).resolved()
-    return scenario, list(Simulation(scenario, division=division).steps())
+    return scenario, singly(Simulation(scenario, division=division).steps())
 
 
 def tried(
     scenario: Scenario,
-    steps: Sequence[RecordedStep],
+    steps: Sequence[Step],
     nodes: Sequence[str],
     *overrides: str,
     recorded: Sequence[str] = (),
@@ -72,7 +72,7 @@ def tried(
     return verification.found
 
 
-def published(steps: Sequence[RecordedStep], *nodes: str) -> Iterator[Record]:
+def published(steps: Sequence[Step], *nodes: str) -> Iterator[Record]:
     """Yield what nodes have published, without events; by topic and robot, not by the product's own table."""
     topics = {"controller": ("swarm/desired_abstract_state",), "parent": ("plane/state",)}
     topics["observer"] = ("swarm/abstract_state", "swarm/auxiliary_state", "swarm/standing")
@@ -98,7 +98,7 @@ def test_nodes_answer_their_own_recording_as_they_did(case: str) -> None:
 def test_a_robot_that_was_dropped_is_dropped_again() -> None:
     """To all others it is the same as if it had been killed by plan."""
     _, steps = run("faults=[{at: 0.5, kind: kill, agent: 3}]", "lockstep.on_stall=drop")
-    steps = [RecordedStep(step.step, tuple(map(_silenced, step.records))) for step in steps]
+    steps = [Step.of(step.step, map(_silenced, step.records)) for step in steps]
     scenario = builtin("pd_het_4", "duration=1", "lockstep.on_stall=drop").resolved()
     for nodes in NODES:
         found = tried(scenario, steps, nodes, recorded=["lockstep.on_stall=drop"])
@@ -142,7 +142,7 @@ def test_a_node_keeps_its_own_memory() -> None:
     """A plane without friction under the recorded weight: an angle more by 0.1 rad at the start is so at the end."""
     settings = ("plane.friction=[0, 0, 0, 0, 0, 0]", "duration=0.1")
     scenario = builtin("pd_het_4", *settings).resolved()
-    steps = list(Simulation(scenario).steps())
+    steps = singly(Simulation(scenario).steps())
     changed = builtin("pd_het_4", *settings, f"plane.angle={scenario.plane.angle + 0.1}").resolved()
     verification = LockstepVerification(scenario, trial=Trial(names("parent"), (), changed, scenario))
     for step in steps:
