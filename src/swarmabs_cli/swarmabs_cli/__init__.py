@@ -15,10 +15,12 @@ from difflib import get_close_matches
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
 
-from swarmabs_cli.options import COMMAND, examples
+from swarmabs_cli.options import examples
+from swarmabs_config.installation import COMMAND, DISTRIBUTION, lacking
 from swarmabs_core.errors import InputError, SwarmabsError
 from swarmabs_run.ending import interrupt_once, no_more_interrupts
 from swarmabs_run.tracing_files import tracing_files_removed
@@ -49,9 +51,20 @@ class LazyGroup(click.Group):
             if file := _files(section).get(cmd_name):
                 if not ctx.resilient_parsing:
                     ctx.with_resource(tracing_files_removed())
-                command: click.Command = getattr(import_module(f"{__name__}.{section}.{file.stem}"), cmd_name)
+                try:
+                    module = import_module(f"{__name__}.{section}.{file.stem}")
+                except ModuleNotFoundError as error:
+                    raise lacking(error, f"{COMMAND} {cmd_name}") from None
+                command: click.Command = getattr(module, cmd_name)
                 return command
         return None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; the error tells what it needs that is not installed."""
+        try:
+            return super().invoke(ctx)
+        except ModuleNotFoundError as error:
+            raise lacking(error, f"{COMMAND} {ctx.invoked_subcommand}") from None
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -93,7 +106,7 @@ def _summary(name: str, path: Path) -> str:
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog=examples("run", "view runs/pd_het_4-001", "run --help"),
 )
-@click.version_option(package_name=__name__, message="swarm %(version)s")
+@click.version_option(package_name=DISTRIBUTION, message="swarm %(version)s")
 def swarm() -> None:
     """Run, record and study swarms of robots that level a tilting plane, with one ROS 2 process per robot.
 

@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import psutil
 from rich.console import Console
 
 from swarmabs_bag.errors import remedy
 from swarmabs_bag.run.figures import tracking_of
 from swarmabs_bag.run_folder import RunFolder, Split
-from swarmabs_cli.options import COMMAND
 from swarmabs_cli.output import print_json, print_warnings, results_folder
+from swarmabs_config.installation import COMMAND
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import AnyScenario, Scenario, on_plane
 from swarmabs_config.scenarios import find_scenario, names_bag
@@ -76,7 +77,7 @@ def carry_out(
         print_warnings(theory_warnings(loaded))
     loaded = loaded.resolved()
     if steered:
-        click.echo(f"to steer the run: ./scripts/swarm steer {folder.path} ACTION VALUE", err=True)
+        click.echo(f"to steer the run: {COMMAND} steer {folder.path} ACTION VALUE", err=True)
     split = Split(max_bag_size, max_bag_duration * 10**9)
 
     def run(show: ProgressDisplay) -> Outcome:
@@ -201,7 +202,9 @@ def print_summary(
 
 def since_start() -> float:
     """Return the wall time since this process, and with it the user's command, was started, s."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - (start_of(os.getpid()) or 0) / os.sysconf("SC_CLK_TCK")
+    if (ticks := start_of(os.getpid())) is None:  # not Linux
+        return time.time() - psutil.Process().create_time()
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
 
 
 def setup_seconds() -> float:
