@@ -94,7 +94,7 @@ def build(folder: Path) -> Path:
         stage(staged)
         command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
         command += ["--disable-pip-version-check", "--wheel-dir", str(built), str(staged)]
-        subprocess.run(command, env={**os.environ, "SOURCE_DATE_EPOCH": EARLIEST}, check=True)
+        subprocess.run(command, env={**os.environ, "SOURCE_DATE_EPOCH": EARLIEST}, umask=0o022, check=True)
         (wheel,) = built.glob("*.whl")
         folder.mkdir(parents=True, exist_ok=True)
         return Path(shutil.copy(wheel, folder))

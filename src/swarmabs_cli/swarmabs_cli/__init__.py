@@ -20,7 +20,7 @@ from typing import Any
 import click
 
 from swarmabs_cli.options import examples
-from swarmabs_config.installation import COMMAND, DISTRIBUTION, lacking
+from swarmabs_config.installation import COMMAND, DISTRIBUTION, IS_WHEEL, lacking
 from swarmabs_core.errors import InputError, SwarmabsError
 from swarmabs_run.ending import interrupt_once, no_more_interrupts
 from swarmabs_run.tracing_files import tracing_files_removed
@@ -33,6 +33,8 @@ SECTIONS = {
     "develop": "Set up and develop",
 }
 """Folders of commands, in the order in which they are listed, and their titles."""
+EXAMPLE = "simulate" if IS_WHEEL else "run"
+"""The command of the examples in the help."""
 PARSE_ONLY = "SWARMABS_PARSE_ONLY"
 """Environment variable with which ``scripts/swarm`` asks whether a command line is right, before it installs for it."""
 _COMMAND = re.compile(r"^@click\.(?:command|group)\b.*?^def (\w+)\(", re.MULTILINE | re.DOTALL)
@@ -104,7 +106,7 @@ def _summary(name: str, path: Path) -> str:
 @click.group(
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-    epilog=examples("run", "view runs/pd_het_4-001", "run --help"),
+    epilog=examples(EXAMPLE, "view runs/pd_het_4-001", f"{EXAMPLE} --help"),
 )
 @click.version_option(package_name=DISTRIBUTION, message="swarm %(version)s")
 def swarm() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -12,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import psutil
 from rich.console import Console
 
 from swarmabs_bag.errors import remedy
@@ -26,7 +24,7 @@ from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_config.theory_setting import setting
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.ending import no_more_interrupts
-from swarmabs_run.orchestration.run_files import start_of
+from swarmabs_run.orchestration.run_files import since_start
 from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.summary import Times, summarise, summary_table
 from swarmabs_view.terminal import ProgressDisplay, shown_progress
@@ -198,13 +196,6 @@ def print_summary(
             click.echo(f"{COMMAND} report {folder.path}   # write a report")
     if outcome.reason is not None and outcome.restart is None:
         click.echo(f"error: {outcome.reason}", err=True)
-
-
-def since_start() -> float:
-    """Return the wall time since this process, and with it the user's command, was started, s."""
-    if (ticks := start_of(os.getpid())) is None:  # not Linux
-        return time.time() - psutil.Process().create_time()
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
 
 
 def setup_seconds() -> float:

@@ -73,7 +73,8 @@ def lacking(error: ModuleNotFoundError, user: str) -> ModuleNotFoundError | Inpu
         )
     if module not in EXTRAS and module not in _OTHERS:
         return error
-    package = f'"swarmabs[{EXTRAS[module]}]"' if IS_WHEEL else _OTHERS.get(module, module)
+    distribution = _OTHERS.get(module, module)
+    package = f'"swarmabs[{EXTRAS[module]}]"' if IS_WHEEL else distribution
     elsewhere = "" if IS_WHEEL else "./scripts/swarm installs it by itself; elsewhere: "
     remedy = f"{elsewhere}{sys.executable} -m pip install {package}"
-    return InputError(f"{user} needs the Python package {module}", remedy)
+    return InputError(f"{user} needs the Python package {distribution}", remedy)
