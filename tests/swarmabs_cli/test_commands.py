@@ -14,10 +14,10 @@ import pytest
 from tests.swarmabs_cli.conftest import document, ran, refused
 
 from swarmabs_cli import swarm as cli
-from swarmabs_cli.runs import SETUP, setup_seconds, since_start, times
+from swarmabs_cli.runs import SETUP, setup_seconds, times
 from swarmabs_config.scenario import dump_scenario, json_schema, load_scenario, parse_scenario
 from swarmabs_config.scenarios import builtin_scenarios
-from swarmabs_run.orchestration.run_files import write_network
+from swarmabs_run.orchestration.run_files import since_start, write_network
 from swarmabs_run.run import Outcome
 
 

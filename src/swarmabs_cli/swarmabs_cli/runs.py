@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -17,15 +16,15 @@ from rich.console import Console
 from swarmabs_bag.errors import remedy
 from swarmabs_bag.run.figures import tracking_of
 from swarmabs_bag.run_folder import RunFolder, Split
-from swarmabs_cli.options import COMMAND
 from swarmabs_cli.output import print_json, print_warnings, results_folder
+from swarmabs_config.installation import COMMAND
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import AnyScenario, Scenario, on_plane
 from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_config.theory_setting import setting
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.ending import no_more_interrupts
-from swarmabs_run.orchestration.run_files import start_of
+from swarmabs_run.orchestration.run_files import since_start
 from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.summary import Times, summarise, summary_table
 from swarmabs_view.terminal import ProgressDisplay, shown_progress
@@ -76,7 +75,7 @@ def carry_out(
         print_warnings(theory_warnings(loaded))
     loaded = loaded.resolved()
     if steered:
-        click.echo(f"to steer the run: ./scripts/swarm steer {folder.path} ACTION VALUE", err=True)
+        click.echo(f"to steer the run: {COMMAND} steer {folder.path} ACTION VALUE", err=True)
     split = Split(max_bag_size, max_bag_duration * 10**9)
 
     def run(show: ProgressDisplay) -> Outcome:
@@ -197,11 +196,6 @@ def print_summary(
             click.echo(f"{COMMAND} report {folder.path}   # write a report")
     if outcome.reason is not None and outcome.restart is None:
         click.echo(f"error: {outcome.reason}", err=True)
-
-
-def since_start() -> float:
-    """Return the wall time since this process, and with it the user's command, was started, s."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - (start_of(os.getpid()) or 0) / os.sysconf("SC_CLK_TCK")
 
 
 def setup_seconds() -> float:

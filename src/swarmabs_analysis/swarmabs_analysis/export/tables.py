@@ -16,7 +16,7 @@ from swarmabs_bag.bag_summary import reference_of_bag, summarise_bag
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_folder
-from swarmabs_core.errors import InputError
+from swarmabs_config.installation import lacking
 from swarmabs_core.messages import (
     EVENTS,
     PLANE_FAMILY,
@@ -241,10 +241,8 @@ def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
     try:
         import pyarrow as pa  # noqa: PLC0415 - may be missing
         from pyarrow.parquet import ParquetWriter  # noqa: PLC0415 - may be missing
-    except ImportError as error:
-        raise InputError(
-            f"Parquet needs the package pyarrow ({error}); install it, or use --format csv or numpy"
-        ) from error
+    except ModuleNotFoundError as error:
+        raise lacking(error, "Parquet") from None
     optional = (name for name, field in fields_of(table.topic.message).items() if _may_be_missing(field))
     nullable = {*table.vectors, *optional}
     schema = pa.schema(

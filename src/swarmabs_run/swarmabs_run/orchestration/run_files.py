@@ -141,6 +141,13 @@ def start_of(pid: int) -> int | None:
     return int(stat.rpartition(")")[2].split()[_START])
 
 
+def since_start() -> float:
+    """Return the wall time since this process, and with it the user's command, was started, s."""
+    if (ticks := start_of(os.getpid())) is None:  # not Linux
+        return time.time() - psutil.Process().create_time()
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
+
+
 def orchestrator_of(run: Path) -> psutil.Process | None:
     """Return the process that started a run, None if it has ended.
 
