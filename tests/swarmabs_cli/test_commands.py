@@ -209,6 +209,9 @@ def test_only_a_fresh_process_counts_set_up(monkeypatch: pytest.MonkeyPatch, tol
     startup = times(86.0, Outcome("ok", None, {}, start_seconds=1.5)).startup
     assert startup == pytest.approx(86.0 - seconds + 1.5)
     assert times(86.0, Outcome("failed", "no", {})).startup is None
+    # A later run of the same command counts from its own request, and has no set-up.
+    later = times(86.0, Outcome("ok", None, {}, start_seconds=1.5), begun=80.0)
+    assert (later.startup, later.setup) == (pytest.approx(7.5), 0.0)
     assert 0.0 < since_start() < 3600.0
 
 

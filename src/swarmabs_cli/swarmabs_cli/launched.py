@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmabs_cli.output import open_page, private_page
-from swarmabs_cli.runs import carry_out
+from swarmabs_cli.runs import carry_out, since_start
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.errors import InputError
 from swarmabs_run.ending import interrupt_once
@@ -50,16 +50,17 @@ def run_scenarios(
     """Show steered runs on one page, until one ends other than by a request for the next one.
 
     The `launcher` is that of the first run. `following` returns the options of the command, without those of the page
-    and with `paused`, for the run after a request, None for the first.
+    and with `paused`, for the run after a request, None for the first. The exit code is 0 if the user ends the last.
     """
-    options = following(None)
+    options, begun = following(None), 0.0
     with _page(0, steered=True, opens=open_browser) as page:
         while True:
             with launcher:
-                code, request = _run(launcher, page, restarts=True, **options)
+                code, request = _run(launcher, page, restarts=True, show=True, begun=begun, **options)
             if request is None:
                 page.stay()
                 return code
+            begun = since_start()
             interrupt_once()  # as at the beginning of the command
             options, launcher = following(request), LauncherProcess("lockstep")
 
