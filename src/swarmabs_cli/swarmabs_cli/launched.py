@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmabs_cli.output import open_page, private_page
-from swarmabs_cli.runs import carry_out, since_start
+from swarmabs_cli.runs import carry_out
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.errors import InputError
 from swarmabs_run.ending import interrupt_once
 from swarmabs_run.orchestration.launcher_process import LauncherProcess
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
 from swarmabs_run.orchestration.realtime_run import RealtimeRun
+from swarmabs_run.orchestration.run_files import since_start
 from swarmabs_run.run import SLOWEST_STEP, Outcome, RunOptions
 from swarmabs_view.ports import check_foxglove
 from swarmabs_view.viewers import PageViewer, markers_viewer
