@@ -30,7 +30,6 @@ from swarmabs_core.systems.interface import SYSTEMS
 from swarmabs_ros.endpoints import ros_type
 from swarmabs_ros.status import REPORT_FD
 from swarmabs_run.ending import die_with_parent, end_grace
-from swarmabs_run.processes import usable_cores
 from swarmabs_run.tracing_files import tracing_files_removed
 
 LOADED_BY_SERVICES = ("numpy", "service_msgs.msg", "type_description_interfaces.msg")
@@ -174,7 +173,7 @@ def _begin(command: dict[str, Any]) -> None:
         registries[group].find(name)  # entry points are resolved once, not in every node
     gc.collect()
     gc.freeze()  # memory that the garbage collector does not touch stays shared with the children
-    if command["processes"] > CROWD * usable_cores():
+    if command["processes"] > CROWD * len(os.sched_getaffinity(0)):
         # An arriving message does not preempt the running process: the receiver runs when that process waits, and
         # handles all messages that have arrived meanwhile. This halves the number of context switches.
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
