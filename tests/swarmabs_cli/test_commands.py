@@ -278,4 +278,6 @@ def test_ranges_are_told_in_words_under_one_name_of_the_program() -> None:
     error = refused("run", "--view-port", "70000")
     assert "70000 is out of range: give 0 to 65535. See ./scripts/swarm run --help." in error
     assert "'x' is not a whole number" in refused("run", "--agents-per-process", "x")
-    assert "..." not in ran("--help").out.replace("[ARGS]...", "")
+    for words in ((), ("scenario",)):
+        assert "..." not in ran(*words, "--help").out.replace("[ARGS]...", "")
+    assert " RUN ACTION [VALUE|ROBOT]" in ran("steer", "--help").out

@@ -253,10 +253,7 @@ async def listen(live: LiveView, namespace: str, over: Callable[[], bool]) -> No
 
 def check_running(folder: Path) -> None:
     """Raise `InputError` for the folder of a run that has ended, or a folder without a run."""
-    try:
-        environment_of_run(folder)
-    except RunOverError as error:
-        raise InputError(f"{error}; view its bag without --live") from None
+    environment_of_run(folder)
 
 
 async def closed(descriptor: int) -> None:

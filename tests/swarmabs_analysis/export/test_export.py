@@ -307,6 +307,15 @@ def test_the_ending_tells_the_format(bag: Path, tmp_path: Path) -> None:
     assert (refused.code, "does not end in .mat; name a file such as run.mat" in refused.err) == (2, True)
 
 
+@pytest.mark.parametrize("words", [("run.parquet",), ("run.csv",), ("run.mat", "--format", "csv")])
+def test_a_folder_of_tables_is_not_named_like_a_file(bag: Path, tmp_path: Path, words: tuple[str, ...]) -> None:
+    refused = swarm(("export", bag, "-o", *words), tmp_path)
+    assert refused.code == 2
+    assert f"error: {words[0]} is named like a file, and tables are written to a folder; name one" in refused.err
+    assert "such as run, and the format with --format csv or parquet" in refused.err
+    assert not (tmp_path / words[0]).exists()
+
+
 def test_what_is_no_bag_or_no_npz_is_refused(bag: Path, tmp_path: Path) -> None:
     assert swarm(("export", tmp_path, "-o", "out"), tmp_path).code == 2
     with pytest.raises(InputError, match=r"does not end in .npz; name a file such as"):

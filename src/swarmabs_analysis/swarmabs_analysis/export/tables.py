@@ -45,6 +45,8 @@ SUMMARY_FILE = "summary.json"
 PARQUET_ROWS = 16_384
 """Rows of a Parquet row group; at most this many are in memory."""
 TableFormat = Literal["csv", "parquet"]
+FILE_SUFFIXES = frozenset((".csv", ".parquet", ".npz", ".mat"))
+"""Endings by which a reader takes a name for that of one file, which a folder of tables is not."""
 
 
 class Column(NamedTuple):
@@ -204,10 +206,15 @@ def export_tables(
     Raises
     ------
     InputError
-        If it is not the bag of a swarm, the folder exists, or pyarrow is not installed.
+        If it is not the bag of a swarm, the folder exists or is named like a file, or pyarrow is not installed.
     RunError
         If the bag is damaged or the disk fails.
     """
+    if folder.suffix in FILE_SUFFIXES:
+        raise InputError(
+            f"{folder} is named like a file, and tables are written to a folder",
+            f"name one with -o, such as {folder.with_suffix('')}, and the format with --format csv or parquet",
+        )
     bag = open_bag(path, namespace=namespace)
     if bag.namespace is None:
         raise NotABagError(f"{bag.path} is not the bag of a swarm: it has none of its topics; name another bag")

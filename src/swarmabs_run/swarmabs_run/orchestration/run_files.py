@@ -41,7 +41,7 @@ class RunOverError(InputError):
     """The run in the given folder has ended."""
 
     def __init__(self, run: Path) -> None:
-        super().__init__(f"{run}: this run is over")
+        super().__init__(f"{run}: this run is over", f"view its bag with ./scripts/swarm view {run}")
 
 
 def write_network(logs: Path, domain: int, participants: int, *, realtime: bool = False) -> None:
