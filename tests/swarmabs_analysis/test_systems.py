@@ -262,7 +262,7 @@ def test_deviations_are_by_component_with_names_and_units(beam: Path, tmp_path: 
         "value[1] inertia, kg m^2 ",
         "rate[0] torque, N m/s ",
         "state[1] rate, rad/s ",
-        "max |coordinate|, m",
+        "max |position|, m",
     ):
         assert named in text
     assert "rms error, rad" in text

@@ -22,7 +22,7 @@ from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_core.errors import InputError, MalformedMessageError
 from swarmabs_core.fingerprint import libm_fingerprint
 from swarmabs_core.messages import BASIS, EVENTS, SYSTEM, SwarmEvent, SystemDescription
-from swarmabs_core.systems import SystemTables
+from swarmabs_core.systems import PLANE_TABLES, SystemTables
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -198,6 +198,8 @@ def description_of(bag: BagReader) -> SystemTables:
 
     Raises `DamagedBagError` if they are missing or damaged.
     """
+    if not bag.family.once:
+        return PLANE_TABLES
     for _, _, message in bag.decoded((SYSTEM,)):
         if isinstance(message, SystemDescription):
             try:

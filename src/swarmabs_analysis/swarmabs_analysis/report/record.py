@@ -21,6 +21,7 @@ from swarmabs_bag.shown.recorded_swarm import recorded_swarm
 from swarmabs_config import configure
 from swarmabs_core.messages import EVENTS, STANDING, EventKind
 from swarmabs_core.steering import DISTURBANCE
+from swarmabs_core.systems import PLANE_TABLES
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_core.theory.general_theorems import clearance
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from swarmabs_bag.shown.recorded_swarm import RecordedSwarm
     from swarmabs_core.systems import SystemTables
 
     Floats = NDArray[np.float64]
@@ -73,7 +75,7 @@ class Recorded:
     that name in the summary of a run in real time.
     """
 
-    swarm: Any  # RecordedSwarm or RecordedSystem
+    swarm: RecordedSwarm
     metrics: Mapping[str, float | int | str | None]
     counts: Mapping[str, int]
     provenance: Mapping[str, Any]
@@ -174,7 +176,7 @@ class Recorded:
     @property
     def torque(self) -> Floats:
         """The torque of the weights on the plane at each step, N m; dead robots count, robots that left do not."""
-        return np.asarray(np.nansum(self.masses * self.swarm.positions, axis=1) * self.scenario.plane.gravity)
+        return np.asarray(np.nansum(self.masses * self.swarm.coordinates[..., 0], axis=1) * self.scenario.plane.gravity)
 
     def spans(self) -> Iterator[tuple[int, int, tuple[float, ...]]]:
         """Yield spans of rows [begin, end) with the same robots on the plane, and their masses, kg."""
@@ -203,7 +205,8 @@ class Recorded:
                     clearance(sets, torque, inertia).upper if np.isfinite(torque) and np.isfinite(inertia) else np.nan
                     for torque, inertia in pairs
                 ]
-        reach = np.where(self.swarm.on_plane, np.abs(self.swarm.positions), -np.inf).max(axis=1, initial=-np.inf)
+        positions = np.abs(self.swarm.coordinates[..., 0])
+        reach = np.where(self.swarm.on_plane, positions, -np.inf).max(axis=1, initial=-np.inf)
         end_margin = plane.length / 2.0 - np.where(np.isfinite(reach), reach, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = arrays.auxiliary.s3 / arrays.auxiliary.s0**2
@@ -275,8 +278,8 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
     )
 
 
-def _tables(swarm: Any) -> SystemTables | None:
-    return getattr(swarm, "tables", None)
+def _tables(swarm: RecordedSwarm) -> SystemTables | None:
+    return None if swarm.tables is PLANE_TABLES else swarm.tables
 
 
 def _metrics(swarm: Any, arrays: Any) -> dict[str, Any]:
