@@ -21,6 +21,7 @@ from swarmabs_core.messages import (
     numbers_of,
 )
 from swarmabs_core.ranges import Strays
+from swarmabs_core.summation import added
 from swarmabs_core.systems.interface import Quantity
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ class Figures:
             self._settled_at = None
         elif self._settled_at is None:
             self._settled_at = time
-        error = errors[0] if len(errors) == 1 else sqrt(sum(each * each for each in errors)) if errors else None
+        error = errors[0] if len(errors) == 1 else sqrt(added(each * each for each in errors)) if errors else None
         self._error = error
         if error is not None:
             self._squares += error * error
