@@ -1,9 +1,10 @@
 """A payload carried by rotors, each a robot that follows its commanded thrust with a lag; see README.md."""
 
 from dataclasses import dataclass
-from math import cos, pi, sin
+from math import pi
 
 from swarmabs_core.declaration import setting
+from swarmabs_core.elementary import cos, sin
 from swarmabs_core.systems import Constant, Need, Quantity, SystemType, Tracked, Vector
 
 STEEPEST = 1.4  # rad

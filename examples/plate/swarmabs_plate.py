@@ -1,9 +1,9 @@
 """A plate on a universal joint, tilted about two axes by robots that drive on it; see README.md for the equations."""
 
 from dataclasses import dataclass
-from math import cos, sin
 
 from swarmabs_core.declaration import same, setting
+from swarmabs_core.elementary import cos, sin
 from swarmabs_core.plant import Friction, Plane
 from swarmabs_core.systems import Constant, Need, Quantity, Standing, SystemType, Tracked, Vector
 
