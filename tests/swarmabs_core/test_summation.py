@@ -58,8 +58,10 @@ def test_columns_and_steps_have_the_bits_of_robots(steps: list[list[tuple[float,
     for reduction in (each_sum, determinant):
         alone = [robot_sums(robots, terms, reduction) for robots in steps]
         columns = [column_sums(tuple(np.array(robots).T), terms, reduction) for robots in steps]
-        together = step_sums(tuple(np.array(steps).transpose(2, 1, 0)), terms, reduction)
-        assert alone == columns == np.array(together).T.tolist()
+        m, p = np.array(steps).transpose(2, 1, 0)
+        assert alone == columns == np.array(step_sums((m, p), terms, reduction)).T.tolist()
+        same = step_sums((m[:, :1], p), terms, reduction)  # masses are those of every step
+        assert np.array(same).T.tolist() == np.array(step_sums((m[:, :1] + 0.0 * p, p), terms, reduction)).T.tolist()
 
 
 def test_an_exact_sum_is_that_of_the_standard_library() -> None:

@@ -58,8 +58,9 @@ def step_total(*columns: Floats) -> Any:
 
 
 def step_sums(robots: Iterable[Any], terms: Terms, reduction: Reduction) -> list[Any]:
-    """Return what a reduction gives for robots given as columns (N, K): (K,) for each number."""
-    steps = zip(*(column.T.tolist() for column in terms(*robots)), strict=True)
+    """Return what a reduction gives for robots given as columns (N, K), or (N, 1): (K,) for each number."""
+    columns = np.broadcast_arrays(*terms(*robots))
+    steps = zip(*(column.T.tolist() for column in columns), strict=True)
     return list(np.array([reduction(columns) for columns in steps]).T)
 
 
