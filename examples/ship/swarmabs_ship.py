@@ -97,8 +97,9 @@ class Ship:
         (still, inertia), moving = standing, standing.moving[0]
         whole, squared = moving + standing.constants[0], self.gravity * self.gravity
         spread = max(0.0, self.curvature - 1.0 / (squared * whole)) * moment * moment
-        spread += (moving / whole) ** 2 * self.offset
-        return (moment, inertia + (moment - still) ** 2 / (squared * moving) + spread)
+        share, own = moving / whole, moment - still
+        spread += share * share * self.offset
+        return (moment, inertia + own * own / (squared * moving) + spread)
 
     def reference(self, time: float) -> Vector:
         """Return the roll angle of an upright ship."""

@@ -169,7 +169,7 @@ class Figures:
 
     def figures(self) -> dict[str, float | int | None]:
         """Return the figures by their names in ``summary.json``; None for unknown and non-finite ones."""
-        rms_error = (self._squares / self._steps) ** 0.5 if self._steps else None
+        rms_error = sqrt(self._squares / self._steps) if self._steps else None
         settled, clear = self._settled_at, self.strays.clear_from
         return {
             "settled_at": None if settled is None or clear is None else max(settled, clear),
