@@ -26,7 +26,7 @@ from swarmabs_run.simulation import Simulation
 DATA = Path(__file__).parents[1] / "data" / "schema_1"
 REALTIME = Path(__file__).parents[1] / "data" / "realtime_1"
 BAG_DIGEST = "5d18682d320a574cd86cec5b660a2f38928ffe5bada4d51dea71a6cdc6786934"
-SCENARIO_DIGEST = "155be6346b56a1c97a17c4b37ac61c529a8c49f5da15dffef135ed7e645fddc5"
+SCENARIO_DIGEST = "ba94d716d10be258b27811a0e9f57a15e2ae8e2401a7c5cf41c83f661f180866"
 KILLED = 15
 
 
