@@ -7,11 +7,11 @@ velocity requested by its law, goes down.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, exp
 from typing import TYPE_CHECKING
 
 from swarmabs_core.behaviours.base import StepAheadError, refuse_conflict
 from swarmabs_core.desired_state import CommandFilter
+from swarmabs_core.elementary import cos, exp
 from swarmabs_core.messages import (
     DESIRED_ABSTRACT_STATE,
     PLANE_STATE,
@@ -114,7 +114,8 @@ class Following:
         self._state = self._filter.advance(angle, rate, self._smoothed)
         next_rate = self._state[1]
         inertia = context.inertia + context.manifold.offset
-        moving = inertia * (next_rate - rate) / context.period + context.friction.torque(0.5 * (rate + next_rate))
+        friction: float = context.friction.torque(0.5 * (rate + next_rate))
+        moving = inertia * (next_rate - rate) / context.period + friction
         error = plane._replace(angle=plane.angle - angle, angular_velocity=plane.angular_velocity - rate)
         return self._regulator.torque(time, error) - moving / cos(plane.angle)
 

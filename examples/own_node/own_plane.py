@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import sys
 from contextlib import suppress
-from math import cos
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
+from swarmabs_core.elementary import cos
 from swarmabs_msgs.msg import AbstractState, PlaneState
 
 REPEAT = 0.1

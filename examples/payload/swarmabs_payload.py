@@ -1,9 +1,10 @@
 """A payload carried by rotors, each a robot that follows its commanded thrust with a lag; see README.md."""
 
 from dataclasses import dataclass
-from math import cos, pi, sin
+from math import pi
 
 from swarmabs_core.declaration import setting
+from swarmabs_core.elementary import cos, sin
 from swarmabs_core.systems import Constant, Need, Quantity, SystemType, Tracked, Vector
 
 STEEPEST = 1.4  # rad
@@ -157,8 +158,9 @@ class Pilot:
 def step(size: float, u: float, time: float) -> Vector:
     """Return a smooth step from 0 to a size within a time (s), with its derivatives; u goes from 0 to 1."""
     u = min(max(u, 0.0), 1.0)
-    rise, speed = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (1.0 - u) ** 2 / time
-    return (size * rise, size * speed, size * 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / (time * time))
+    left = 1.0 - u
+    rise, speed = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (left * left) / time
+    return (size * rise, size * speed, size * 60.0 * u * left * (1.0 - 2.0 * u) / (time * time))
 
 
 PAYLOAD = SystemType.of("payload", Payload)

@@ -1,9 +1,9 @@
 """A plate on a universal joint, tilted about two axes by robots that drive on it; see README.md for the equations."""
 
 from dataclasses import dataclass
-from math import cos, sin
 
 from swarmabs_core.declaration import same, setting
+from swarmabs_core.elementary import cos, sin
 from swarmabs_core.plant import Friction, Plane
 from swarmabs_core.systems import Constant, Need, Quantity, Standing, SystemType, Tracked, Vector
 
@@ -77,7 +77,7 @@ class Plate:
         p, q, r = 0.5 * rate[2] - x * u / mass, 0.5 * rate[3] - y * v / mass, rate[4] - (x * v + y * u) / mass
         size = xx * yy - xy * xy
         orbit = (x * v - y * u) / mass
-        if size <= 1e-12 * (xx + yy) ** 2:  # all on one line
+        if size <= 1e-12 * (xx + yy) * (xx + yy):  # all on one line
             return orbit
         shear = (r * xx * yy - xy * (p * yy + q * xx)) / ((xx + yy) * size)
         return orbit + shear * (xx - yy) + xy * ((q - shear * xy) / yy - (p - shear * xy) / xx)
@@ -117,7 +117,8 @@ class Plate:
         moving = standing.moving[0]
         whole = moving + standing.constants[0]
         u, v, own = x - still_x, y - still_y, 1.0 / (squared * moving)
-        wider, least = max(0.0, a - 1.0 / (squared * whole)), (moving / whole) ** 2 * self.offset
+        share = moving / whole
+        wider, least = max(0.0, a - 1.0 / (squared * whole)), share * share * self.offset
         return (
             x,
             y,

@@ -1,9 +1,11 @@
 """A ship in roll, stabilised by trolleys that move on a beam across it; see README.md for the equations."""
 
 from dataclasses import dataclass
-from math import cos, exp, fsum, pi, sin
+from math import pi
 
 from swarmabs_core.declaration import setting
+from swarmabs_core.elementary import cos, exp, sin
+from swarmabs_core.summation import exact_sum
 from swarmabs_core.systems import Constant, Need, Quantity, Standing, SystemType, Tracked, Vector
 
 CAPSIZED = 1.2  # rad
@@ -71,7 +73,8 @@ class Ship:
     def waves(self, time: float) -> float:
         """Return the moment of the waves, N m."""
         parts = zip(self.wave_moments, self.wave_frequencies, self.wave_phases, strict=True)
-        return min(time / self.wave_growth, 1.0) * fsum(a * sin(2.0 * pi * f * time + phase) for a, f, phase in parts)
+        whole = exact_sum(a * sin(2.0 * pi * f * time + phase) for a, f, phase in parts)
+        return min(time / self.wave_growth, 1.0) * whole
 
     def disturbed(self, time: float, state: Vector, abstract: Vector, rate: Vector, value: float = 0.0) -> Vector:
         """Return the derivative of roll angle and rate, with an additional moment, N m."""
@@ -94,8 +97,9 @@ class Ship:
         (still, inertia), moving = standing, standing.moving[0]
         whole, squared = moving + standing.constants[0], self.gravity * self.gravity
         spread = max(0.0, self.curvature - 1.0 / (squared * whole)) * moment * moment
-        spread += (moving / whole) ** 2 * self.offset
-        return (moment, inertia + (moment - still) ** 2 / (squared * moving) + spread)
+        share, own = moving / whole, moment - still
+        spread += share * share * self.offset
+        return (moment, inertia + own * own / (squared * moving) + spread)
 
     def reference(self, time: float) -> Vector:
         """Return the roll angle of an upright ship."""

@@ -1,9 +1,9 @@
 """Sliding-mode control of the plane's angle with a boundary layer; see README.md for the mathematics."""
 
-from math import cos
 from typing import cast
 
 from swarmabs_core.controllers import TRAJECTORY, ControllerType, ParentContext, make_trajectory
+from swarmabs_core.elementary import cos
 from swarmabs_core.messages import PlaneState
 from swarmabs_core.parameters import Parameter, Settings
 

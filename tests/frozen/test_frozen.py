@@ -7,8 +7,6 @@ import pytest
 from tests.frozen import commands, digests, pictures
 from tests.frozen.command import Finished, swarm
 
-from swarmabs_core.fingerprint import libm_fingerprints
-
 DRAWING = {"report_both", "report_damaged"}
 """Cases that take seconds, of which `report` has most."""
 ALONE = [
@@ -19,11 +17,6 @@ ALONE = [
 COVERED = ("sensors", "offset_and_disturbance_steps", "robot_gravity", "parent_response_pd", "join_freeze")
 """Cases whose mechanisms `everything_at_once`, or another that takes less than all, has over DDS too."""
 SEVERAL = ("--agents-per-process", "4")
-
-same_libm = pytest.mark.skipif(
-    "c1d491c2e05e87ee" not in libm_fingerprints(),
-    reason="this machine's mathematical library is not that of the frozen results",
-)
 
 
 @pytest.fixture(scope="module")
@@ -47,14 +40,12 @@ def check(name: str, done: Finished, folder: Path) -> None:
         assert not done.out or "--json" in case["words"]
 
 
-@same_libm
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", ALONE)
 def test_a_command_is_as_before(name: str, folder: Path, names: dict[str, str]) -> None:
     check(name, commands.run_case(name, folder, names), folder)
 
 
-@same_libm
 @pytest.mark.system
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("during", commands.DURING)
@@ -65,7 +56,6 @@ def test_commands_for_a_run_that_goes_on_are_as_before(during: str, folder: Path
                 check(name, commands.run_case(name, folder, {**names, "run_going_on": run}), folder)
 
 
-@same_libm
 def test_what_a_repaired_bag_holds_verifies_up_to_what_was_lost(folder: Path, names: dict[str, str]) -> None:
     """A bag of a later run with the same steps and the repaired one agree wherever there is something in both."""
     assert swarm(("repair", f"{names['data']}/damaged_1", "-o", "repaired"), folder).code == 0
@@ -75,13 +65,11 @@ def test_what_a_repaired_bag_holds_verifies_up_to_what_was_lost(folder: Path, na
     assert {topic["missing_in_b"] for topic in found["topics"]} == {0}
 
 
-@same_libm
 @pytest.mark.parametrize("name", digests.CASES)
 def test_a_simulation_gives_its_frozen_results(name: str, tmp_path: Path) -> None:
     assert digests.difference(name, digests.summary(name, tmp_path, "simulate", "--no-bag")) == {}
 
 
-@same_libm
 @pytest.mark.system
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
@@ -95,7 +83,6 @@ def test_processes_over_dds_give_them_too(name: str, options: tuple[str, ...], t
     assert digests.difference(name, digests.summary(name, tmp_path, "run", *options)) == {}
 
 
-@same_libm
 @pytest.mark.parametrize("name", digests.FLEETS)
 def test_a_fleet_in_real_time_says_the_same_at_the_same_times(name: str) -> None:
     assert digests.of_fleet(name) == digests.FLEETS[name]["found"]

@@ -106,19 +106,28 @@ def test_one_other_bit_is_another_run_and_a_short_one_is_compared(remake: Remake
     assert again(remake(lambda messages: bent(cut(messages))), code=1)[0]["same"] is False
 
 
-def test_other_versions_and_another_library_are_named(remake: Remake, again: Callable[..., Any]) -> None:
-    bag = remake(versions={"numpy": "0.1", "nothing_known": "7"}, libm_fingerprint="feed", machine="abacus")
+def test_another_arithmetic_gives_another_digest_which_is_no_error(remake: Remake, again: Callable[..., Any]) -> None:
+    said = provenance(SCENARIO, driver="simulate")
+    assert said["arithmetic"] == 2
+    for arithmetic in (1, 3):
+        found, told = again(remake(lambda messages: messages[:-1], arithmetic=arithmetic))
+        assert (found["same"], found["compared"]) == (None, None)
+        assert f"recorded under arithmetic {arithmetic}, and this version computes with 2: figures are close" in told
+
+
+def test_other_versions_are_named(remake: Remake, again: Callable[..., Any]) -> None:
+    bag = remake(versions={"numpy": "0.1", "nothing_known": "7"}, machine="abacus")
     found, said = again(bag)
     assert found["same"] is True
-    for text in ("numpy 0.1, here it is ", "nothing_known 7, here it is not installed", "machine abacus", "feed"):
+    for text in ("numpy 0.1, here it is ", "nothing_known 7, here it is not installed", "machine abacus"):
         assert any(text in difference for difference in found["differences"])
         assert text in said
 
 
 def test_the_origin_is_told_in_one_line_and_may_be_missing(remake: Remake, original: Path, tmp_path: Path) -> None:
-    bag = remake(versions={"\n\x1b[2J" * 99: "\n\x1b[2J" * 99}, libm_fingerprint="\n\x1b[2J" * 99)
+    bag = remake(versions={"\n\x1b[2J" * 99: "\n\x1b[2J" * 99}, arithmetic="\n\x1b[2J" * 99)
     differences = recorded_run(bag).differences
-    assert len(differences) == 2
+    assert len(differences) == 1
     assert all(line.isprintable() and len(line) < 500 for line in differences)
     with pytest.raises(InputError) as error:
         recorded_run(remake(driver="\n" * 9999))

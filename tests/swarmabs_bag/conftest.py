@@ -18,7 +18,7 @@ STEPS = 40
 STEPS_PER_FILE = 10
 
 SCENARIO = sample_run.SCENARIO.encode()
-PROVENANCE = b'{"driver": "lockstep", "versions": {"swarmabs": "1.2.3"}, "libm_fingerprint": "abc123"}'
+PROVENANCE = b'{"driver": "lockstep", "versions": {"swarmabs": "1.2.3"}, "arithmetic": 2}'
 
 
 @pytest.fixture(scope="session")

@@ -283,7 +283,7 @@ def test_hostile_texts_say_nothing(hostile: bytes, file: Path) -> None:
     assert (info.scenario, info.repaired) == (None, None)
     assert (info.aborted or "").encode() in hostile
     assert info.versions == ({"c": "1"} if b"1e999" in hostile else {"a": "\ud800"} if b"ud800" in hostile else {})
-    assert info.fingerprint in {None, "\x1b[2J\n"}
+    assert info.arithmetic in {None, 2}
     with pytest.raises(InputError, match=r"x\.mcap:scenario\.yaml") as caught:
         scenario_of(str(file))
     assert str(caught.value).isprintable()

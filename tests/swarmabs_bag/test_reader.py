@@ -442,7 +442,7 @@ def test_complete_bag(bag: Path, run: list[Message]) -> None:
     assert info.topics[0].type == "swarmabs_msgs/msg/AgentState"
     assert info.topics[0].type_hash.startswith("RIHS01_")
     assert info.scenario == ScenarioInfo("sample", seed=5, agents=3, duration=0.4, step=0.01)
-    assert (info.versions, info.fingerprint) == ({"swarmabs": "1.2.3"}, "abc123")
+    assert (info.versions, info.arithmetic) == ({"swarmabs": "1.2.3"}, 2)
     assert info.attachments["run.log"] == 14
     plain = json.loads(json.dumps(asdict(info), allow_nan=False))
     assert plain["scenario"] == {"name": "sample", "seed": 5, "agents": 3, "duration": 0.4, "step": 0.01}
@@ -452,7 +452,7 @@ def test_table_shows_what_matters_and_a_cut_off_bag_as_far_as_it_goes(copy: Path
     text, whole, data = shown(copy), bag_info(copy), (copy / "bag_0.mcap").read_bytes()
     for part in (
         *("complete", "sample, seed 5, 3 agents, 0.4 s", "/swarm/agent_state", "123"),
-        *("swarmabs 1.2.3", "abc123", "0 s to 0.4 s", "run.log (14 bytes)", "(zstd; ", "QoS offered"),
+        *("swarmabs 1.2.3", "arithmetic   2", "0 s to 0.4 s", "run.log (14 bytes)", "(zstd; ", "QoS offered"),
     ):
         assert part in text
     assert "swarms in" not in text

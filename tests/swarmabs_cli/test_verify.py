@@ -144,12 +144,35 @@ def test_a_bag_that_was_converted_from_sqlite_has_no_publish_times(run: Path, tm
     assert verify(rewritten(run, tmp_path / "bare.mcap", attachments=nothing, publish_times=False), code=0)["complete"]
 
 
-def test_another_library_explains_a_difference(run: Path, tmp_path: Path) -> None:
-    elsewhere = {"provenance.json": b'{"libm_fingerprint": "0123", "versions": {"python": "2.7"}}'}
+def test_other_versions_explain_a_difference(run: Path, tmp_path: Path) -> None:
+    elsewhere = {"provenance.json": b'{"arithmetic": 2, "versions": {"python": "2.7"}}'}
     assert verify(rewritten(run, tmp_path / "same.mcap", attachments=elsewhere), code=0)["notes"] == []
     notes = verify(rewritten(run, tmp_path / "other.mcap", last_command, elsewhere), code=1)["notes"]
-    assert "fingerprint 0123" in notes[0] and "--tolerance" in notes[0]
-    assert notes[1].startswith("the bag was recorded with python 2.7, here 3.")
+    assert notes[0].startswith("the bag was recorded with python 2.7, here 3.")
+
+
+def test_a_bag_of_the_former_arithmetic_is_compared_within_what_it_differs_by(run: Path, tmp_path: Path) -> None:
+    """The frozen bags of that time are verified in test_compatibility.py."""
+    former = {"provenance.json": b'{"libm_fingerprint": "0123"}'}
+    for by, code in ((1e-11, 0), (1e-7, 1)):
+
+        def moved(topic: str, number: int, data: bytes, by: float = by) -> bytes:
+            if (topic, number) != ("/swarm/abstract_state", 20):
+                return data
+            (rate,) = struct.unpack("<d", data[-8:])
+            return data[:-8] + struct.pack("<d", rate + by)
+
+        found = verify(rewritten(run, tmp_path / f"{code}.mcap", moved, former), code=code)
+        assert found["tolerance"] == 1e-9
+        assert [note.split(" verify bit by bit")[0] for note in found["notes"]] == [
+            "recorded under the former arithmetic, which versions of 0.1.0 before 27 November 2026"
+        ]
+    assert found["first_difference"]["field"] == "inertia_rate"
+
+
+def test_a_bag_of_a_later_arithmetic_is_refused(run: Path, tmp_path: Path) -> None:
+    later = rewritten(run, tmp_path / "later.mcap", attachments={"provenance.json": b'{"arithmetic": 3}'})
+    assert "was recorded under arithmetic 3, but this version computes with 2; update" in refused("verify", later)
 
 
 def test_an_interrupted_run_is_verified_as_far_as_it_goes(tmp_path: Path) -> None:

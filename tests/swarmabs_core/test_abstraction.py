@@ -52,7 +52,7 @@ def test_sums_against_rational_arithmetic(robots: list[Weight], ksd: float) -> N
     assert moments.s1 == pytest.approx(float(s1), abs=1e-15 * float(s0) * 4)
     assert moments.s2 == pytest.approx(float(s2), rel=2e-15)
     assert s0 * s2 - s1 * s1 == pairwise_s3(pairs)
-    assert moments.s3 == pytest.approx(float(pairwise_s3(pairs)), rel=1e-12, abs=1e-30 * float(s0 * s0))
+    assert moments.s3 == pytest.approx(float(pairwise_s3(pairs)), abs=4e-16 * float(s0 * s2) + 1e-305)
 
     damped = [(m, p, abs(v)) for m, p, v in robots]  # a velocity serves as a damping here
     for k, total in enumerate(damping_sums(damped, ksd)):
@@ -72,12 +72,14 @@ def test_no_bit_depends_on_the_order(case: tuple[list[Weight], list[Weight]], ks
 
 
 @given(st.lists(st.tuples(masses, st.floats(1e-6, 2e-6)), min_size=2, max_size=8), st.floats(-1.0, 1.0))
-def test_s3_keeps_its_digits_when_the_robots_are_close(robots: Bodies, centre: float) -> None:
-    """S0 S2 - S1^2 would lose twelve of its digits here."""
+def test_s3_loses_only_what_its_terms_lose_when_the_robots_are_close(robots: Bodies, centre: float) -> None:
+    """The rounded sums would lose as many digits, and the sign, whatever their terms are."""
     close = [(m, centre + p) for m, p in robots]
-    exact = pairwise_s3(close)
-    s0 = second_moments(close).s0
-    assert second_moments(close).s3 == pytest.approx(float(exact), rel=1e-9, abs=1e-30 * s0 * s0)
+    moments = second_moments(close)
+    assert moments.s3 == pytest.approx(float(pairwise_s3(close)), abs=4e-16 * moments.s0 * moments.s2)
+    rows = [(m * m, m * m * p, m * m * p * p) for m, p in close]
+    s0, s1, s2 = (sum(Fraction(row[k]) for row in rows) for k in range(3))
+    assert moments.s3 == max(0.0, float(s0 * s2 - s1 * s1)), "rounded once"
 
 
 def test_nothing_one_point_and_nan_are_degenerate_and_what_is_near_relative_to_plane_and_masses() -> None:

@@ -102,7 +102,7 @@ def test_the_bag_says_where_it_comes_from_and_can_run_again(finished: tuple[Path
     assert scenario == (folder / "scenario.yaml").read_text(encoding="utf-8")
     assert parse_scenario(scenario).steps == STEPS
     provenance = json.loads(attached["provenance.json"])
-    assert provenance["driver"] == "lockstep" and provenance["libm_fingerprint"]
+    assert provenance["driver"] == "lockstep" and provenance["arithmetic"] == 2
     log = attached["run.log"].decode()
     assert all(name in log for name in ("orchestrator.log", "plane_sim.log", "agent_004.log"))
     metadata = yaml.safe_load((folder / "bag" / "metadata.yaml").read_text(encoding="utf-8"))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from swarmabs_analysis.comparison.messages import side_by_side
 from swarmabs_bag.attached import (
     SCHEMA_VERSION,
+    arithmetic_of,
     attached_provenance,
     attached_scenario,
     is_realtime,
@@ -26,9 +27,9 @@ from swarmabs_bag.run.ordering import recorded_steps
 from swarmabs_config import configure
 from swarmabs_config.model.errors import printable, shorten, show
 from swarmabs_config.scenario.steered import as_planned
+from swarmabs_core.arithmetic import ARITHMETIC
 from swarmabs_core.errors import InputError
 from swarmabs_core.events import EventCode, code_of
-from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.membership import Change, ChangeKind
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ class RepeatableRun:
 
     The scenario includes the changes for the new run. Digest and last step are those of the messages, None and -1 if
     there are none; the run is complete if that step is the last one of the scenario and no step is missing. Each of the
-    `differences` is a sentence on what has changed since the recording, or cannot be repeated.
+    `differences` is a sentence on what has changed since the recording, or cannot be repeated. The digest is not
+    `comparable` with that of a repetition if the arithmetic of its numbers was another.
     """
 
     bag: Path
@@ -59,6 +61,7 @@ class RepeatableRun:
     last_step: int
     complete: bool
     differences: tuple[str, ...]
+    comparable: bool
 
     def judge(self, outcome: Outcome, bag: Path, *, changed: bool) -> dict[str, Any]:
         """Return the result of the repetition, for ``rerun_of`` in ``summary.json``.
@@ -67,7 +70,7 @@ class RepeatableRun:
         """
         same: bool | None = None
         compared: Literal["digest", "prefix"] | None = None
-        if not changed and self.digest is not None:
+        if self.comparable and not changed and self.digest is not None:
             same, compared = self._reached(outcome, bag)
         return {
             "bag": str(self.bag),
@@ -145,6 +148,7 @@ def recorded_run(path: Path | str, overrides: Sequence[str] = (), *, scenario: s
         last_step,
         last_step == recorded.steps == steps - 1,
         tuple(differences),
+        _same_arithmetic(provenance),
     )
 
 
@@ -208,12 +212,15 @@ def _differences(provenance: Mapping[str, Any], scenario: AnyScenario) -> Iterat
         if value is not None and value != here[name]:
             made = f"{_text(name)} {_text(value)}"
             yield f"the bag was made with {made}, here it is {here[name]}: the digest may differ"
-    fingerprint = provenance.get("libm_fingerprint")
-    if fingerprint not in libm_fingerprints():
+    if not _same_arithmetic(provenance):
         yield (
-            f"the bag was made with a math library of fingerprint {_text(fingerprint)}, "
-            f"here it is {libm_fingerprints()[0]}: the digest may differ"
+            f"the bag was recorded under arithmetic {arithmetic_of(provenance)}, and this version computes with "
+            f"{ARITHMETIC}: figures are close to those of its run, the digest is another"
         )
+
+
+def _same_arithmetic(provenance: Mapping[str, Any]) -> bool:
+    return arithmetic_of(provenance) in {None, ARITHMETIC}
 
 
 def _text(value: object) -> str:

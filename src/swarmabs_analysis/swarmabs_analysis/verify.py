@@ -14,6 +14,7 @@ from swarmabs_analysis.verification.trial import Trial
 from swarmabs_bag.attached import (
     PROVENANCE_FILE,
     SCENARIO_FILE,
+    arithmetic_of,
     attached_provenance,
     attached_scenario,
     events_in,
@@ -32,9 +33,9 @@ from swarmabs_config import configure
 from swarmabs_config.graph import REALTIME
 from swarmabs_config.model.errors import show
 from swarmabs_config.scenario import on_plane
+from swarmabs_core.arithmetic import ARITHMETIC, FORMER, FORMER_INTEGRATOR, FORMER_TOLERANCE, VERIFIED_FORMER
 from swarmabs_core.declaration import tree_of
 from swarmabs_core.errors import InputError
-from swarmabs_core.fingerprint import libm_fingerprints
 from swarmabs_core.messages import EVENTS, STANDING
 
 if TYPE_CHECKING:
@@ -50,6 +51,10 @@ DRIVERS = ("lockstep", "simulate", REALTIME.value)
 """The drivers, as recorded in the provenance, whose bags can be verified."""
 NOT_VERIFIED = "not checked: events, and the time within its step at which a robot was measured"
 """Data that is never verified in a run in real time."""
+_FORMER_NOTE = (
+    f"recorded under the former arithmetic, which {VERIFIED_FORMER} verify bit by bit; here, numbers may differ by "
+    f"{FORMER_TOLERANCE:g} (1 + |b|), those of the plane by {FORMER_INTEGRATOR:g} (1 + |b|)"
+)
 
 
 class BagToVerify:
@@ -60,7 +65,7 @@ class BagToVerify:
     Raises
     ------
     InputError
-        If it is not the bag of a swarm, has no scenario, or comes from an unknown driver.
+        If it is not the bag of a swarm, has no scenario, or comes from an unknown driver or a later arithmetic.
     DamagedBagError
         If it is unreadable.
     """
@@ -79,6 +84,13 @@ class BagToVerify:
                 f"{self._bag.path} was recorded by driver {show(driver)}, which cannot be verified; "
                 f"this version verifies {', '.join(DRIVERS)}"
             )
+        number = arithmetic_of(self._provenance)
+        if number not in {None, FORMER, ARITHMETIC}:
+            raise InputError(
+                f"{self._bag.path} was recorded under arithmetic {number}, but this version computes with "
+                f"{ARITHMETIC}; update swarmabs"
+            )
+        self._former = number == FORMER
         self._realtime = realtime_world(self._bag) if driver == REALTIME.value else None
 
     def trial(self, nodes: Sequence[NodeName], overrides: Sequence[str] = ()) -> Trial:
@@ -104,18 +116,27 @@ class BagToVerify:
     ) -> VerificationResult:
         """Verify the bag, or in a `trial` only its nodes; damage does not raise but is part of the result.
 
+        Numbers of a bag of the former arithmetic may differ by `FORMER_TOLERANCE`, the plane's state by
+        `FORMER_INTEGRATOR`.
+
         After each message, or after several steps at once, `on_step` receives the first step that is not verified yet.
         """
+        of_plane = 0.0
+        if self._former and trial is None:
+            tolerance, of_plane = max(tolerance, FORMER_TOLERANCE), FORMER_INTEGRATOR
         verification: Verification = (
             LockstepVerification(
                 self.scenario,
                 tolerance=tolerance,
+                of_plane=of_plane,
                 division=None if STANDING in self._bag.topics() else 0,
                 earlier=are_earlier(events_in(self._bag), self.scenario),
                 trial=trial,
             )
             if self._realtime is None
-            else RealtimeVerification(on_plane(self.scenario, "real time"), self._realtime, tolerance=tolerance)
+            else RealtimeVerification(
+                on_plane(self.scenario, "real time"), self._realtime, tolerance=tolerance, of_plane=of_plane
+            )
         )
         found = verification.found
         found.bag, found.scenario = str(self._bag.path), self.scenario.name
@@ -134,6 +155,8 @@ class BagToVerify:
             found.digest = None
         elif found.digest is not None:
             found.difference = _other_digest(self._bag, found.digest)
+        if self._former:
+            found.notes = (*found.notes, _FORMER_NOTE)
         notes = self._not_recomputed() if self._realtime else (*self._from_outside, *self._unsaid())
         found.notes = (*found.notes, *notes, *(() if found.difference is None else self._elsewhere()))
         return found
@@ -177,12 +200,6 @@ class BagToVerify:
     def _elsewhere(self) -> tuple[str, ...]:
         """Return notes on versions that differ from those of the recording and may explain a difference."""
         notes = []
-        recorded, here = self._provenance.get("libm_fingerprint"), libm_fingerprints()
-        if recorded is not None and recorded not in here:
-            notes.append(
-                f"the bag was recorded with another math library (fingerprint {recorded}, here {here[0]}), which alone "
-                "may change bits; use --tolerance 1e-9 to compare numbers instead"
-            )
         then = self._provenance.get("versions")
         if isinstance(then, dict):
             now = versions() | plugin_versions(self.scenario)

@@ -19,8 +19,8 @@ from swarmabs_config.installation import own_version
 from swarmabs_config.scenario import dump_scenario, parse_scenario
 from swarmabs_config.scenario.steered import as_planned
 from swarmabs_config.scenarios import find_scenario, names_bag
+from swarmabs_core.arithmetic import ARITHMETIC, FORMER
 from swarmabs_core.errors import InputError, MalformedMessageError
-from swarmabs_core.fingerprint import libm_fingerprint
 from swarmabs_core.messages import BASIS, EVENTS, SYSTEM, SwarmEvent, SystemDescription
 from swarmabs_core.systems import PLANE_TABLES, SystemTables
 
@@ -95,11 +95,20 @@ def provenance(
         "versions": versions() | plugin_versions(scenario),
         "machine": platform.machine(),
         "byte_order": sys.byteorder,
-        "libm_fingerprint": libm_fingerprint(),
+        "arithmetic": ARITHMETIC,
     }
     if realtime is not None:
         own["realtime"] = dict(realtime)
     return own | {name: True for name, holds in (("packed", packed), ("steered", steered)) if holds}
+
+
+def arithmetic_of(found: Mapping[str, object]) -> int | None:
+    """Return the number of the arithmetic that a provenance states; None if it states none.
+
+    Bags of the former arithmetic contain a fingerprint of the mathematical library instead.
+    """
+    number = found.get("arithmetic", FORMER if "libm_fingerprint" in found else None)
+    return number if isinstance(number, int) else None
 
 
 def attachments(scenario: AnyScenario, made: Mapping[str, object]) -> dict[str, bytes]:

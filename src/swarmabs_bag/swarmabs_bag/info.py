@@ -16,6 +16,7 @@ from swarmabs_bag.attached import (
     MERGED,
     SCENARIO_FILE,
     UNDECIDED,
+    arithmetic_of,
     attached_provenance,
     contradiction,
     events_in,
@@ -26,6 +27,7 @@ from swarmabs_bag.run.channels import named_swarms
 from swarmabs_bag.run.metadata import ABORTED_KEY, REPAIRED_KEY, load_yaml
 from swarmabs_config.model.errors import shorten, show
 from swarmabs_config.scenario import ScenarioError, parse_scenario
+from swarmabs_core.arithmetic import FORMER
 from swarmabs_core.ranges import Strays, texts_of
 
 if TYPE_CHECKING:
@@ -78,8 +80,8 @@ class BagInfo:
         Namespace of the swarm, None if the bag contains none or several.
     attachments : dict
         Sizes by name.
-    versions, fingerprint
-        Software versions of the run and fingerprint of its math library, from the attached provenance.
+    versions, arithmetic
+        Software versions of the run and number of its arithmetic, from the attached provenance.
     complete : bool
         Whether the file has its end and every CRC and count is correct; otherwise `problem` says what is wrong.
     aborted, repaired : str or None
@@ -106,7 +108,7 @@ class BagInfo:
     attachments: dict[str, int]
     scenario: ScenarioInfo | None
     versions: dict[str, str]
-    fingerprint: str | None
+    arithmetic: int | None
     complete: bool
     problem: str | None
     aborted: str | None
@@ -136,7 +138,7 @@ def bag_info(path: Path | str) -> BagInfo:
         except DamagedBagError as error:
             problem = str(error)
     provenance = attached_provenance(bag)
-    versions, fingerprint = provenance.get("versions"), provenance.get("libm_fingerprint")
+    versions = provenance.get("versions")
     custom: dict[str, str] = {}
     with suppress(DamagedBagError):
         custom = bag.custom_data()
@@ -168,7 +170,7 @@ def bag_info(path: Path | str) -> BagInfo:
         versions={name: value for name, value in versions.items() if isinstance(value, str)}
         if isinstance(versions, dict)
         else {},
-        fingerprint=fingerprint if isinstance(fingerprint, str) else None,
+        arithmetic=arithmetic_of(provenance),
         complete=problem is None,
         problem=problem,
         aborted=custom.get(ABORTED_KEY),
@@ -208,6 +210,10 @@ def render(info: BagInfo) -> RenderableType:
     return Group(facts, topics)
 
 
+def _arithmetic(number: int | None) -> str:
+    return "" if number is None else f"{number}, the former one" if number == FORMER else str(number)
+
+
 def _facts(info: BagInfo) -> Mapping[str, str]:
     scenario = info.scenario
     facts = {
@@ -224,7 +230,7 @@ def _facts(info: BagInfo) -> Mapping[str, str]:
         "swarms in": named_swarms(info.swarms) if len(info.swarms) > 1 else "",
         "written by": info.library,
         "versions": ", ".join(f"{name} {value}" for name, value in info.versions.items()),
-        "fingerprint": info.fingerprint,
+        "arithmetic": _arithmetic(info.arithmetic),
         "attachments": ", ".join(f"{name} ({size:,} bytes)" for name, size in info.attachments.items()),
         "scenario": scenario
         and f"{scenario.name}, seed {scenario.seed}, {scenario.agents} agents, {scenario.duration:.9g} s",

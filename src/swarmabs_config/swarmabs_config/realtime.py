@@ -16,6 +16,7 @@ from swarmabs_core.realtime.leadership import TAKEOVER_STEPS, Pair
 from swarmabs_core.realtime.observer import RealtimeObserverConfig
 from swarmabs_core.realtime.plane import RealtimePlaneConfig
 from swarmabs_core.realtime.validation import Bounds
+from swarmabs_core.summation import exact_sum
 
 if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario
@@ -69,7 +70,7 @@ def schedule(scenario: Scenario, epoch_ns: int) -> Schedule:
 
 def bounds(scenario: Scenario) -> Bounds:
     """Return the known bounds of the swarm and its plane."""
-    mass = sum(agent.mass for agent in scenario.agents)
+    mass = exact_sum(agent.mass for agent in scenario.agents)
     return Bounds(scenario.plane.gravity, scenario.plane.length, mass, scenario.period)
 
 

@@ -17,10 +17,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_core.messages import AbstractState, AgentState, AuxiliaryState, Kind, StandingState, Status
-from swarmabs_core.summation import Columns, Sums, exact_sum, robot_sums
+from swarmabs_core.summation import Columns, Sums, determinant, each_sum, exact_sum, robot_sums
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from swarmabs_core.messages import AnyRobotState
 
@@ -62,7 +62,7 @@ class DampingSums(NamedTuple):
 
 def abstraction(robots: Iterable[Weight] | Columns, gravity: float, sums: Sums = robot_sums) -> Abstraction:
     """Sum over all robots whose weight is on the plane, moving or not (eq. abstractState); gravity is in m/s^2."""
-    moment, inertia, momentum, half_inertia_rate, q = sums(robots, _weight_terms)
+    moment, inertia, momentum, half_inertia_rate, q = sums(robots, _weight_terms, each_sum)
     return Abstraction(gravity * moment, inertia, gravity * momentum, 2.0 * half_inertia_rate, q)
 
 
@@ -71,31 +71,13 @@ def _weight_terms(m: float = 0.0, p: float = 0.0, v: float = 0.0) -> tuple[float
     return mp, mp * p, mv, mp * v, mv * v
 
 
-def quotient(a: float, b: float) -> float:
-    """Return a / b, 0 if b is 0."""
-    return a / b if b else 0.0
-
-
-def second_moments(
-    robots: Iterable[tuple[float, float]] | Columns,
-    sums: Sums = robot_sums,
-    divided: Callable[[float, float], float] = quotient,
-) -> SecondMoments:
+def second_moments(robots: Iterable[tuple[float, float]] | Columns, sums: Sums = robot_sums) -> SecondMoments:
     """Return S0 to S3 of the robots that follow the law, each given by mass (kg) and position (m) (eq. pinv).
 
-    S3 is summed about the centre S1/S0, which avoids cancellation when the robots are close together; it is never
-    negative. Without robots, all sums are zero; `divided` is the quotient of two sums, or of arrays of sums.
+    S3 is computed from the exact sums of the rounded terms and rounded once; it is never negative. Its error is that of
+    the terms, at most 3 * 2**-53 S0 S2: some 1e-8 of S3 at the least spread. Without robots, all sums are zero.
     """
-    members = tuple(robots)
-    s0, s1, s2 = sums(members, _moment_terms)
-    centre = divided(s1, s0)
-
-    def around_centre(m: float = 0.0, p: float = 0.0) -> tuple[float]:
-        offset = p - centre
-        return (m * m * offset * offset,)
-
-    (central,) = sums(members, around_centre)
-    return SecondMoments(s0, s1, s2, s0 * central)
+    return SecondMoments(*sums(robots, _moment_terms, determinant))
 
 
 def _moment_terms(m: float = 0.0, p: float = 0.0) -> tuple[float, ...]:
@@ -117,7 +99,7 @@ def damping_sums(
         mcp = mc * p
         return mc, mcp, mcp * p
 
-    return DampingSums(*sums(robots, terms))
+    return DampingSums(*sums(robots, terms, each_sum))
 
 
 def observed(
@@ -178,9 +160,8 @@ def summed(
     robots: tuple[Any, Any, Any],
     constants: tuple[float, float],
     sums: Sums = robot_sums,
-    divided: Callable[[float, float], float] = quotient,
 ) -> tuple[AbstractState, AuxiliaryState]:
-    """Return what `observed` does for `robots` as `sums` takes them; `divided` is that of `second_moments`.
+    """Return what `observed` does for `robots` as `sums` takes them.
 
     The constants are gravity (m/s^2) and `ksd` (N s/m). The robots are the `count` whose weight is on the plane, as for
     `abstraction`; those that follow the law, as for `second_moments`; and the double integrators among these, as for
@@ -188,7 +169,7 @@ def summed(
     """
     (weights, followers, damped), (gravity, ksd) = robots, constants
     *abstract, q = abstraction(weights, gravity, sums)
-    moments = second_moments(followers, sums, divided)
+    moments = second_moments(followers, sums)
     return (
         AbstractState(stamp, step, count, *abstract),
         AuxiliaryState(stamp, step, *moments, *damping_sums(damped, ksd, sums), q),

@@ -7,10 +7,11 @@ class and its settings here and add its `ControllerType` to `CONTROLLERS`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import cos, sqrt, tanh
+from math import sqrt
 from typing import Protocol, runtime_checkable
 
 from swarmabs_core.declaration import choice, made_of, parameters_of, same, setting
+from swarmabs_core.elementary import cos, tanh
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import PlaneState
 from swarmabs_core.parameters import SettingError, Settings
@@ -186,17 +187,19 @@ def regressor(friction: Friction, rates: tuple[float, float, float, float]) -> t
     Only the slopes g2, g3, g5 of the friction are used; its amplitudes are adapted.
     """
     w, dw, ddw, dddw = rates
-    value, first, second = [], [], []
-    for slope in (friction.g2, friction.g3, friction.g5):
+
+    def smooth_sign(slope: float) -> tuple[float, float, float]:
         t = tanh(slope * w)
-        sech2 = 1.0 - t * t
-        value.append(t)
-        first.append(slope * sech2 * dw)
-        second.append(slope * sech2 * (ddw - 2.0 * slope * t * dw * dw))
+        rise = slope * (1.0 - t * t)
+        return t, rise * dw, rise * (ddw - 2.0 * slope * t * dw * dw)
+
+    _, g2, g3, _, g5, _ = friction
+    steep, less = smooth_sign(g2), smooth_sign(g3)
+    coulomb = steep if g5 == g2 else smooth_sign(g5)
     return (
-        (dw, value[0] - value[1], value[2], w),
-        (ddw, first[0] - first[1], first[2], dw),
-        (dddw, second[0] - second[1], second[2], ddw),
+        (dw, steep[0] - less[0], coulomb[0], w),
+        (ddw, steep[1] - less[1], coulomb[1], dw),
+        (dddw, steep[2] - less[2], coulomb[2], ddw),
     )
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from math import exp, isfinite, sqrt
+from math import isfinite, sqrt
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from swarmabs_core.controllers import OffsetController
+from swarmabs_core.elementary import exp
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.events import EventCode
 from swarmabs_core.manifold import Load

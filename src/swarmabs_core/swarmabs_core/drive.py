@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, expm1
 from typing import NamedTuple, Protocol
 
+from swarmabs_core.elementary import exp, expm1
 from swarmabs_core.messages import Kind
 
 

@@ -25,7 +25,7 @@ Nodes are computed in integers when they are first needed, and kept: 6 to 35 us 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import cache
+from functools import cache, lru_cache
 from itertools import accumulate, count, repeat
 from math import frexp, inf, isqrt, nan
 from operator import mul
@@ -372,17 +372,25 @@ def _expm1(x: float, p: int) -> tuple[int, int]:
     return value - (1 << q) if q > 0 else value, q  # without a place after the point, 1 is at most a unit
 
 
+@cache
+def _exp_of(c: float) -> tuple[int, int]:
+    return _exp(_fixed(c, _BITS + _GUARD), _BITS)
+
+
 def _tanh_node(c: float) -> Node:
-    value = _tanh(c, _BITS)
+    whole = (2.0 * c + _WHOLE) - _WHOLE
+    (large, q), (small, r) = _exp_of(whole), _exp_of(2.0 * c - whole)
+    power, one = large * small >> _BITS, 1 << q + r - _BITS
+    value = (power - one << _BITS) // (power + one)
     slope = (1 << _BITS) - (value * value >> _BITS)
     # tanh' = 1 - tanh**2, so the coefficient of h**n in the square is -(n + 1) times the next one of tanh.
-    a = [value / (1 << _BITS), slope / (1 << _BITS)]
-    for n in range(1, 6):
-        square = 0.0
-        for i in range(n + 1):
-            square += a[i] * a[n - i]
-        a.append(-square / (n + 1))
-    return _node(value, slope, tuple(a[2:]), 17 / 315)  # the seventh coefficient is largest at 0
+    a0, a1 = value / (1 << _BITS), slope / (1 << _BITS)
+    a2 = -a0 * a1
+    a3 = -(2.0 * a0 * a2 + a1 * a1) / 3.0
+    a4 = -(a0 * a3 + a1 * a2) / 2.0
+    a5 = -(2.0 * (a0 * a4 + a1 * a3) + a2 * a2) / 5.0
+    a6 = -(a0 * a5 + a1 * a4 + a2 * a3) / 3.0
+    return _node(value, slope, (a2, a3, a4, a5, a6), 17 / 315)  # the seventh coefficient is largest at 0
 
 
 _TANH = Nodes(20.0, _tanh_node)
@@ -444,24 +452,33 @@ def cos(x: float) -> float:
     return _sine_elsewhere(x, 1)
 
 
+@lru_cache(maxsize=1024)
+def sin_cos(x: float) -> tuple[float, float]:
+    """Return sine and cosine of an angle, rad, correctly rounded; those of recent angles are remembered."""
+    return sin(x), cos(x)
+
+
 def _sine_elsewhere(x: float, quarter: int) -> float:
     """Return the sine, or the cosine, which is a quarter turn ahead."""
-    if -(2.0**-27) <= x <= 2.0**-27:
-        return 1.0 if quarter else x  # the rest is less than a quarter of the last place
-    if not -inf < x < inf:
-        return nan
     hi = lo = e = nan
-    if not quarter and -(2.0**-9) <= x <= 2.0**-9:
-        # lo is at most 2**-20.5 x, off by less than 5 roundings, and the next term less than 2**-90 x
-        square = x * x
-        lo = x * square * (-1 / 6 + square * (1 / 120 - square / 5040))
-        hi, e = x, 2.0**-71 * abs(x)
-    elif -1024.0 < x < 1024.0:
+    if -1024.0 < x < 1024.0 and (quarter or not -(2.0**-9) <= x <= 2.0**-9):
         n, r, t = _reduced(x, _HALF_PI)
         turn = int(n) + quarter & 3
         hi, lo, e = near(_COS if turn & 1 else _SIN, r, t)
         if turn & 2:
             hi, lo = -hi, -lo
+        y: float = hi + (lo - e)
+        if y == hi + (lo + e):
+            return y
+    if -(2.0**-27) <= x <= 2.0**-27:
+        return 1.0 if quarter else x  # the rest is less than a quarter of the last place
+    if not -inf < x < inf:
+        return nan
+    if not quarter and -(2.0**-9) <= x <= 2.0**-9:
+        # lo is at most 2**-20.5 x, off by less than 5 roundings, and the next term less than 2**-90 x
+        square = x * x
+        lo = x * square * (-1 / 6 + square * (1 / 120 - square / 5040))
+        hi, e = x, 2.0**-71 * abs(x)
     return _rounded(hi, lo, e, lambda p: (_sin_cos(x, p)[quarter], p))
 
 

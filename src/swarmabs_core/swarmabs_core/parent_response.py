@@ -11,10 +11,10 @@ and disturbance cannot be distinguished. A first-order filter attenuates the noi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, expm1
 from typing import TYPE_CHECKING, ClassVar
 
 from swarmabs_core.declaration import setting
+from swarmabs_core.elementary import cos, expm1
 
 if TYPE_CHECKING:
     from swarmabs_core.plant import Friction

@@ -11,16 +11,21 @@ period.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, copysign, cos, inf, isfinite, sin, tanh
+from functools import partial
+from math import ceil, copysign, inf, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
+from swarmabs_core import runge_kutta
 from swarmabs_core.declaration import part, setting
+from swarmabs_core.elementary import cos, sin, sin_cos, tanh
 from swarmabs_core.errors import RunError
 from swarmabs_core.sensing import PlaneSensor
 from swarmabs_core.summation import column_total, exact_total, term_columns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+
+    from swarmabs_core.runge_kutta import Acceleration
 
 Function: TypeAlias = "Callable[[Any], Any]"
 Functions: TypeAlias = tuple[Function, Function, Function]
@@ -149,10 +154,13 @@ class Friction(NamedTuple):
     g5: float
     g6: float
 
-    def torque(self, angular_velocity: float) -> float:
-        """Return the friction torque, N m, at an angular velocity in rad/s."""
+    def torque(self, angular_velocity: Any, tangent: Function = tanh) -> Any:
+        """Return the friction torque, N m, at an angular velocity, rad/s; of an array, `tangent` takes each element."""
+        g1, g2, g3, g4, g5, g6 = self
         w = angular_velocity
-        return self.g1 * (tanh(self.g2 * w) - tanh(self.g3 * w)) + self.g4 * tanh(self.g5 * w) + self.g6 * w
+        steep = tangent(g2 * w)
+        coulomb = steep if g5 == g2 else tangent(g5 * w)
+        return g1 * (steep - tangent(g3 * w)) + g4 * coulomb + g6 * w
 
     def slope_at_rest(self) -> float:
         """Return df_f/dw at w = 0, N m s/rad, which determines the stiffness of the equation near rest."""
@@ -166,11 +174,24 @@ class Disturbance:
     amplitude: float = setting(0.0, "amplitude of the disturbance torque", unit="N m")
     angular_frequency: float = setting(0.5, "angular frequency of the disturbance", unit="rad/s")
 
-    def torques(self, times: Sequence[Any], sin: Function = sin) -> list[Any]:
-        """Return the disturbance torque, N m, at times in s; of arrays, the sine takes each element."""
-        if not self.amplitude:
-            return [0.0] * len(times)
-        return [self.amplitude * sin(self.angular_frequency * time) for time in times]
+    def torque(self, time: Any, sine: Function = sin) -> Any:
+        """Return the disturbance torque, N m, at a time in s; of an array, the sine takes each element."""
+        return self.amplitude * sine(self.angular_frequency * time)
+
+    def torque_from(self, time: Any, circle: Function = sin_cos) -> Function:
+        """Return the disturbance torque, N m, by the time (s) that has passed since a time in s.
+
+        `circle` gives sine and cosine, of an array those of each element. The torque is that of the sine of a sum, so
+        that the steps of an integrator, which are the same in most periods, need no new sines.
+        """
+        a, w = self.amplitude, self.angular_frequency
+        s, c = circle(w * time)
+
+        def torque(passed: Any) -> Any:
+            s1, c1 = circle(w * passed)
+            return a * (s * c1 + c * s1)
+
+        return torque
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +211,13 @@ class Plane:
         say=tuple,
     )
     substep: float = setting(
-        0.001, "longest step of the plane's integrator", unit="s", above=0.0, whole_nanoseconds=True
+        inf,
+        "longest step of the plane's integrator",
+        unit="s",
+        above=0.0,
+        whole_nanoseconds=True,
+        unset=0.0,
+        null="as long as its error allows",
     )
     angle: float = setting(0.1, "initial angle", unit="rad", above=-STEEPEST, below=STEEPEST)
     angular_velocity: float = setting(0.0, "initial angular velocity", unit="rad/s")
@@ -217,24 +244,21 @@ def substeps(period: float, longest: float) -> int:
 
 
 class PlaneDynamics:
-    """Integrates the plane over one control period (s) by the classical Runge-Kutta method with fixed substeps.
+    """Moves the plane over one control period (s).
 
-    The period is divided into equal substeps; 0.5 to 1 ms suit the paper's friction, whose slope at rest makes the
-    equation stiff. The end stops are inelastic: a substep that leads beyond a stop ends at the stop, at rest. The plane
-    stays there while each further substep leads beyond.
+    The end stops are inelastic: the plane stops where it meets one, and stays as long as the net torque presses it
+    against the stop.
 
     Attributes
     ----------
     impact : tuple of float or None
-        First impact on an end stop in the last period, unless the plane rested there at its start: the end of the
-        substep (s), and the angular velocity (rad/s) that is lost.
+        First impact on an end stop in the last period: its time (s), and the angular velocity (rad/s) that is lost.
     """
 
     def __init__(self, plane: Plane, period: float) -> None:
         self._plane = plane
         self._period = period
-        self._count = substeps(period, plane.substep)
-        self._shares = [n / (2 * self._count) for n in range(2 * self._count + 1)]
+        self._longest = 1.0 / substeps(period, plane.substep)
         self.impact: tuple[float, float] | None = None
 
     def advance(
@@ -249,26 +273,12 @@ class PlaneDynamics:
         RunError
             If the motion is not finite.
         """
-        end_stop = self._plane.end_stop
-        rests = abs(angle) == end_stop and not angular_velocity
-        self.impact = None
-
-        def stopped(th: float, w: float, end: float) -> tuple[float, float]:
-            if not abs(th) > end_stop:
-                return th, w
-            if not rests:
-                self.impact = self.impact or (time + end, w)
-            return copysign(end_stop, th), 0.0
-
-        sampled = self._sample(time, load, extra, sin)
-        try:
-            th, w = self._integrate(
-                (angle, angular_velocity), sampled, (cos, tanh), stopped if end_stop < inf else None
-            )
-        except (ValueError, OverflowError) as error:  # cos(inf)
-            raise RunError(DIVERGED.format(time)) from error
+        motion = acceleration(self._plane, self._period, load, time, extra, (sin_cos, cos, tanh))
+        move = self._free if self._plane.end_stop == inf else self._between_stops
+        th, w, met = move(motion, angle, angular_velocity)
         if not (isfinite(th) and isfinite(w)):
             raise RunError(DIVERGED.format(time))
+        self.impact = None if met is None else (time + met[0] * self._period, met[1])
         return th, w
 
     def advance_each(
@@ -276,52 +286,142 @@ class PlaneDynamics:
     ) -> tuple[Any, Any]:
         """Return what `advance` does for many periods at once, given as arrays (K,), for a plane without end stops.
 
-        The arrays contain the same bits, which are not finite where `advance` raises an error, if the functions (sine,
-        cosine, hyperbolic tangent) apply those of `math` to each element, with their errors.
+        The arrays contain the same bits, which are not finite where `advance` raises an error. The functions
+        (`sin_cos`, `cos`, `tanh`) apply those of `elementary` to each element.
         """
-        sine, cosine, tangent = functions
-        sampled = self._sample(times, load, extra, sine)
-        return self._integrate((angles, angular_velocities), sampled, (cosine, tangent), None)
 
-    def _integrate(
-        self, state: tuple[Any, Any], sampled: tuple[list[Any], ...], functions: tuple[Function, Function], stop: Any
-    ) -> tuple[Any, Any]:
-        """Return the state after a period; `stop` changes the state at the end of a substep (s after the start)."""
-        torque, inertia, inertia_rate, disturbance = sampled
-        cos, tanh = functions
-        g1, g2, g3, g4, g5, g6 = self._plane.friction
+        def motion(places: Any) -> Acceleration:
+            torque, inertia = (
+                tuple(number if isinstance(number, float) else number[places] for number in numbers)
+                for numbers in (load.torque, load.inertia)
+            )
+            part = SwarmLoad(torque, inertia)  # type: ignore[arg-type]  # of the same lengths
+            return acceleration(self._plane, self._period, part, times[places], extra, functions)
 
-        def acceleration(th: Any, w: Any, n: int) -> Any:
-            friction = g1 * (tanh(g2 * w) - tanh(g3 * w)) + g4 * tanh(g5 * w) + g6 * w
-            return (-cos(th) * torque[n] - inertia_rate[n] * w - friction - disturbance[n]) / inertia[n]
+        return runge_kutta.advance_each(motion, self._period, (angles, angular_velocities), self._longest)
 
-        h = self._period / self._count
-        half = 0.5 * h
-        th, w = state
-        for n in range(0, 2 * self._count, 2):
-            a1 = acceleration(th, w, n)
-            w2 = w + half * a1
-            a2 = acceleration(th + half * w, w2, n + 1)
-            w3 = w + half * a2
-            a3 = acceleration(th + half * w2, w3, n + 1)
-            w4 = w + h * a3
-            a4 = acceleration(th + h * w3, w4, n + 2)
-            th = th + h / 6.0 * (w + 2.0 * (w2 + w3) + w4)
-            w = w + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
-            if stop is not None:
-                th, w = stop(th, w, (n + 2) * half)
-        return th, w
+    def _free(self, motion: Acceleration, th: float, w: float) -> tuple[float, float, None]:
+        return runge_kutta.advance(motion, self._period, (th, w), self._longest)
 
-    def _sample(self, time: Any, load: SwarmLoad, extra: float, sin: Function) -> tuple[list[Any], ...]:
-        """Evaluate torque, inertia, inertia rate and disturbance at the ends and midpoints of the substeps."""
-        t0, t1, t2, t3 = load.torque
-        j0, j1, j2, j3, j4, j5, j6 = load.inertia
-        period, total = self._period, self._plane.inertia + j0
-        k2, k3, k4, k5 = 2.0 * j2, 3.0 * j3, 4.0 * j4, 5.0 * j5
-        disturbance = self._plane.disturbance.torques([time + s * period for s in self._shares], sin)
-        return (
-            [t0 + s * (t1 + s * (t2 + s * t3)) for s in self._shares],
-            [total + s * (j1 + s * (j2 + s * (j3 + s * (j4 + s * (j5 + s * j6))))) for s in self._shares],
-            [(j1 + s * (k2 + s * (k3 + s * (k4 + s * (k5 + s * 6.0 * j6))))) / period for s in self._shares],
-            [value + extra for value in disturbance] if extra else disturbance,
-        )
+    def _between_stops(
+        self, motion: Acceleration, th: float, w: float
+    ) -> tuple[float, float, tuple[float, float] | None]:
+        """Move between the end stops; the first impact is that of `_met`."""
+        stop, share = self._plane.end_stop, 0.0
+        first: tuple[float, float] | None = None
+        while share < 1.0:
+            if abs(th) == stop and not w:
+                share = self._departure(motion, th, share)
+                if share >= 1.0:
+                    break
+            th, w, met = runge_kutta.advance(
+                motion, self._period, (th, w), self._longest, share, partial(self._met, motion)
+            )
+            if met is None:
+                break
+            first = first or met
+            share, th, w = max(met[0], share + runge_kutta.SHORTEST), copysign(stop, th), 0.0
+        return th, w, first
+
+    def _departure(self, motion: Acceleration, th: float, share: float) -> float:
+        """Return the share of the period at which the net torque no longer presses a plane at rest against its stop."""
+        side = copysign(1.0, th)
+
+        def pressed(at: float) -> bool:
+            return bool(side * motion(at, th, 0.0) >= 0.0)
+
+        before = share
+        if not pressed(before):
+            return before
+        for n in range(1, _LOOKS + 1):
+            after = share + (1.0 - share) * n / _LOOKS
+            if not pressed(after):
+                return _switch(lambda at: not pressed(at), before, after)
+            before = after
+        return 1.0
+
+    def _met(
+        self,
+        motion: Acceleration,
+        share: float,
+        length: float,
+        start: tuple[float, float, float],
+        end: tuple[float, float, float],
+    ) -> tuple[float, float] | None:
+        """Return where the plane meets a stop in a step: the share of the period and the angular velocity, or None."""
+        stop, (th, w, _), (end_th, end_w, _) = self._plane.end_stop, start, end
+
+        def state(part: float) -> tuple[float, float]:
+            moved: tuple[float, float] = runge_kutta.step(motion, share, part, self._period, start)[:2]
+            return moved
+
+        reach = length
+        if not abs(end_th) > stop:
+            fastest = max(abs(w), abs(end_w)) * length * self._period
+            if (w > 0.0) == (end_w > 0.0) or not abs(th) + fastest > stop:
+                return None
+            reach = _switch(lambda part: (state(part)[1] > 0.0) != (w > 0.0), 0.0, length)  # it turns back
+            if not abs(state(reach)[0]) > stop:
+                return None
+        part = _switch(lambda part: abs(state(part)[0]) > stop, 0.0, reach)
+        return share + part, state(part)[1]
+
+
+_LOOKS = 16
+"""Number of times in a period at which it is checked whether a plane at its stop is still pressed against it."""
+_HALVINGS = 48
+"""Number of halvings of an interval in which something switches."""
+
+
+def _switch(switched: Callable[[float], bool], before: float, after: float) -> float:
+    """Return where a condition that does not hold at one place begins to hold on the way to another one."""
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (before + after)
+        before, after = (before, middle) if switched(middle) else (middle, after)
+    return after
+
+
+def acceleration(
+    plane: Plane, period: float, load: SwarmLoad, time: Any, extra: float, functions: Functions
+) -> Acceleration:
+    """Return the plane's angular acceleration by share of the period, angle (rad) and angular velocity (rad/s).
+
+    Parameters
+    ----------
+    plane : Plane
+        The plane with friction and disturbance.
+    period, time : float
+        Length of the period and its start, s; of many periods `time` is an array (K,), as are the numbers of the load.
+    load : SwarmLoad
+        The swarm's load.
+    extra : float
+        A further torque, N m, as the disturbance.
+    functions : tuple of callable
+        Sine and cosine as a pair, cosine, and hyperbolic tangent; of arrays they take each element.
+    """
+    circle, cosine, tangent = functions
+    friction = plane.friction
+    disturbance = plane.disturbance.torque_from(time, circle) if plane.disturbance.amplitude else None
+    t0, t1, t2, t3 = load.torque
+    j0, j1, j2, j3, j4, j5, j6 = load.inertia
+    total = plane.inertia + j0
+    k2, k3, k4, k5, k6 = 2.0 * j2, 3.0 * j3, 4.0 * j4, 5.0 * j5, 6.0 * j6
+
+    place: Any = None
+    torque: Any
+    inertia: Any
+    rate: Any
+    other: Any = extra
+
+    def accelerated(s: Any, th: Any, w: Any) -> Any:
+        nonlocal place, torque, inertia, rate, other
+        if s is not place:  # the last two stages of a step are at the same one
+            place = s
+            torque = t0 + s * (t1 + s * (t2 + s * t3))
+            inertia = total + s * (j1 + s * (j2 + s * (j3 + s * (j4 + s * (j5 + s * j6)))))
+            rate = (j1 + s * (k2 + s * (k3 + s * (k4 + s * (k5 + s * k6))))) / period
+            if disturbance is not None:
+                other = extra + disturbance(s * period)
+        return (-cosine(th) * torque - rate * w - friction.torque(w, tangent) - other) / inertia
+
+    return accelerated

@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from hashlib import blake2b
 from math import remainder
-from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 from swarmabs_core.declaration import setting
+from swarmabs_core.elementary import normal_quantile
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 Pair = tuple[float, float]
-
-_STANDARD = NormalDist()
 
 
 def standard_normal(text: str) -> float:
@@ -25,7 +23,7 @@ def standard_normal(text: str) -> float:
     which is never 0 or 1.
     """
     digest = blake2b(text.encode(), digest_size=8).digest()
-    return _STANDARD.inv_cdf(((int.from_bytes(digest, "big") >> 12) + 0.5) * 2.0**-52)
+    return normal_quantile(((int.from_bytes(digest, "big") >> 12) + 0.5) * 2.0**-52)
 
 
 @dataclass(frozen=True, slots=True)

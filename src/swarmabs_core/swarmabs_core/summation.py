@@ -7,9 +7,11 @@ robot, it computes the same bits for all robots at once.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import reduce
 from itertools import chain, starmap
-from math import fsum, isfinite, nan
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from math import fsum, nan
+from operator import add
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,10 +21,13 @@ Columns: TypeAlias = "tuple[NDArray[np.float64], ...]"
 """Robots as arrays, one for each of their quantities."""
 Terms: TypeAlias = Callable[..., tuple[Any, ...]]
 """The numbers of a robot in, its terms in several sums out; without numbers, zero terms."""
-Sums: TypeAlias = Callable[[Iterable[Any], Terms], list[float]]
-"""Robots and their terms in, the sums out: `robot_sums`, or `column_sums` for robots as columns."""
+Reduction: TypeAlias = Callable[[Iterable[Sequence[float]]], list[float]]
+"""The terms of all robots, for each sum, in; numbers that do not depend on the order of the robots out."""
+Sums: TypeAlias = Callable[[Iterable[Any], Terms, Reduction], list[float]]
+"""Robots, their terms and a reduction of these in, its numbers out: `robot_sums`, or `column_sums` for columns."""
 
-_Term = TypeVar("_Term")
+_PLACES = 1074
+"""Bits after the point of the least double."""
 
 
 def exact_sum(terms: Iterable[float]) -> float:
@@ -33,27 +38,43 @@ def exact_sum(terms: Iterable[float]) -> float:
         return nan
 
 
-def added(terms: Iterable[_Term]) -> _Term:
-    """Return the sum of numbers or columns, with the rounding errors of its additions added in the end.
+def exact_units(terms: Sequence[float]) -> int:
+    """Return the sum of terms without rounding, in units of 2**-1074, of which every double is a multiple.
 
-    That is what the built-in `sum` does with numbers since Python 3.12; before, it gives other bits. A sum of numbers
-    that overflows is infinite or NaN; no terms give 0.
+    Such sums of parts add up to that of the whole, in any grouping and order.
+
+    Raises
+    ------
+    OverflowError, ValueError
+        If a term or the sum is infinite or NaN.
     """
-    total: Any = 0.0
-    lost: Any = 0.0
-    for term in terms:
-        after = total + term
-        part = after - total
-        lost = lost + ((total - (after - part)) + (term - part))
-        total = after
-    if isinstance(total, float) and not isfinite(lost):
-        return total  # type: ignore[return-value]
-    return total + lost  # type: ignore[no-any-return]
+    rest, total = list(terms), 0
+    while part := exact_sum(rest):
+        numerator, denominator = part.as_integer_ratio()
+        total += numerator << (_PLACES + 1 - denominator.bit_length())
+        rest.append(-part)
+    return total
+
+
+def rounded(units: int, factors: int = 1) -> float:
+    """Return the double nearest to a sum, or to sums of products of so many; NaN if it overflows."""
+    try:
+        return units / (1 << _PLACES * factors)  # Python rounds quotients of integers correctly
+    except OverflowError:
+        return nan
+
+
+def added(terms: Iterable[Any]) -> Any:
+    """Return the sum of a few terms, numbers or columns, added one after the other; 0 without terms.
+
+    The built-in `sum` of numbers rounds differently since Python 3.12.
+    """
+    return reduce(add, terms, 0.0)
 
 
 def exact_total(*columns: Iterable[float]) -> float:
     """Return the `exact_sum` of all numbers in columns."""
-    return exact_sum(columns[0] if len(columns) == 1 else chain.from_iterable(columns))
+    return exact_sum(chain.from_iterable(columns))
 
 
 def term_columns(robots: Iterable[Iterable[float]], terms: Terms) -> Iterable[Sequence[float]]:
@@ -61,16 +82,33 @@ def term_columns(robots: Iterable[Iterable[float]], terms: Terms) -> Iterable[Se
     return zip(*(list(starmap(terms, robots)) or [terms()]), strict=True)
 
 
-def robot_sums(robots: Iterable[Iterable[float]], terms: Terms) -> list[float]:
+def each_sum(columns: Iterable[Iterable[float]]) -> list[float]:
+    """Return the `exact_sum` of each column."""
+    return [exact_sum(column) for column in columns]
+
+
+def determinant(columns: Iterable[Sequence[float]]) -> list[float]:
+    """Return the sums a, b, c of three columns and a c - b^2, at least 0, each rounded once; all NaN without sums."""
+    try:
+        a, b, c = map(exact_units, columns)
+    except (OverflowError, ValueError):
+        return [nan] * 4
+    return [rounded(a), rounded(b), rounded(c), max(0.0, rounded(a * c - b * b, 2))]
+
+
+def robot_sums(robots: Iterable[Iterable[float]], terms: Terms, reduction: Reduction = each_sum) -> list[float]:
     """Return the sums over robots given as tuples of numbers."""
-    return [exact_sum(column) for column in term_columns(robots, terms)]
+    return reduction(term_columns(robots, terms))
 
 
-def column_sums(robots: Iterable[Any], terms: Terms) -> list[float]:
+def column_sums(robots: Iterable[Any], terms: Terms, reduction: Reduction = each_sum) -> list[float]:
     """Return the sums over robots given as columns, which are numpy arrays."""
-    return [column_total(column) for column in terms(*robots)]
+    return reduction([column.tolist() for column in terms(*robots)])
 
 
 def column_total(*columns: NDArray[np.float64]) -> float:
     """Return the `exact_sum` of all numbers in columns, which are numpy arrays."""
-    return exact_total(*(column.tolist() for column in columns))
+    terms = columns[0].tolist()
+    for column in columns[1:]:
+        terms += column.tolist()
+    return exact_sum(terms)

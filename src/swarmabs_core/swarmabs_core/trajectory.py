@@ -12,10 +12,11 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
-from math import cos, isfinite, sin
+from math import isfinite
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, cast
 
 from swarmabs_core.declaration import made_of, parameters_of, setting
+from swarmabs_core.elementary import sin_cos
 from swarmabs_core.errors import InputError
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.plant import STEEPEST
@@ -54,8 +55,8 @@ class Sine:
     def derivatives(self, time: float) -> Derivatives:
         """Return th_d and its first four derivatives at a time in s."""
         w = self.angular_frequency
-        s = self.amplitude * sin(w * time)
-        c = self.amplitude * cos(w * time)
+        sine, cosine = sin_cos(w * time)
+        s, c = self.amplitude * sine, self.amplitude * cosine
         return s, w * c, -w * w * s, -w * w * w * c, w * w * w * w * s
 
 

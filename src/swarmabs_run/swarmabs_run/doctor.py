@@ -17,7 +17,6 @@ from swarmabs_config.ports import LARGEST_DOMAIN
 from swarmabs_config.scenario import load_scenario
 from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_core.errors import SwarmabsError
-from swarmabs_core.fingerprint import libm_fingerprint
 from swarmabs_core.messages import TOPICS
 from swarmabs_run.orchestration.network import check_loopback, claimed_domain
 from swarmabs_run.processes import usable_cores
@@ -56,8 +55,7 @@ def examine() -> list[Finding]:
 
 
 def _python() -> Verdict:
-    listed = ", ".join(f"{name} {text}" for name, text in versions().items())
-    return "ok", f"{listed}; libm {libm_fingerprint()}"
+    return "ok", ", ".join(f"{name} {text}" for name, text in versions().items())
 
 
 def _ros() -> Verdict:

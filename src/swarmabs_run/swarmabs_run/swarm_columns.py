@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmabs_core.abstraction import quotient, summed
+from swarmabs_core.abstraction import summed
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import AbstractState, AuxiliaryState
     from swarmabs_core.models import AgentConfig
     from swarmabs_core.plant import SwarmLoad
-    from swarmabs_core.summation import Terms
+    from swarmabs_core.summation import Reduction, Sums, Terms
 
     Floats = NDArray[np.float64]
 
@@ -57,9 +57,11 @@ def step_total(*columns: Floats) -> Any:
     return np.array([exact_sum(robots) for robots in joined.T.tolist()])
 
 
-def step_sums(robots: Iterable[Any], terms: Terms) -> list[Any]:
-    """Return the sums over robots given as columns (N, K)."""
-    return [step_total(column) for column in terms(*robots)]
+def step_sums(robots: Iterable[Any], terms: Terms, reduction: Reduction) -> list[Any]:
+    """Return what a reduction gives for robots given as columns (N, K), or (N, 1): (K,) for each number."""
+    columns = np.broadcast_arrays(*terms(*robots))
+    steps = zip(*(column.T.tolist() for column in columns), strict=True)
+    return list(np.array([reduction(columns) for columns in steps]).T)
 
 
 def rows_of_steps(robots: NDArray[np.void], steps: NDArray[np.uint64], stamps: NDArray[np.int64]) -> NDArray[np.void]:
@@ -92,7 +94,7 @@ class SwarmColumns:
         damped = [config for config in ordered if config.kind.by_force]
         single = len(ordered) - len(damped)
         shape = (-1, 1) if steps else (-1,)
-        self._sums: Any = (step_sums, np.divide) if steps else (column_sums, quotient)
+        self._sums: Sums = step_sums if steps else column_sums
         self._total = step_total if steps else column_total
         self.ids = [config.agent_id for config in ordered]
         self.by_id = np.argsort(self.ids)
@@ -137,7 +139,7 @@ class SwarmColumns:
         m, di = self.mass, self._di
         weights = (m, p, v) if standing is None else _with((m, p, v), standing)
         robots = weights, (m, p), (m[di], p[di], self._damping)
-        return summed(stamp, step, len(weights[0]), robots, (self._gravity, self._gains.ksd), *self._sums)
+        return summed(stamp, step, len(weights[0]), robots, (self._gravity, self._gains.ksd), self._sums)
 
     def commands(self, p: Floats, v: Floats, abstract: Any, auxiliary: Any, desired: Any) -> Floats:
         """Return the commands of the robots' laws."""

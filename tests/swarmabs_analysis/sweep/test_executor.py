@@ -86,7 +86,7 @@ def test_failed_worker_ends_the_sweep(executor: LocalExecutor, study: Study, mon
         list(executor.compute(iter([study.task(0)]), lambda: None))
 
 
-MINE = Identity("0.1.0", "aaaa", "cccc")
+MINE = Identity("0.1.0", "aaaa")
 
 
 def test_the_same_sources_elsewhere_are_the_same_and_any_change_is_another(tmp_path: Path) -> None:
@@ -99,20 +99,19 @@ def test_the_same_sources_elsewhere_are_the_same_and_any_change_is_another(tmp_p
         content = path.read_bytes()
         path.write_bytes(content + b"\n")
         changed = identity(sources)
-        assert (changed.version, changed.libm) == (mine.version, mine.libm)
+        assert changed.version == mine.version
         assert changed.sources != mine.sources
         path.write_bytes(content)
     path.rename(path.with_name("evaluated.py"))
     assert identity(sources).sources != mine.sources
 
 
-def test_another_version_or_other_sources_are_named_with_the_worker_and_another_library_is_not() -> None:
+def test_another_version_or_other_sources_are_named_with_the_worker() -> None:
     for theirs in (MINE._replace(version="0.0.9"), MINE._replace(sources="bbbb")):
         assert different_worker(MINE, {"tcp://a:1": MINE, "tcp://b:2": theirs}) == (
             f"worker tcp://b:2 has swarmabs {theirs.version}, sources {theirs.sources}, but this process has 0.1.0,"
             " sources aaaa"
         )
-    assert different_worker(MINE, {"tcp://a:1": MINE._replace(libm="dddd")}) is None
 
 
 class Cluster:

@@ -186,7 +186,7 @@ def _versions(recorded: Recorded) -> list[Row]:
     versions = found.get("versions")
     named = {str(name): value for name, value in versions.items()} if isinstance(versions, dict) else {}
     rows: list[Row] = [(shown(name), shown(value)) for name, value in sorted(named.items())]
-    for name, key in (("machine", "machine"), ("byte order", "byte_order"), ("fingerprint", "libm_fingerprint")):
+    for name, key in (("machine", "machine"), ("byte order", "byte_order"), ("arithmetic", "arithmetic")):
         if key in found:
             rows.append((name, shown(found[key])))
     return rows

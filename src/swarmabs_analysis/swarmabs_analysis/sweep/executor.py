@@ -31,7 +31,6 @@ import swarmabs_run
 from swarmabs_analysis.sweep.evaluate import evaluate, lost
 from swarmabs_config.installation import lacking, own_version
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.fingerprint import libm_fingerprint
 from swarmabs_run.processes import usable_cores
 
 if TYPE_CHECKING:
@@ -71,13 +70,10 @@ class Executor:
     ----------
     description : str
         Human-readable description and location of the workers.
-    differing : list of str
-        Workers whose mathematical library gives different bits than the local one, and thus different digests.
     """
 
     def __init__(self, description: str) -> None:
         self.description = description
-        self.differing: list[str] = []
         self._most_pending = 0
         """Most tasks submitted and not finished."""
         self._open = ExitStack()
@@ -221,7 +217,6 @@ class SchedulerExecutor(Executor):
         mismatch = different_worker(mine, workers)
         if mismatch is not None:
             raise InputError(f"{mismatch}: their results would differ; install this version there and restart it")
-        self.differing = sorted(name for name, theirs in workers.items() if theirs.libm != mine.libm)
 
     def _client(self) -> Client:
         return self._connected
@@ -233,11 +228,10 @@ class SchedulerExecutor(Executor):
 
 
 class Identity(NamedTuple):
-    """The software of a process: version, a short hash of its sources, and the fingerprint of its math library."""
+    """The software of a process: its version, and a short hash of its sources."""
 
     version: str
     sources: str
-    libm: str
 
 
 def identity(sources: Mapping[str, Path] = SOURCES) -> Identity:
@@ -247,13 +241,13 @@ def identity(sources: Mapping[str, Path] = SOURCES) -> Identity:
         for path in sorted(folder.rglob("*.py")):
             content = path.read_bytes()
             total.update(f"{name}/{path.relative_to(folder).as_posix()}\0{len(content)}\0".encode() + content)
-    return Identity(own_version() or "not installed", total.hexdigest()[:16], libm_fingerprint())
+    return Identity(own_version() or "not installed", total.hexdigest()[:16])
 
 
 def different_worker(mine: Identity, workers: Mapping[str, Identity]) -> str | None:
     """Describe the first worker, given by name, whose swarmabs differs from that of this process, if any."""
     for name, theirs in sorted(workers.items()):
-        if theirs[:2] != mine[:2]:
+        if theirs != mine:
             return (
                 f"worker {name} has swarmabs {theirs.version}, sources {theirs.sources}, but this process has"
                 f" {mine.version}, sources {mine.sources}"

@@ -23,7 +23,7 @@ from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.events import EventCode
 from swarmabs_core.membership import SILENT, Membership
-from swarmabs_core.messages import EVENTS, ROBOT_STATES, STANDING, TOPIC_OF, EventKind, SwarmEvent, Topic
+from swarmabs_core.messages import EVENTS, ROBOT_STATES, STANDING, TOPIC_OF, EventKind, PlaneState, SwarmEvent, Topic
 from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.record import Record
 from swarmabs_run.simulation import nodes_in_process
@@ -125,6 +125,7 @@ class Window:
 class LockstepVerification(Verification):
     """Verifies a run in lockstep, where the step of a message determines its inputs: all messages of that step.
 
+    The state of the plane may differ by the tolerance `of_plane`, if that is larger than the other.
     The `division` is that of the recorded nodes, by default that of the scenario. `earlier` tells whether its events
     are those of a version before the ranges of coordinates; see `are_earlier`. With a `trial` its nodes are compared
     with the recording to the end, and all other messages are taken as they are.
@@ -135,11 +136,13 @@ class LockstepVerification(Verification):
         scenario: AnyScenario,
         *,
         tolerance: float = 0.0,
+        of_plane: float = 0.0,
         division: int | None = None,
         earlier: bool = False,
         trial: Trial | None = None,
     ) -> None:
         super().__init__(tolerance, scenario.step_ns)
+        self._of_plane = max(tolerance, of_plane)
         self._trial = trial
         self.found.expected_steps = scenario.steps + 1
         self._scenario = scenario
@@ -332,7 +335,8 @@ class LockstepVerification(Verification):
         if self._trial is not None:
             self._trial.compare(stored, expected)
             return None
-        return judge(stored, expected, self.found.tolerance, expected.step * self._scenario.step_ns)
+        tolerance = self._of_plane if isinstance(expected, PlaneState) else self.found.tolerance
+        return judge(stored, expected, tolerance, expected.step * self._scenario.step_ns)
 
     def _is(self, stored: Record, expected: Message) -> bool:
         return self._differs(stored, expected) is None

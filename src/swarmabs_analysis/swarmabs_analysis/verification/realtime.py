@@ -33,10 +33,12 @@ class RealtimeVerification(Verification):
     """Verifies a run in real time, where each message names its inputs.
 
     `world` defines the mapping from time to steps, and what was simulated: the motion of other robots or of another
-    plane is not checked.
+    plane is not checked. The state of the plane may differ by the tolerance `of_plane`, if that is larger.
     """
 
-    def __init__(self, scenario: Scenario, world: RealtimeWorld, *, tolerance: float = 0.0) -> None:
+    def __init__(
+        self, scenario: Scenario, world: RealtimeWorld, *, tolerance: float = 0.0, of_plane: float = 0.0
+    ) -> None:
         super().__init__(tolerance)
         self._world = world
         self._schedule = schedule = world.schedule
@@ -56,7 +58,7 @@ class RealtimeVerification(Verification):
             )
             for config in configure.agent_configs(scenario, schedule)
         }
-        self._plane = PlaneCheck(configure.plane_config(scenario, schedule), history, tolerance)
+        self._plane = PlaneCheck(configure.plane_config(scenario, schedule), history, max(tolerance, of_plane))
         observer = configure.observer_config(scenario, schedule)
         controller = configure.controller_config(scenario, schedule)
         self._coordinators = [

@@ -21,6 +21,7 @@ from swarmabs_core.messages import (
     vector_of,
 )
 from swarmabs_core.ranges import Strays
+from swarmabs_core.summation import added
 from swarmabs_core.systems.interface import PLANE_TABLES, Quantity
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ class Figures:
             self._settled_at = None
         elif self._settled_at is None:
             self._settled_at = time
-        error = errors[0] if len(errors) == 1 else sqrt(sum(each * each for each in errors)) if errors else None
+        error = errors[0] if len(errors) == 1 else sqrt(added(each * each for each in errors)) if errors else None
         self._error = error
         if error is not None:
             self._squares += error * error
@@ -169,7 +170,7 @@ class Figures:
 
     def figures(self) -> dict[str, float | int | None]:
         """Return the figures by their names in ``summary.json``; None for unknown and non-finite ones."""
-        rms_error = (self._squares / self._steps) ** 0.5 if self._steps else None
+        rms_error = sqrt(self._squares / self._steps) if self._steps else None
         settled, clear = self._settled_at, self.strays.clear_from
         return {
             "settled_at": None if settled is None or clear is None else max(settled, clear),

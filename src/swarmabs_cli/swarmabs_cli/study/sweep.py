@@ -62,11 +62,6 @@ def sweep(
 
     study = load_sweep(file, overrides)
     with closing(LocalExecutor(jobs) if scheduler is None else SchedulerExecutor(scheduler)) as executor:
-        if executor.differing:
-            workers = ", ".join(executor.differing)
-            click.echo(
-                f"warning: {workers} use another math library, so digests differ from those of this machine", err=True
-            )
         begun = resume and output is not None and output.exists() and any(output.iterdir())
         folder = find_folder(study, output) if begun and output is not None else make_folder(study, output, RUNS)
         summary = folder.complete()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import sin
 from typing import TYPE_CHECKING, ClassVar, cast
 
 from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.drive import Lag
+from swarmabs_core.elementary import sin
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import InjectedFault
 from swarmabs_core.messages import (

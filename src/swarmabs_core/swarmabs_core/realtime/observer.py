@@ -32,6 +32,7 @@ from swarmabs_core.realtime.base import FEWEST, UNKNOWN, Health, Level, Realtime
 from swarmabs_core.realtime.leadership import Pair, Voice
 from swarmabs_core.realtime.validation import NO_MEMBER, Bounds, HeardStates, Origin, Problem, Refusals
 from swarmabs_core.settings import Run
+from swarmabs_core.summation import exact_sum
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
@@ -274,7 +275,7 @@ class RealtimeObserver:
         if known is not None and (known.mass, known.status) == (state.mass, state.status):
             return None
         others = [s.mass for i, s in self._states.items() if i != state.agent_id and s.status != Status.LEFT]
-        if state.status != Status.LEFT and self._bounds.exceeds(sum(others) + state.mass):
+        if state.status != Status.LEFT and self._bounds.exceeds(exact_sum([*others, state.mass])):
             return Problem("a mass that is with the others more than the swarm's", f"{state.mass:.4g} kg")
         return None
 

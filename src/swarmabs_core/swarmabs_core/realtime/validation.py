@@ -183,7 +183,7 @@ class Bounds:
         if not all(isfinite(value) for values, _ in numbers for value in values) or not isfinite(divided.moving_weight):
             return Problem("not all of its numbers are finite")
         masses = divided.standing_constants[0], divided.moving_constants[0]
-        if min(masses) < 0.0 or self.exceeds(sum(masses)) or (divided.moving_count and not masses[1] > 0.0):
+        if min(masses) < 0.0 or self.exceeds(masses[0] + masses[1]) or (divided.moving_count and not masses[1] > 0.0):
             return Problem("masses that the swarm cannot have", f"{masses[0]:.4g} kg and {masses[1]:.4g} kg")
         return None
 

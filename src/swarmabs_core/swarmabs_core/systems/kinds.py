@@ -5,10 +5,10 @@ A further kind is a class here and a constant `Kind`; laws, motion, checks and u
 
 from __future__ import annotations
 
-from math import exp, expm1
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.drive import DoubleIntegratorDrive
+from swarmabs_core.elementary import exp, expm1
 from swarmabs_core.messages import Kind
 from swarmabs_core.systems.components import derived
 

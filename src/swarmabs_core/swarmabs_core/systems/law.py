@@ -148,7 +148,8 @@ class Remainder:
         }
 
         def left(i: int, j: int) -> float:
-            return at(i, j) - added(c * at(j, one) for c, one in zip(self._common[i], self._first, strict=True))
+            shared: float = added(c * at(j, one) for c, one in zip(self._common[i], self._first, strict=True))
+            return at(i, j) - shared
 
         self._gram = of(free, left)
 

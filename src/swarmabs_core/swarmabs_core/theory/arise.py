@@ -55,8 +55,8 @@ def reference_bounds(setting: Setting, law: Arise) -> Reference:
     angle, w, dw, ddw = (
         np.array(values) for values in list(zip(*map(law.trajectory.derivatives, times.tolist()), strict=True))[:4]
     )
-    disturbance = np.array(setting.plane.disturbance.torques(times.tolist()))
-    friction = np.array([setting.plane.friction.torque(rate) for rate in w.tolist()])
+    disturbance = setting.plane.disturbance.torque(times, np.sin)
+    friction = setting.plane.friction.torque(w, np.tanh)
     inertia = np.full_like(times, setting.manifold.offset)
     for _ in range(5):  # fixed-point iteration: the torque depends weakly on its inertia
         torque = -((setting.plane.inertia + inertia) * dw + friction + disturbance) / np.cos(angle)

@@ -101,7 +101,9 @@ def initial_energy(setting: Setting) -> float:
 
 def second_order_energy(kp: Pair, epsilon: float, error: Pair, rate: Pair) -> float:
     """Return V_a = z' M1 z/2 of an error (N m, kg m^2) and its rate; gains as in `second_order`."""
-    return added(0.5 * (k * e * e + 2.0 * epsilon * e * de + de * de) for k, e, de in zip(kp, error, rate, strict=True))
+    parts = zip(kp, error, rate, strict=True)
+    energy: float = added(0.5 * (k * e * e + 2.0 * epsilon * e * de + de * de) for k, e, de in parts)
+    return energy
 
 
 def deepest_swing(kp: float, kd: float, excess: float, rate: float) -> float:
