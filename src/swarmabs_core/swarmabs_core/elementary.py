@@ -18,7 +18,7 @@ How a result is found:
    value but those that are treated first lies halfway between two doubles: the others are transcendental numbers. (Of
    the quantile that is not proven; with such a value it would not end.)
 
-Nodes are computed in integers when they are first needed, and kept: 6 to 35 us and half a kilobyte each.
+Nodes are computed in integers when they are first needed, and kept: 3 to 35 us and half a kilobyte each.
 `swarmabs_core.elementary_arrays` applies the functions to numpy arrays with the same nodes, formulas and bits.
 """
 
