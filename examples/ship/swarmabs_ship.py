@@ -1,7 +1,7 @@
 """A ship in roll, stabilised by trolleys that move on a beam across it; see README.md for the equations."""
 
 from dataclasses import dataclass
-from math import cos, exp, pi, sin
+from math import cos, exp, fsum, pi, sin
 
 from swarmabs_core.declaration import setting
 from swarmabs_core.systems import Constant, Need, Quantity, Standing, SystemType, Tracked, Vector
@@ -71,7 +71,7 @@ class Ship:
     def waves(self, time: float) -> float:
         """Return the moment of the waves, N m."""
         parts = zip(self.wave_moments, self.wave_frequencies, self.wave_phases, strict=True)
-        return min(time / self.wave_growth, 1.0) * sum(a * sin(2.0 * pi * f * time + phase) for a, f, phase in parts)
+        return min(time / self.wave_growth, 1.0) * fsum(a * sin(2.0 * pi * f * time + phase) for a, f, phase in parts)
 
     def disturbed(self, time: float, state: Vector, abstract: Vector, rate: Vector, value: float = 0.0) -> Vector:
         """Return the derivative of roll angle and rate, with an additional moment, N m."""

@@ -257,12 +257,34 @@ def test_the_beginning_comes_later_and_whole() -> None:
     for step in (6, 7, 8):
         buffer.add(point(step))
     known = (buffer.epoch, len(buffer))
-    buffer.begin(point(step) for step in range(8))  # of which some have been heard
+    buffer.begin((point(step) for step in range(8)), 6)  # of which some have been heard
     found = since(buffer, *known)
     assert (found.replace, found.time) == (True, [step / 100 for step in range(9)])
     buffer.add(point(9))
     buffer.add(point(10))
     assert since(buffer).time == [step / 100 for step in range(0, 11, 2)]
+
+
+def test_curves_have_no_gap_where_robots_are_discovered_one_after_the_other() -> None:
+    identities = [RobotIdentity(n, Kind.SINGLE_INTEGRATOR, 0.4, 0.0) for n in (1, 2, 7)]
+    recorded, live = (LiveView(HELLO, SwarmState(identities)) for _ in range(2))
+    assert live.heard_since is None
+    for step in range(12):
+        for message in make_step(step):
+            recorded.add(message)
+        for message in make_step(step, agents=(1, 2) if step < 8 else (1, 2, 7)) if step >= 5 else ():
+            live.add(message)
+    whole, found = LiveSession(recorded), LiveSession(live)
+    for view in (recorded, live):
+        view.refresh(0.0)
+    assert live.heard_since == 8
+    (bag,) = told(whole.poll(0.0), protocol.Positions)
+    curves, places = recorded.curves.since(-1, 0), recorded.positions.since(-1, 0)
+    assert curves and places
+    live.begin(curves[0], places[0], 8)
+    (shown,) = told(found.poll(0.0), protocol.Positions)
+    assert (shown.time, shown.lines) == (bag.time, bag.lines)
+    assert all(place is not None for line in shown.lines for place in line)
 
 
 def test_positions_are_lines_of_few_robots_and_bands_of_many() -> None:

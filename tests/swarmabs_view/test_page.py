@@ -4,6 +4,7 @@ import re
 import signal
 from math import nan
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
@@ -15,7 +16,7 @@ from tests.swarmabs_view.conftest import PRESENTER, PageServer, Served, curves, 
 from swarmabs_bag.shown.swarm_state import TimedEvent
 from swarmabs_core.events import EventCode
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_view.protocol import Answer, Event, Events, Steering
+from swarmabs_view.protocol import Answer, Event, Events, Phase, State, Steering
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -301,6 +302,33 @@ def test_theme_follows_the_system_until_one_is_chosen(browser: Browser, served: 
     context.close()
 
 
+def contrast(colours: list[str]) -> float:
+    """Return the contrast of two colours of CSS by WCAG 2."""
+    shades = []
+    for colour in colours:
+        red, green, blue = (int(part) / 255 for part in re.findall(r"\d+", colour)[:3])
+        light = [one / 12.92 if one <= 0.04045 else ((one + 0.055) / 1.055) ** 2.4 for one in (red, green, blue)]
+        shades.append(0.2126 * light[0] + 0.7152 * light[1] + 0.0722 * light[2] + 0.05)
+    return max(shades) / min(shades)
+
+
+PHASES: tuple[Phase, ...] = get_args(Phase)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_state_of_the_run_can_be_read_in_both_themes(page: Page, page_server: PageServer, theme: str) -> None:
+    page_server.open()
+    page.evaluate("(theme) => { document.documentElement.dataset.theme = theme; }", theme)
+    state = page.locator("#state")
+    for phase in PHASES:
+        page_server.send(State(phase=phase, text=""))
+        expect(state).to_have_text(phase)
+        text = state.evaluate(
+            "(badge) => [getComputedStyle(badge).color, getComputedStyle(document.body).backgroundColor]"
+        )
+        assert contrast(text) >= 4.5, (phase, text)
+
+
 def test_everything_has_a_name_a_size_and_can_be_reached_by_keyboard(page: Page, served: Served) -> None:
     load(page, served)
     for width in (320, 390, 768):
@@ -387,10 +415,10 @@ def test_parts_have_their_order_and_size_and_tables_tell_what_is_out_of_sight(
     expect(more).to_have_text("more rows below; 7 earlier events not listed")
     page.locator("#events").evaluate("(list) => { list.scrollTop = list.scrollHeight; }")
     expect(more).to_have_text("7 earlier events not listed")
-    tops = page.locator("#now-panel, #plane-panel").evaluate_all(
-        "(parts) => Object.fromEntries(parts.map((part) => [part.id, part.getBoundingClientRect().top]))"
+    tops = page.locator("#plane-panel, #steering, #now-panel").evaluate_all(
+        "(parts) => parts.map((part) => part.getBoundingClientRect().top)"
     )
-    assert tops["now-panel"] > tops["plane-panel"] or width == 1280
+    assert tops == sorted(tops) or width == 1280
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     if width == 375:
         small = """(parts) => parts.filter((part) => part.offsetParent && Math.min(

@@ -371,3 +371,17 @@ def test_the_layout_for_presenters_fills_a_projector_and_is_remembered(
     page.get_by_role("button", name="Full page").click()
     expect(page.locator("#now-panel")).to_be_visible()
     expect(page.locator(".chart").filter(visible=True)).to_have_count(6)
+
+
+def test_axes_have_no_more_room_after_a_look_at_the_layout_for_presenters(page: Page, page_server: PageServer) -> None:
+    page.add_init_script(RECORDED)
+    page_server.open(curves(0, 50))
+    before = drawn(page, "abstract")
+    for usual in (False, True):
+        page.keyboard.press("p")
+        page.wait_for_function(
+            "([width, usual]) => (document.getElementById('abstract').width === width) === usual",
+            arg=[before["width"], usual],
+        )
+        drawn_again(page)
+    assert drawn(page, "abstract") == before

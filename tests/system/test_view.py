@@ -245,7 +245,8 @@ def test_a_demo_opens_a_page_that_can_steer_and_leaves_nothing_behind(folder: Pa
             assert client.ask({"action": "status"})["members"] == [*range(1, 21)]
         os.kill(command.process.pid, signal.SIGINT)
         done = command.wait()
-    assert (done.code, page.exists(), page.parent.exists()) == (1, False, False)
+    assert (done.code, page.exists(), page.parent.exists()) == (0, False, False)
+    assert "error:" not in done.err
     assert runs.summary_of(folder)["status"] == "interrupted"
     assert load_arrays(folder).agents.ids.tolist() == [*range(1, 21)]
 
@@ -265,7 +266,7 @@ def test_a_demo_starts_again_beside_the_curve_on_the_same_page(folder: Path) -> 
         expect(page.locator("#state")).to_have_text("running", timeout=PATIENCE)
         runs.until_stepping(following)
         os.kill(command.process.pid, signal.SIGINT)
-        assert command.wait().code == 1
+        assert command.wait().code == 0
     for bag in (folder, following):
         verdict = runs.swarm("verify", bag)
         assert verdict.code == 0, verdict.out + verdict.err

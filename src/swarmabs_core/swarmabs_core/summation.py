@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from itertools import chain, starmap
-from math import fsum, nan
-from typing import TYPE_CHECKING, Any, TypeAlias
+from math import fsum, isfinite, nan
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,6 +22,8 @@ Terms: TypeAlias = Callable[..., tuple[Any, ...]]
 Sums: TypeAlias = Callable[[Iterable[Any], Terms], list[float]]
 """Robots and their terms in, the sums out: `robot_sums`, or `column_sums` for robots as columns."""
 
+_Term = TypeVar("_Term")
+
 
 def exact_sum(terms: Iterable[float]) -> float:
     """Return the correctly rounded sum; NaN if it does not exist, as with infinite or overflowing terms."""
@@ -31,21 +33,22 @@ def exact_sum(terms: Iterable[float]) -> float:
         return nan
 
 
-def added(terms: Iterable[Any]) -> Any:
-    """Return the sum of at least one term, numbers or columns, rounded as the built-in `sum` rounds it.
+def added(terms: Iterable[_Term]) -> _Term:
+    """Return the sum of numbers or columns, with the rounding errors of its additions added in the end.
 
-    Since Python 3.12, it carries the rounding errors of its additions along and adds them in the end.
+    That is what the built-in `sum` does with numbers since Python 3.12; before, it gives other bits. A sum of numbers
+    that overflows is infinite or NaN; no terms give 0.
     """
-    terms = list(terms)
-    if isinstance(terms[0], float):
-        return sum(terms)
-    total, lost = terms[0] + 0.0, 0.0
-    for term in terms[1:]:
+    total: Any = 0.0
+    lost: Any = 0.0
+    for term in terms:
         after = total + term
         part = after - total
         lost = lost + ((total - (after - part)) + (term - part))
         total = after
-    return total + lost
+    if isinstance(total, float) and not isfinite(lost):
+        return total  # type: ignore[return-value]
+    return total + lost  # type: ignore[no-any-return]
 
 
 def exact_total(*columns: Iterable[float]) -> float:

@@ -118,12 +118,11 @@ class CurveBuffer(Generic[Kept]):
             self._points.append(point)
             self._thin()
 
-    def begin(self, points: Iterable[Kept]) -> None:
-        """Insert points before the first."""
-        first = self.first
-        earlier = [one for one in points if one.step % self._stride == 0 and (first is None or one.step < first)]
+    def begin(self, points: Iterable[Kept], until: int) -> None:
+        """Replace what is known before a step by the points before it."""
+        earlier = [one for one in points if one.step % self._stride == 0 and one.step < until]
         if earlier:
-            self._points = earlier + self._points
+            self._points = earlier + [one for one in self._points if one.step >= until]
             self.epoch += 1
             self._thin()
 
@@ -169,6 +168,7 @@ class LiveView:
         stride = 1 + len(state.robots) // ROBOTS_A_STEP
         self.positions: CurveBuffer[Placed] = CurveBuffer(MOST_PLACES, stride)
         self.sides: dict[int, bool] = {}
+        self._placed_since: dict[int, int] = {}
         self._complete: list[Instant] = []
         self.facts += 1
 
@@ -219,12 +219,21 @@ class LiveView:
         else:
             self.phase, self.text = "silent", f"no step since {self.state.step}"
 
-    def begin(self, instants: Iterable[Instant], places: Iterable[Placed]) -> None:
-        """Insert the data recorded before the first received step."""
-        self.curves.begin(instants)
+    @property
+    def heard_since(self) -> int | None:
+        """The first step in which the parent system and all robots heard by now are known, or None.
+
+        Robots are discovered one after the other.
+        """
+        first = self.curves.first
+        return None if first is None else max([first, *self._placed_since.values()])
+
+    def begin(self, instants: Iterable[Instant], places: Iterable[Placed], until: int) -> None:
+        """Show the recorded data before a step instead of what was received of it."""
+        self.curves.begin(instants, until)
         earlier = list(places)
         self.sides |= sides(earlier)
-        self.positions.begin(earlier)
+        self.positions.begin(earlier, until)
 
     def _place(self) -> None:
         """Keep the positions of the complete steps: robots' states arrive after the rest of a step."""
@@ -233,7 +242,9 @@ class LiveView:
             ids = [robot.id for robot in self.state.robots]
             places = dict(zip(ids, [robot.coordinates for robot in shown], strict=True))
             placed = Placed(instant.step, instant.time, places)
-            self.sides = sides([placed]) | self.sides
+            known = sides([placed])
+            self.sides = known | self.sides
+            self._placed_since = dict.fromkeys(known, placed.step) | self._placed_since
             self.positions.add(placed)
         self._complete.clear()
 

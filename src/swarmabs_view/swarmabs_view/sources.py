@@ -127,10 +127,10 @@ class RunView:
         self._live.learn(hello, SwarmState.of(scenario))
 
     async def _fetch(self) -> None:
-        """Read the steps before the first received one from the bag that is being written."""
-        while self._live.curves.first != 0:
+        """Read the steps before the first that was received of all robots from the bag that is being written."""
+        while self._live.heard_since != 0:
             await asyncio.sleep(FETCH_INTERVAL)
-            first = self._live.curves.first
+            first = self._live.heard_since
             if first is None:
                 continue
             with suppress(InputError, DamagedBagError, OSError):  # not written yet
@@ -138,7 +138,7 @@ class RunView:
                     return
                 found = await asyncio.to_thread(self._recorded, first)
                 if found is not None:
-                    self._live.begin(*found)
+                    self._live.begin(*found, first)
                     return
 
     def _recorded(self, first: int) -> tuple[list[Instant], list[Placed]] | None:
@@ -253,10 +253,7 @@ async def listen(live: LiveView, namespace: str, over: Callable[[], bool]) -> No
 
 def check_running(folder: Path) -> None:
     """Raise `InputError` for the folder of a run that has ended, or a folder without a run."""
-    try:
-        environment_of_run(folder)
-    except RunOverError as error:
-        raise InputError(f"{error}; view its bag without --live") from None
+    environment_of_run(folder)
 
 
 async def closed(descriptor: int) -> None:

@@ -218,6 +218,10 @@ def test_page_is_complete_refers_to_nothing_and_is_the_same_elsewhere(
     assert "prefers-color-scheme: dark" in report.html
     pictures = [attributes for tag, attributes in page.tags if tag == "svg"]
     assert len(pictures) == 17 and all(one["role"] == "img" and one["aria-label"] for one in pictures)
+    # Tables can be scrolled by keys, and no column is without a name.
+    tables = [attributes for tag, attributes in page.tags if tag == "div" and attributes.get("class") == "table"]
+    assert len(tables) > 5 and all(one.get("tabindex") == "0" for one in tables)
+    assert re.findall(r"<th[^>]*>\s*</th>", report.html) == []
     # No colour of a picture is fixed: all follow the scheme.
     assert re.findall(r'style="[^"]*#[0-9a-f]{6}', report.html) == []
     assert report.png.startswith(b"\x89PNG")

@@ -12,6 +12,7 @@ from swarmabs_core.errors import InputError, one_line
 from swarmabs_core.messages import NEVER, Kind, RobotState, Status, word
 from swarmabs_core.registry import PluginError
 from swarmabs_core.sensing import ParentSensor
+from swarmabs_core.summation import added
 from swarmabs_core.systems.desired import Requests
 from swarmabs_core.systems.interface import TABLES, Constant, Need, Quantity, Tracked
 from swarmabs_core.systems.kinds import MODELS
@@ -128,7 +129,7 @@ def approach(
             return
         right = [gain * e for gain, e in zip(k, error, strict=True)]
         y = gram.solve(right)
-        yield robots, gram, max(0.0, sum(a * b for a, b in zip(right, y, strict=True))) ** 0.5, size / first
+        yield robots, gram, max(0.0, added(a * b for a, b in zip(right, y, strict=True))) ** 0.5, size / first
         if size < NEAR * first:
             return
         moved = []

@@ -92,9 +92,9 @@ class Gram:
         for i in range(size):
             row: list[float] = []
             for j in range(i):
-                explained = sum(row[n] * self._damped[n] * self._factors[j][n] for n in range(j))
+                explained = added(row[n] * self._damped[n] * self._factors[j][n] for n in range(j))
                 row.append((scaled[i][j] - explained) / self._damped[j] if self._damped[j] else 0.0)
-            pivot = scaled[i][i] - sum(row[n] * row[n] * self._damped[n] for n in range(i))
+            pivot = scaled[i][i] - added(row[n] * row[n] * self._damped[n] for n in range(i))
             self.pivots.append(pivot)
             self._damped.append(pivot if pivot > edge else damped(pivot, edge) if edge else 0.0)
             self._factors.append(row)
@@ -110,10 +110,10 @@ class Gram:
         size = len(self._damped)
         y = [value / scale for value, scale in zip(right, self._scales, strict=True)]
         for i in range(size):
-            y[i] -= sum(self._factors[i][n] * y[n] for n in range(i))
+            y[i] -= added(self._factors[i][n] * y[n] for n in range(i))
         y = [value / pivot for value, pivot in zip(y, self._damped, strict=True)]
         for i in reversed(range(size)):
-            y[i] -= sum(self._factors[n][i] * y[n] for n in range(i + 1, size))
+            y[i] -= added(self._factors[n][i] * y[n] for n in range(i + 1, size))
         return [value / scale for value, scale in zip(y, self._scales, strict=True)]
 
 
@@ -148,20 +148,20 @@ class Remainder:
         }
 
         def left(i: int, j: int) -> float:
-            return at(i, j) - sum(c * at(j, one) for c, one in zip(self._common[i], self._first, strict=True))
+            return at(i, j) - added(c * at(j, one) for c, one in zip(self._common[i], self._first, strict=True))
 
         self._gram = of(free, left)
 
     def excess(self, asked: Sequence[float], most: float) -> list[float]:
         """Return by how much the free rows ask too much, if their share of the effort is to be at most `most`."""
         left = [
-            asked[row] - sum(c * asked[one] for c, one in zip(self._common[row], self._first, strict=True))
+            asked[row] - added(c * asked[one] for c, one in zip(self._common[row], self._first, strict=True))
             for row in self._free
         ]
         if self._gram.empty:
             return left
         y = self._gram.solve(left)
-        effort = sqrt(max(0.0, sum(a * b for a, b in zip(left, y, strict=True))))
+        effort = sqrt(max(0.0, added(a * b for a, b in zip(left, y, strict=True))))
         return [value * (1.0 - most / effort) for value in left] if effort > most else [0.0] * len(left)
 
 
@@ -236,7 +236,7 @@ class RobotLaw:
             ]
         y = gram.solve(right)
         if self._effort < inf:
-            effort = sqrt(max(0.0, sum(a * b for a, b in zip(right, y, strict=True))))
+            effort = sqrt(max(0.0, added(a * b for a, b in zip(right, y, strict=True))))
             y = [value * min(1.0, self._effort / effort) for value in y] if effort else y
         found = motion(self.system.jacobian(q, self.dynamics.constants), y, self.dynamics.weight, len(q))
         if second_order:
@@ -261,7 +261,7 @@ class RobotLaw:
         return (
             tuple(a + b for a, b in zip(lower, own, strict=True)),
             tuple(
-                r + sum(a * b for a, b in zip(row, gap, strict=True)) for r, row in zip(drift, jacobian, strict=True)
+                r + added(a * b for a, b in zip(row, gap, strict=True)) for r, row in zip(drift, jacobian, strict=True)
             ),
         )
 

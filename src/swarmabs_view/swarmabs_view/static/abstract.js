@@ -78,7 +78,7 @@ export class AbstractView {
     const shown = this.bounds(hello, frame, trail, this.near);
     const marks = marked(shown[2], shown[3], height, unit);
     const box = framed(surface, marks, this.left);
-    this.left = box.x;
+    this.left = box.left;
     const at = mapping(box, shown);
     this.contents(surface, hello, this.points(frame), trail, box, at, shown);
     axes(surface, at, box, shown, marks, this.rows.map((one) => one.title));

@@ -75,6 +75,7 @@ function greet(message) {
   const same = before && hello && before.place === message.place && message.playback;
   hello = message;
   frame = same ? frame : null;
+  known();
   element("title").textContent = message.title;
   element("place").textContent = message.place;
   document.title = `${message.title} – swarmabs view`;
@@ -116,6 +117,11 @@ function describe() {
       item.hidden = !visible;
     });
   }
+}
+
+// What is drawn is that of another run until the first frame of this one.
+function known() {
+  document.body.classList.toggle("unknown", !frame);
 }
 
 function badge(phase, text) {
@@ -160,6 +166,7 @@ function draw(now) {
   if (!hello || !frame || (!dirty && !robots.again && !charts.stale)) {
     return;
   }
+  known();
   numbers.draw(hello, frame, state.playing ?? state.phase === "running");
   events.draw(frame);
   plane.draw(hello, frame);
