@@ -17,6 +17,7 @@ from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_folder
 from swarmabs_config.installation import lacking
+from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (
     EVENTS,
     PLANE_FAMILY,
