@@ -266,7 +266,7 @@ def test_the_beginning_comes_later_and_whole() -> None:
 
 
 def test_curves_have_no_gap_where_robots_are_discovered_one_after_the_other() -> None:
-    identities = [RobotIdentity(n, Kind.SINGLE_INTEGRATOR, 0.4, 0.0) for n in (1, 2, 7)]
+    identities = [RobotIdentity(n, Kind.SINGLE_INTEGRATOR, (0.4, 0.0)) for n in (1, 2, 7)]
     recorded, live = (LiveView(HELLO, SwarmState(identities)) for _ in range(2))
     assert live.heard_since is None
     for step in range(12):
