@@ -22,6 +22,7 @@ from swarmabs_view.presenter import Presenter
 from swarmabs_view.protocol import Curves, Frame, Hello, Message, RobotInfo, State
 
 PRESENTER = Presenter(PLANE_TABLES)
+expect.set_options(timeout=60_000)  # ms: on a busy machine a page may take long; what is expected ends the wait
 
 HELLO = Hello(
     source="swarm",
