@@ -262,7 +262,7 @@ def test_deviations_are_by_component_with_names_and_units(beam: Path, tmp_path: 
         "value[1] inertia, kg m^2 ",
         "rate[0] torque, N m/s ",
         "state[1] rate, rad/s ",
-        "max |coordinate|, m",
+        "max |position|, m",
     ):
         assert named in text
     assert "rms error, rad" in text
@@ -470,7 +470,7 @@ def test_the_page_has_the_numbers_of_the_bag(sheet: Path) -> None:
     assert report.numbers["digest"] == BagToVerify(sheet).verify().digest
     assert page.rows["Messages"][1] == BagToVerify(sheet).verify().messages
     texts = [text for _, text in page.texts]
-    assert {"Parent system", "State of the parent system: al, be", "Paths of the robots"} <= set(texts)
+    assert {"Parent system", "Al, be and references of the sheet", "Paths of the robots"} <= set(texts)
     assert "4 (2 single integrators, 2 double integrators)" in re.sub(r"<[^>]*>", "", report.html)
     assert "Plane" not in texts and "Theory" not in texts
 
@@ -484,14 +484,19 @@ def test_the_pictures_show_parent_abstract_state_and_robots(sheet: Path) -> None
     )
     goals = np.array([Sheet().reference(step * 0.01) for step in range(31)])
     curves = {
-        "parent-0": {"al": state[:, 0], "be": state[:, 1], "al reference": goals[:, 0], "be reference": goals[:, 1]},
-        "parent-1": {"al_rate": state[:, 2], "be_rate": state[:, 3]},
-        "parent-error": {"al": goals[:, 0] - state[:, 0], "be": goals[:, 1] - state[:, 1]},
-        "abstract-1": {name: value[:, n] for n, name in enumerate(ROWS) if n > 1}
-        | {f"{name} desired": desired[:, n] for n, name in enumerate(ROWS) if n > 1},
+        "parent-0": {"al": state[:, 0], "be": state[:, 1], "reference al": goals[:, 0], "reference be": goals[:, 1]},
+        "parent-1": {"al rate": state[:, 2], "be rate": state[:, 3]},
+        "parent-error": {"reference - al": goals[:, 0] - state[:, 0], "reference - be": goals[:, 1] - state[:, 1]},
+        "abstract-1": {f"{ROWS[n].replace('_', ' ')} actual": value[:, n] for n in range(2, 5)}
+        | {f"{ROWS[n].replace('_', ' ')} desired": desired[:, n] for n in range(2, 5)},
         "robots-coordinate-1": {
             f"y{'₀₁₂₃₄'[agent]}": read.column("/swarm/robot_state", "coordinates", agent)[:, 1] for agent in range(1, 5)
         },
+        "robots-rate-1": {
+            f"rate of y{'₀₁₂₃₄'[agent]}": read.column("/swarm/robot_state", "velocities", agent)[:, 1]
+            for agent in range(1, 5)
+        },
+        "parent-error-decades": {"norm of the errors": np.linalg.norm(goals - state[:, :2], axis=1)},
     }
     for key, lines in curves.items():
         shown = drawn(found[key])
@@ -512,11 +517,11 @@ def test_commands_are_shown_by_kind_with_their_units(beam: Path) -> None:
         panel.draw(figure)
         axes[key] = figure.axes[0].get_ylabel()
     assert axes == {
-        "robots-command-position-1": "command along position, m/s",
-        "robots-command-position-2": "command along position, N",
-        "robots-command-position-3": "command along position, m",
+        "robots-command-position-1": "command u, m/s",
+        "robots-command-position-2": "command u, N",
+        "robots-command-position-3": "command u, m",
     }
-    (line,) = drawn(found["robots-command-position-2"])["u position ₃"]
+    (line,) = drawn(found["robots-command-position-2"])["u₃"]
     np.testing.assert_array_equal(line[:, 1], Read(beam).column("/swarm/robot_state", "command", 3)[:, 0])
     assert "commands of 1 double integrator: " in found["robots-command-position-2"].about
 

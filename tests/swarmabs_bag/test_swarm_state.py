@@ -19,7 +19,6 @@ from swarmabs_bag.shown.swarm_state import (
     MOST_EVENTS,
     SILENT_STEPS,
     STATUSES,
-    Abstract,
     Instant,
     Members,
     RobotIdentity,
@@ -62,11 +61,11 @@ def test_what_is_shown_is_the_latest_step_whatever_the_order_and_the_repeats() -
     instant, robots = shown(state_of(run))
     last: dict[str, Any] = {type(m).__name__ + str(getattr(m, "agent_id", "")): m for m in run if m.step == 20}
     plane, abstract, desired = (last[name] for name in ("PlaneState", "AbstractState", "DesiredAbstractState"))
-    assert (instant.step, instant.stamp, instant.time, instant.reference) == (20, 20 * PERIOD, 0.2, 2.0)
-    assert (instant.angle, instant.angular_velocity) == (plane.angle, plane.angular_velocity)
+    assert (instant.step, instant.stamp, instant.time, instant.reference) == (20, 20 * PERIOD, 0.2, (2.0,))
+    assert instant.parent == (plane.angle, plane.angular_velocity)
     assert (instant.abstract, instant.desired) == (abstract[3:5], desired[3:5])
     said = [last[f"AgentState{robot}"] for robot in (1, 2, 7)]
-    assert robots == [(one.position, one.velocity, one.command, "active") for one in said]
+    assert robots == [((one.position,), (one.velocity,), (one.command,), "active") for one in said]
     mixed = [*run, *run]
     random.Random(3).shuffle(mixed)
     straight, other = state_of(run), state_of(mixed)
@@ -78,7 +77,7 @@ def test_the_reference_shown_has_the_offset_that_was_announced() -> None:
     steered = [event(7, 0, msg.EventKind.STEERING, REFERENCE), event(9, 0, msg.EventKind.STEERING, DISTURBANCE)]
     made = SwarmState(reference=ten_times())
     complete = [made.add(message) for message in sorted([*steered, *make_run(20)], key=lambda message: message.step)]
-    found = [instant.reference for instant in complete if instant is not None]
+    found = [instant.reference[0] for instant in complete if instant is not None]
     assert found == pytest.approx([0.1 * step + 0.5 * (step >= 7) for step in range(21)])
 
 
@@ -110,7 +109,7 @@ def test_events_say_who_is_out(kinds: tuple[msg.EventKind, ...], status: str) ->
 
 
 def test_a_robot_that_was_dead_before_anything_was_heard_stands_where_its_event_says() -> None:
-    made = SwarmState([RobotIdentity(number, msg.Kind.SINGLE_INTEGRATOR, 1.0, 0.0) for number in (9, 1, 8, 2, 7)])
+    made = SwarmState([RobotIdentity(number, msg.Kind.SINGLE_INTEGRATOR, (1.0, 0.0)) for number in (9, 1, 8, 2, 7)])
     for message in [
         event(3, 9, msg.EventKind.LEFT),
         event(3, 2, msg.EventKind.DEAD, "kill"),
@@ -119,8 +118,8 @@ def test_a_robot_that_was_dead_before_anything_was_heard_stands_where_its_event_
         made.add(message)
     _, robots = shown(made)
     assert [robot.status for robot in robots] == ["left", "active", None, "dead", "active"]
-    assert None not in (*robots[1], *robots[4])
-    assert robots[3] == ShownRobot(0.5, 0.0, None, "dead")
+    assert all(None not in vector and len(vector) == 1 for robot in (robots[1], robots[4]) for vector in robot[:3])
+    assert robots[3] == ShownRobot((0.5,), (0.0,), (), "dead")
     assert (robots[0], robots[2]) == (ShownRobot(status="left"), ShownRobot())
     assert made.members() == Members((1, 8, 7), ((2, 0.5),))
 
@@ -131,10 +130,10 @@ def test_what_a_robot_says_after_its_end_is_not_shown(late: bool) -> None:  # no
     again = event(8, 2, msg.EventKind.RECOVERED)
     run = make_run(20)
     instant, robots = shown(state_of([*run, again, end] if late else [end, again, *run]))
-    assert (instant.step, robots[1]) == (20, ShownRobot(0.5, 0.0, None, "dead"))
+    assert (instant.step, robots[1]) == (20, ShownRobot((0.5,), (0.0,), (), "dead"))
     _, early = shown(state_of([end, *(message for message in run if message.step < 6)]))
     (state,) = (m for m in run if isinstance(m, msg.AgentState) and (m.step, m.agent_id) == (5, 2))
-    assert (early[1].status, early[1].position) == ("active", state.position)
+    assert (early[1].status, early[1].coordinates) == ("active", (state.position,))
 
 
 def test_a_robot_that_says_nothing_is_silent_and_stays_where_it_was() -> None:
@@ -145,7 +144,7 @@ def test_a_robot_that_says_nothing_is_silent_and_stays_where_it_was() -> None:
     for message in make_step(SILENT_STEPS + 3, agents=(1, 2)):
         made.add(message)
     assert statuses(made) == ["active", "active", "silent"]
-    assert shown(made)[1][2].position == old.position
+    assert shown(made)[1][2].coordinates == (old.position,)
     stopped = [m._replace(status=msg.Status.SAFE_STOP) if isinstance(m, msg.AgentState) else m for m in make_run(2)]
     assert statuses(state_of(stopped)) == ["safe_stop"] * 3
 
@@ -177,8 +176,8 @@ def test_numbers_of_different_steps_are_never_shown_together() -> None:
         made.add(msg.PlaneState(step * PERIOD, step, 0.5, 0.0))
         made.add(msg.DesiredAbstractState(step * PERIOD, step, 1, 0.25, *[0.0] * 7))
     instant, _ = shown(made)
-    assert (instant.step, instant.angle) == (11 + SILENT_STEPS, 0.5)
-    assert (instant.desired.torque, instant.abstract) == (0.25, Abstract())
+    assert (instant.step, instant.parent[0]) == (11 + SILENT_STEPS, 0.5)
+    assert (instant.desired[0], instant.abstract) == (0.25, ())
 
 
 def test_by_a_clock_times_are_those_of_the_steps_and_the_law_begins_when_it_says() -> None:
@@ -190,10 +189,10 @@ def test_by_a_clock_times_are_those_of_the_steps_and_the_law_begins_when_it_says
             without_period.add(message._replace(stamp=now + message.stamp))
     assert shown(without_period)[0].time == pytest.approx(0.19), "since the first message"
     instant, _ = shown(made)
-    assert (instant.time, instant.reference) == (1.19, None)
+    assert (instant.time, instant.reference) == (1.19, ())
     made.add(msg.Basis(now, 119, 118, 109, msg.Source.CONTROLLER, (), (), ()))
     made.add(msg.Basis(now, 119, 118, 7, msg.Source.PLANE, (), (), ()))
-    assert shown(made)[0].reference == 10 * 0.1
+    assert shown(made)[0].reference == (10 * 0.1,)
 
 
 def test_a_scenario_gives_its_robots_its_period_and_its_offsets() -> None:
@@ -203,7 +202,7 @@ def test_a_scenario_gives_its_robots_its_period_and_its_offsets() -> None:
     made.add(msg.PlaneState(0, 0, 0.0, 0.0))
     assert made.members() == Members((1, 2, 4), ())
     made.add(msg.PlaneState(0, 100, 0.0, 0.0))
-    assert (shown(made)[0].time, shown(made)[0].reference) == (1.0, 0.1)
+    assert (shown(made)[0].time, shown(made)[0].reference) == (1.0, (0.1,))
     assert made.members() == Members((1, 2, 4), ())
 
 
@@ -239,9 +238,10 @@ def check_arrays(recorded: RecordedSwarm, row: int) -> None:
     for column, robot in enumerate(recorded.arrays.agents.ids.tolist()):
         statuses = [status for status in STATUSES if recorded.have_status(status)[row, column]]
         assert statuses == ([] if shown[robot].status is None else [shown[robot].status])
-        assert isnan(recorded.positions[row, column]) != recorded.on_plane[row, column]
-        if shown[robot].position is not None:
-            assert recorded.positions[row, column] == shown[robot].position
+        (place,) = recorded.coordinates[row, column].tolist()
+        assert isnan(place) != recorded.on_plane[row, column]
+        if shown[robot].coordinates:
+            assert (place,) == shown[robot].coordinates
         if shown[robot].status == "left":
             before = recorded.on_plane[row - 1, column]
             assert not recorded.on_plane[row, column] or before, "on the plane for the last time"

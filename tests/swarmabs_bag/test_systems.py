@@ -28,8 +28,8 @@ from swarmabs_bag.repair.examination import recorded_steps
 from swarmabs_bag.run.figures import RunFigures, Tracking
 from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_bag.run.step import Step
-from swarmabs_bag.shown.recorded_swarm import RecordedSystem, read_swarm
-from swarmabs_bag.shown.swarm_state import ShownSystemRobot, SwarmState, SystemIdentity, SystemSwarmState, state_of
+from swarmabs_bag.shown.recorded_swarm import read_swarm
+from swarmabs_bag.shown.swarm_state import RobotIdentity, ShownRobot, SwarmState
 from swarmabs_config import configure
 from swarmabs_config.scenario import AnyScenario, parse_scenario
 from swarmabs_config.scenarios import find_scenario
@@ -300,9 +300,8 @@ def test_a_cut_bag_is_repaired_and_its_complete_steps_are_known(tmp_path: Path) 
 # What is shown: live, whatever the order, and from the bag
 
 
-def live(scenario: AnyScenario, found: Iterable[msg.Message]) -> SystemSwarmState:
-    state = state_of(scenario)
-    assert isinstance(state, SystemSwarmState)
+def live(scenario: AnyScenario, found: Iterable[msg.Message]) -> SwarmState:
+    state = SwarmState.of(scenario)
     for message in found:
         state.add(message)
     return state
@@ -311,7 +310,6 @@ def live(scenario: AnyScenario, found: Iterable[msg.Message]) -> SystemSwarmStat
 def test_live_and_recorded_swarms_show_the_same(tmp_path: Path) -> None:
     scenario, steps = simulated(SHEET)
     swarm = read_swarm(bag_of(scenario, steps, tmp_path / "bag"))
-    assert isinstance(swarm, RecordedSystem)
     assert (len(swarm), swarm.status, swarm.reason) == (41, "ok", None)
     state = live(scenario, ())
     assert state.tables == swarm.tables == SystemTables.read(scenario.named.description)
@@ -343,13 +341,13 @@ def test_a_dead_robot_stays_where_it_died_with_all_coordinates() -> None:
     haunting = before._replace(step=38, stamp=38 * 10**7, coordinates=(9.0, 9.0))
     state.add(haunting)
     found = dict(zip([robot.id for robot in state.robots], state.shown_robots(40), strict=True))
-    assert found[4] == ShownSystemRobot(before.coordinates, (0.0, 0.0), (), "dead")
-    assert found[5] == ShownSystemRobot(status="left")
+    assert found[4] == ShownRobot(before.coordinates, (0.0, 0.0), (), "dead")
+    assert found[5] == ShownRobot(status="left")
     assert found[1].status == found[3].status == "active"
     assert state.members().standing == ((4, before.coordinates[0]),)
     early = dict(zip([robot.id for robot in state.robots], state.shown_robots(5), strict=True))
-    assert early[7] == ShownSystemRobot()
-    assert state.robots[4] == SystemIdentity(7, msg.Kind.DOUBLE_INTEGRATOR, (1.1, 0.2), joins=True)
+    assert early[7] == ShownRobot()
+    assert state.robots[4] == RobotIdentity(7, msg.Kind.DOUBLE_INTEGRATOR, (1.1, 0.2), joins=True)
 
 
 def test_a_robot_at_its_limit_is_shown_and_counted_as_limited() -> None:
@@ -368,11 +366,9 @@ def test_a_robot_at_its_limit_is_shown_and_counted_as_limited() -> None:
 
 def test_without_a_scenario_the_swarm_is_learned_from_its_messages() -> None:
     scenario, steps = simulated(SHEET)
-    state = SystemSwarmState(period_ns=scenario.step_ns)
-    spoilt = msg.SystemDescription(0, 0, 1, "{")
-    for message in (spoilt, *messages_of(steps[:15])):
+    state = SwarmState(tables=scenario.tables, period_ns=scenario.step_ns)
+    for message in messages_of(steps[:15]):
         state.add(message)
-    assert state.tables is not None and [each.name for each in state.tables.robot] == ["x", "y"]
     assert [(robot.id, robot.kind.name[0]) for robot in state.robots] == [
         (1, "S"),
         (3, "D"),
@@ -384,7 +380,7 @@ def test_without_a_scenario_the_swarm_is_learned_from_its_messages() -> None:
     assert instant is not None and (instant.step, instant.reference) == (14, ())
     strange = next(s for s in steps[3].states() if isinstance(s, msg.RobotState))
     state.add(strange._replace(agent_id=99, kind=77, constants=(math.inf, 0.0), step=14))
-    assert state.robots[-1] == SystemIdentity(99, msg.Kind.SINGLE_INTEGRATOR, (None, 0.0))
+    assert state.robots[-1] == RobotIdentity(99, msg.Kind.SINGLE_INTEGRATOR, (None, 0.0))
 
 
 def test_an_announced_offset_shifts_all_that_is_tracked() -> None:
@@ -397,6 +393,5 @@ def test_an_announced_offset_shifts_all_that_is_tracked() -> None:
 
 
 def test_the_plane_keeps_its_own_projection() -> None:
-    state = state_of(find_scenario("pd_het_4").resolved())
-    assert isinstance(state, SwarmState) and state.family is msg.PLANE_FAMILY
+    state = SwarmState.of(find_scenario("pd_het_4").resolved())
     assert state.add(msg.ParentState(0, 0, 1, (0.0,))) is None and state.step is None

@@ -14,10 +14,10 @@ import pytest
 from tests.swarmabs_cli.conftest import document, ran, refused
 
 from swarmabs_cli import swarm as cli
-from swarmabs_cli.runs import SETUP, setup_seconds, since_start, times
+from swarmabs_cli.runs import SETUP, setup_seconds, times
 from swarmabs_config.scenario import dump_scenario, json_schema, load_scenario, parse_scenario
 from swarmabs_config.scenarios import builtin_scenarios
-from swarmabs_run.orchestration.run_files import write_network
+from swarmabs_run.orchestration.run_files import since_start, write_network
 from swarmabs_run.run import Outcome
 
 
@@ -209,6 +209,9 @@ def test_only_a_fresh_process_counts_set_up(monkeypatch: pytest.MonkeyPatch, tol
     startup = times(86.0, Outcome("ok", None, {}, start_seconds=1.5)).startup
     assert startup == pytest.approx(86.0 - seconds + 1.5)
     assert times(86.0, Outcome("failed", "no", {})).startup is None
+    # A later run of the same command counts from its own request, and has no set-up.
+    later = times(86.0, Outcome("ok", None, {}, start_seconds=1.5), begun=80.0)
+    assert (later.startup, later.setup) == (pytest.approx(7.5), 0.0)
     assert 0.0 < since_start() < 3600.0
 
 
@@ -275,4 +278,6 @@ def test_ranges_are_told_in_words_under_one_name_of_the_program() -> None:
     error = refused("run", "--view-port", "70000")
     assert "70000 is out of range: give 0 to 65535. See ./scripts/swarm run --help." in error
     assert "'x' is not a whole number" in refused("run", "--agents-per-process", "x")
-    assert "..." not in ran("--help").out.replace("[ARGS]...", "")
+    for words in ((), ("scenario",)):
+        assert "..." not in ran(*words, "--help").out.replace("[ARGS]...", "")
+    assert " RUN ACTION [VALUE|ROBOT]" in ran("steer", "--help").out

@@ -50,6 +50,7 @@ def test_a_node_that_fails_is_exit_code_1(bag: str) -> None:
         (["verify", "--node", "plane", "--set", "step=0.005"], "--set changes the control period"),
         (["verify", "--node", "plane", "--tolerance", "0.1"], "--tolerance cannot be combined with --node"),
         (["verify", "--set", "plane.angle=0.2"], "--set needs --node"),
+        (["replay", "--node", "agent:9"], "--node agent:9: the scenario has no robot 9"),
         (["replay", "--node", "plane", "--loop"], "--loop cannot be combined with --node"),
         (["replay", "--node", "plane", "--start", "1"], "--start cannot be combined with --node"),
         (["replay", "--expect-same"], "--expect-same needs --node"),

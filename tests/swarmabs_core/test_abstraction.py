@@ -1,13 +1,15 @@
+import sys
 from fractions import Fraction
 from itertools import combinations, product
 from math import inf, isnan, nan
 
+import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
 from swarmabs_core.abstraction import Weight, abstraction, conditioned, damping_sums, is_degenerate, second_moments
 from swarmabs_core.messages import AuxiliaryState
-from swarmabs_core.summation import exact_sum
+from swarmabs_core.summation import added, exact_sum
 from swarmabs_core.swarm_law import pinv_row
 
 masses = st.floats(0.05, 5.0)
@@ -123,3 +125,23 @@ def test_correctly_rounded_in_any_order(case: tuple[list[float], list[float]]) -
 @pytest.mark.parametrize("terms", [[inf, -inf], [1.7e308, 1.7e308, 1.7e308]])
 def test_no_sum_is_nan(terms: list[float]) -> None:
     assert isnan(exact_sum(terms))
+
+
+@given(st.lists(st.floats(-1e300, 1e300) | st.floats(-1.0, 1.0), max_size=8))
+def test_compensated_sums_are_those_of_any_python_since_3_12(terms: list[float]) -> None:
+    rounded = correction = 0.0
+    for term in terms:  # the error of an addition is exact, and the errors are added as doubles
+        after = rounded + term
+        correction, rounded = correction + float(Fraction(rounded) + Fraction(term) - Fraction(after)), after
+    assert added(terms) == rounded + correction
+    if sys.version_info >= (3, 12):
+        assert added(terms).hex() == float(sum(terms)).hex()
+
+
+def test_compensated_sums_by_hand() -> None:
+    assert added([0.1] * 10) == 1.0, "0.9999999999999999 without the errors"
+    assert added([1.0, 1e100, 1.0, -1e100]) == 2.0
+    assert added([1e308, 1e308]) == inf
+    assert added(iter(())) == 0.0
+    columns = [np.array([0.1, 1.0])] * 10
+    assert added(columns).tolist() == [1.0, 10.0]

@@ -50,6 +50,26 @@ def test_columns_are_the_fields_of_the_messages() -> None:
         np.testing.assert_array_equal(found, expected)
 
 
+def test_a_run_on_the_plane_is_read_by_tables_as_on_any_parent_system() -> None:
+    found = arrays()
+    for name, column in (
+        ("angle", found.angle),
+        ("angular_velocity", found.angular_velocity),
+        ("torque", found.abstract.torque),
+        ("inertia", found.abstract.inertia),
+        ("position", found.agents.position),
+        ("mass", found.agents.mass),
+        ("damping", found.agents.damping),
+    ):
+        np.testing.assert_array_equal(found[name], column)
+    np.testing.assert_array_equal(found.parent[:, 1], found.angular_velocity)
+    np.testing.assert_array_equal(found.references[:, 0], found.reference)
+    np.testing.assert_array_equal(found.vector("desired", "value")[:, 1], found.desired.inertia)
+    np.testing.assert_array_equal(found.vector("agents", "command")[..., 0], found.agents.command)
+    with pytest.raises(KeyError, match="no quantity 'roll'"):
+        found["roll"]
+
+
 SYSTEMS_RUN = """
 schema: 1
 duration: 0.2

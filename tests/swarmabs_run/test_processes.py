@@ -165,7 +165,10 @@ def test_a_run_is_watched_in_another_terminal(tmp_path: Path, nothing_survives: 
             run.send_signal(signal.SIGINT)
             run.communicate(timeout=60)
     over = subprocess.run(watch, cwd=tmp_path, check=False, capture_output=True, text=True, timeout=60)
-    assert (over.returncode, over.stderr) == (2, "error: run: this run is over\n")
+    assert (over.returncode, over.stderr) == (
+        2,
+        "error: run: this run is over; view its bag with ./scripts/swarm view run\n",
+    )
 
 
 ASKING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

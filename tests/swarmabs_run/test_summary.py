@@ -79,7 +79,9 @@ def test_the_table_of_another_parent_has_its_tolerances_and_its_unit(tmp_path: P
     text = re.sub(r" +", " ", told.getvalue())
     assert "settled within 0.02, 0.05 m from t = " in text and " rad" not in text
     untracked = io.StringIO()
-    Console(width=300, file=untracked).print(summary_table(summary(), RunFolder(tmp_path), Tracking((), (), "x", "")))
+    Console(width=300, file=untracked).print(
+        summary_table(summary(), RunFolder(tmp_path), Tracking((), (), "x", "", "y", ""))
+    )
     assert re.search(r"settled|error", untracked.getvalue()) is None, "nothing follows a reference"
     assert re.search(r"max \|coordinate\| \S+ *\n", text), "coordinates may have different units"
 

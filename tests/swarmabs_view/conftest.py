@@ -6,7 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -15,8 +15,13 @@ import pytest
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect, sync_playwright
 from tests.swarmabs_analysis.figures.conftest import record
 
-from swarmabs_bag.shown.swarm_state import Abstract, Instant, ShownRobot
+from swarmabs_bag.shown.swarm_state import Instant, RobotIdentity, RobotStatus, ShownRobot
+from swarmabs_core.messages import Kind
+from swarmabs_core.systems import PLANE_TABLES
+from swarmabs_view.presenter import Presenter
 from swarmabs_view.protocol import Curves, Frame, Hello, Message, RobotInfo, State
+
+PRESENTER = Presenter(PLANE_TABLES)
 
 HELLO = Hello(
     source="swarm",
@@ -24,20 +29,53 @@ HELLO = Hello(
     place="here",
     period=None,
     last_step=None,
+    system=PRESENTER.system,
     robots=[],
     plane=None,
     manifold=None,
     regions=None,
     playback=False,
 )
-Kind = TypeVar("Kind", bound=Message)
+MessageT = TypeVar("MessageT", bound=Message)
+NUMBERS = {
+    "angle": "parent-0",
+    "angular_velocity": "parent-1",
+    "reference": "reference-0",
+    "error": "error-0",
+    "torque": "abstract-0",
+    "inertia": "abstract-1",
+    "desired_torque": "desired-0",
+    "desired_inertia": "desired-1",
+}
+"""Where the page has the numbers of the plane."""
 COMMAND = (sys.executable, "-m", "swarmabs_cli", "view")
 CHANGES = ("duration=4.0", "faults=[{at: 1.0, kind: kill, agent: 1}, {at: 2.0, kind: leave, agent: 2}]")
 
 
-def told(said: Iterable[Message], kind: type[Kind]) -> list[Kind]:
+def told(said: Iterable[Message], kind: type[MessageT]) -> list[MessageT]:
     """Return the messages of a kind."""
     return [message for message in said if isinstance(message, kind)]
+
+
+def robot_info(robot: int, kind: str = "single_integrator", mass: float | None = 0.1) -> RobotInfo:
+    """Return a robot on the plane, of unknown damping."""
+    return RobotInfo(id=robot, kind=kind, constants=[mass, None])
+
+
+def frame_of(
+    step: int,
+    angle: float,
+    robots: Sequence[tuple[float, RobotStatus]],
+    *,
+    reference: float = 0.0,
+    abstract: tuple[float, float] = (0.0, 0.1),
+    step_rate: float = 1.0,
+) -> Frame:
+    """Return a frame with robots at rest on the plane: their positions with status."""
+    instant = Instant(step, step * 10_000_000, step / 100, (angle, 0.0), (reference,), abstract, abstract)
+    shown = [ShownRobot((place,), (0.0,), (0.0,), status) for place, status in robots]
+    identities = [RobotIdentity(n + 1, Kind.SINGLE_INTEGRATOR, ()) for n in range(len(shown))]
+    return PRESENTER.frame(instant, shown, identities, step_rate)
 
 
 class Served(NamedTuple):
@@ -132,7 +170,7 @@ def load(page: Page, served: Served) -> None:
 
 def number(page: Page, name: str) -> float:
     """Return the number that the page shows, as exact as it has it."""
-    return float(page.locator(f"#{name}").get_attribute("value") or "nan")
+    return float(page.locator(f"#{NUMBERS.get(name, name)}").get_attribute("value") or "nan")
 
 
 def seek(page: Page, step: int) -> None:
@@ -161,11 +199,9 @@ class PageServer:
 
     def open(self, *messages: Message, hash_: str = "") -> None:
         """Have the page opened; each connection begins with two robots of a run, and with these messages."""
-        robots = [RobotInfo(id=n, kind="single_integrator", mass=0.1 * n, damping=None) for n in (1, 2)]
+        robots = [robot_info(n, mass=0.1 * n) for n in (1, 2)]
         hello = HELLO.model_copy(update={"source": "run", "period": 0.01, "robots": robots})
-        state = Abstract(0.0, 0.1)
-        shown = [ShownRobot(0.1, 0.0, 0.0, "active"), ShownRobot(-0.1, 0.0, 0.0, "dead")]
-        frame = Frame.of(Instant(3, 30_000_000, 0.03, 0.1, 0.0, 0.0, state, state), shown, 100.0)
+        frame = frame_of(3, 0.1, [(0.1, "active"), (-0.1, "dead")], step_rate=100.0)
         self.first = (hello, *messages, frame, State(phase="running", text=""))
         self._page.goto(self._url + hash_)
         expect(self._page.locator("#step")).to_have_attribute("value", "3")
@@ -199,7 +235,7 @@ def page_server(page: Page, served: Served) -> PageServer:
 def curves(first: int, last: int, scale: float = 1.0) -> Curves:
     """Return points of the curves, one each 0.1 s."""
     steps = range(first, last)
-    values = {key: [scale * (0.5 - step % 7) for step in steps] for key in ("angle", "torque", "inertia")}
-    zeros = {key: [0.0 for _ in steps] for key in ("reference", "desired_torque", "desired_inertia")}
-    known = {"replace": first == 0, "time": [step * 0.1 for step in steps], **values, **zeros}
-    return Curves.model_validate(known)
+    values = [scale * (0.5 - step % 7) for step in steps]
+    zeros = [0.0 for _ in steps]
+    rows = [values, zeros, zeros, values, values, zeros, zeros]  # of the state, reference, abstract and desired
+    return Curves(replace=first == 0, time=[step * 0.1 for step in steps], values=rows)

@@ -77,7 +77,7 @@ def test_a_page_shows_those_in_the_logs_of_an_earlier_run_with_takeovers_as_even
     assert steps == sorted(steps)
     assert len(steps) == len(without.recording.events.events) + 3
     playback = PlaybackSession(recording)
-    playback.control(Seek(v=1, type="seek", step=12))
+    playback.control(Seek(v=2, type="seek", step=12))
     (coordinators,) = told(playback.poll(0.0), Coordinators)
     assert shown(coordinators)[1][::2] == ("is silent", "leads")
     (folder / "logs" / ROLES_FILE).write_text('[{"when": 5}]')

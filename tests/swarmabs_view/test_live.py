@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.swarmabs_bag.sample_run import make_run, make_step
-from tests.swarmabs_view.conftest import HELLO, told
+from tests.swarmabs_view.conftest import HELLO, PRESENTER, told
 
 from swarmabs_bag.shown.percentiles import QUANTILES
-from swarmabs_bag.shown.swarm_state import Abstract, Instant, RobotIdentity, SwarmState
+from swarmabs_bag.shown.swarm_state import Instant, RobotIdentity, SwarmState
 from swarmabs_config.graph import SILENCE
 from swarmabs_core.messages import EventKind, Kind, PlaneState, SwarmEvent
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
@@ -107,18 +107,18 @@ def test_what_goes_on_cannot_be_played_and_what_follows_can() -> None:
             return [protocol.State(phase="recorded", text=f"{now}")]
 
         def control(self, request: object) -> None:
-            assert request == protocol.Play(v=1, type="play")
+            assert request == protocol.Play(v=2, type="play")
             self.wishes += 1
 
     after: list[After] = []
     session = LiveSession(view_of(3), lambda: after[0] if after else None)
     session.hello()
-    session.control(protocol.Play(v=1, type="play"))
+    session.control(protocol.Play(v=2, type="play"))
     session.poll(0.0)
     after.append(After())
     assert session.poll(0.1) == [HELLO]
     assert types(session.poll(0.2)) == ["State"]
-    session.control(protocol.Play(v=1, type="play"))
+    session.control(protocol.Play(v=2, type="play"))
     assert after[0].wishes == 1
 
 
@@ -190,9 +190,9 @@ def test_weights_that_stand_still_shift_the_sets() -> None:
 
 def test_the_sets_follow_who_takes_part_and_nobody_waits_for_them() -> None:
     robots = [
-        protocol.RobotInfo(id=n, kind="single_integrator", mass=0.4, damping=0.0, joins=n == 9) for n in (1, 2, 7, 9)
+        protocol.RobotInfo(id=n, kind="single_integrator", constants=[0.4, 0.0], joins=n == 9) for n in (1, 2, 7, 9)
     ]
-    identities = [RobotIdentity(n, Kind.SINGLE_INTEGRATOR, 0.4, 0.0, joins=n == 9) for n in (1, 2, 7, 9)]
+    identities = [RobotIdentity(n, Kind.SINGLE_INTEGRATOR, (0.4, 0.0), joins=n == 9) for n in (1, 2, 7, 9)]
     plane = protocol.Plane(length=1.0, inertia=0.1, gravity=9.81)
     known = {
         "robots": robots,
@@ -242,14 +242,14 @@ def test_the_sets_follow_who_takes_part_and_nobody_waits_for_them() -> None:
 
 
 def point(step: int) -> Instant:
-    return Instant(step, 0, step / 100, step * 0.5, 0.0, None, Abstract(1.0, 3.0), Abstract(2.0, 4.0))
+    return Instant(step, 0, step / 100, (step * 0.5, 0.0), (), (1.0, 3.0), (2.0, 4.0))
 
 
 def since(buffer: CurveBuffer[Instant], epoch: int = -1, count: int = 0) -> protocol.Curves:
     """Return the points after those that are known, of which there are some."""
     found = buffer.since(epoch, count)
     assert found is not None
-    return protocol.Curves.of(found[0], replace=found[1])
+    return PRESENTER.curves(found[0], replace=found[1])
 
 
 def test_the_beginning_comes_later_and_whole() -> None:
@@ -257,12 +257,34 @@ def test_the_beginning_comes_later_and_whole() -> None:
     for step in (6, 7, 8):
         buffer.add(point(step))
     known = (buffer.epoch, len(buffer))
-    buffer.begin(point(step) for step in range(8))  # of which some have been heard
+    buffer.begin((point(step) for step in range(8)), 6)  # of which some have been heard
     found = since(buffer, *known)
     assert (found.replace, found.time) == (True, [step / 100 for step in range(9)])
     buffer.add(point(9))
     buffer.add(point(10))
     assert since(buffer).time == [step / 100 for step in range(0, 11, 2)]
+
+
+def test_curves_have_no_gap_where_robots_are_discovered_one_after_the_other() -> None:
+    identities = [RobotIdentity(n, Kind.SINGLE_INTEGRATOR, 0.4, 0.0) for n in (1, 2, 7)]
+    recorded, live = (LiveView(HELLO, SwarmState(identities)) for _ in range(2))
+    assert live.heard_since is None
+    for step in range(12):
+        for message in make_step(step):
+            recorded.add(message)
+        for message in make_step(step, agents=(1, 2) if step < 8 else (1, 2, 7)) if step >= 5 else ():
+            live.add(message)
+    whole, found = LiveSession(recorded), LiveSession(live)
+    for view in (recorded, live):
+        view.refresh(0.0)
+    assert live.heard_since == 8
+    (bag,) = told(whole.poll(0.0), protocol.Positions)
+    curves, places = recorded.curves.since(-1, 0), recorded.positions.since(-1, 0)
+    assert curves and places
+    live.begin(curves[0], places[0], 8)
+    (shown,) = told(found.poll(0.0), protocol.Positions)
+    assert (shown.time, shown.lines) == (bag.time, bag.lines)
+    assert all(place is not None for line in shown.lines for place in line)
 
 
 def test_positions_are_lines_of_few_robots_and_bands_of_many() -> None:
@@ -273,20 +295,21 @@ def test_positions_are_lines_of_few_robots_and_bands_of_many() -> None:
     (found,) = told(session.poll(0.0), protocol.Positions)
     assert (found.labels, len(found.time)) == (["robot 1", "robot 2", "robot 7"], 21)
     shown = live.state.shown_robots(20)
-    assert [line[-1] for line in found.lines] == [robot.position for robot in shown]
+    assert [line[-1] for line in found.lines] == [robot.coordinates[0] for robot in shown]
 
 
 def test_many_robots_have_bands_on_each_side_of_the_axis_on_which_they_start() -> None:
     """While robots cross the axis, or leave, no line jumps from one side to the other."""
-    places = {robot: (0.1 if robot <= 100 else -0.1) + robot / 1e4 for robot in range(1, 202)}
-    crossed = {robot: -place for robot, place in places.items()} | {200: None, 201: None, 3: None}
+    places = {robot: ((0.1 if robot <= 100 else -0.1) + robot / 1e4,) for robot in range(1, 202)}
+    crossed: dict[int, tuple[float, ...]] = {robot: (-place,) for robot, (place,) in places.items()}
+    crossed |= {200: (), 201: (), 3: ()}
     points = [protocol.Placed(0, 0.0, places), protocol.Placed(1, 0.1, crossed)]
     found = protocol.Positions.of(list(places), points, protocol.sides(points), replace=True)
     lines = dict(zip(found.labels, found.lines, strict=True))
     for label, part in QUANTILES.items():
         for side, chosen in (("> 0", range(1, 101)), ("≤ 0", range(101, 202))):
             for place, point in enumerate(points):
-                known = [x for robot in chosen if (x := point.places[robot]) is not None]
+                known = [x for robot in chosen for x in point.places[robot]]
                 assert lines[f"start {side}: {label}"][place] == np.quantile(np.array(known), part)
 
 

@@ -4,18 +4,19 @@ import re
 import signal
 from math import nan
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
 from tests.swarmabs_analysis.figures.conftest import ReadBag
 from tests.swarmabs_analysis.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bag.sample_run import PERIOD
-from tests.swarmabs_view.conftest import PageServer, Served, curves, load, number, seek, serving
+from tests.swarmabs_view.conftest import PRESENTER, PageServer, Served, curves, load, number, seek, serving
 
 from swarmabs_bag.shown.swarm_state import TimedEvent
 from swarmabs_core.events import EventCode
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_view.protocol import Answer, Event, Events, Steering
+from swarmabs_view.protocol import Answer, Event, Events, Phase, State, Steering
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -47,10 +48,10 @@ def test_pictures_say_what_they_show_and_what_is_shaded_follows_who_takes_part(p
     page.keyboard.press("z")  # the whole, in which nothing moves but what is shaded
     said = "The plane at 0 s: angle 0.1000 rad, which is 5.73 degrees; 4 robots, listed in the table of robots"
     expect(page.locator("#plane")).to_have_attribute("aria-label", said)
-    assert "newton metres, desired" in (page.locator("#abstract").get_attribute("aria-label") or "")
+    assert " N m, desired" in (page.locator("#abstract").get_attribute("aria-label") or "")
     canvases = [page.locator(f"#{name}") for name in ("plane", "abstract")]
     before = [canvas.evaluate("(canvas) => canvas.toDataURL()") for canvas in canvases]
-    expect(page.locator(".uplot canvas")).to_have_count(5)
+    expect(page.locator(".uplot canvas")).to_have_count(6)
     whole = page.evaluate("JSON.stringify(window.shaded)")
     assert whole.count("],[") > 200
     seek(page, 100)
@@ -79,15 +80,16 @@ def test_numbers_are_those_in_the_bag_and_who_is_out_is_told_in_words(page: Page
             for field in ("angle", "angular_velocity") if topic == "plane/state" else ("torque", "inertia"):
                 assert number(page, prefix + field) == read.column(f"/{topic}", field)[step], (topic, field)
         # What is to be read is the same number, rounded.
-        assert float(page.locator("#angle").inner_text()) == pytest.approx(number(page, "angle"), rel=1e-4)
-        dead, left = {"velocity": 0.0, "command": None}, dict.fromkeys(("position", "velocity", "command"))
+        assert float(page.locator("#parent-0").inner_text()) == pytest.approx(number(page, "angle"), rel=1e-4)
+        columns = {"position": "coordinates-0", "velocity": "velocities-0", "command": "command-0"}
+        dead, left = {"velocity": 0.0, "command": None}, dict.fromkeys(columns)
         for index, robot in enumerate((1, 2, 3, 4)):
             gone: dict[str, float | None] = dead if robot == 1 and step > 100 else {}
             gone = {**left} if robot == 2 and step >= 200 else gone
-            for field in ("position", "velocity", "command"):
+            for field, column in columns.items():
                 recorded = read.column("/swarm/agent_state", field, robot)
                 value = gone.get(field, recorded[min(step, len(recorded) - 1)])
-                cell = rows.nth(index).locator(f"[data-field={field}]")
+                cell = rows.nth(index).locator(f"[data-field={column}]")
                 # The table follows at most four times a second.
                 page.wait_for_function(
                     "([cell, value]) => Object.is(parseFloat(cell.getAttribute('value') || 'nan'), value ?? NaN)",
@@ -95,7 +97,7 @@ def test_numbers_are_those_in_the_bag_and_who_is_out_is_told_in_words(page: Page
                 )
     seek(page, 400)
     for index, word in enumerate(("dead", "left", "active", "active")):
-        expect(rows.nth(index).locator("td").nth(2)).to_have_text(word)
+        expect(rows.nth(index).locator("td").nth(1)).to_have_text(word)
     expect(page.locator("#following")).to_have_text("2 of 4")
     events = page.locator("#events li")
     expect(events).to_have_count(2)
@@ -162,7 +164,7 @@ def test_plays_pauses_changes_its_speed_and_goes_to_where_a_curve_is_clicked(pag
     page.keyboard.press("Space")
     expect(page.locator("#step")).to_have_attribute("value", "400")  # it runs to the end and stops there
     expect(play).to_be_visible()
-    page.locator("#chart-angle .u-over").click()  # in the middle of it
+    page.locator("#chart-0 .u-over").click()  # in the middle of it
     expect(page.locator("#step")).not_to_have_attribute("value", "400")
     assert abs(number(page, "step") - 200) <= 3
 
@@ -230,11 +232,11 @@ def test_a_robot_that_is_pointed_to_says_who_it_is(page: Page, served: Served) -
             page.mouse.move(box["x"] + x, box["y"] + part * box["height"])
             if pointed.is_visible():
                 found.add(pointed.inner_text())
-    position = page.locator("#robots tbody tr").nth(0).locator("[data-field=position]").get_attribute("value")
+    position = page.locator("#robots tbody tr").nth(0).locator("[data-field=coordinates-0]").get_attribute("value")
     assert {text.partition(",")[0] for text in found} == {
         *("robot 1: dead", "robot 2: active", "robot 3: active", "robot 4: active")
     }
-    assert any(f"robot 1: dead, {float(position or 'nan'):.4f}"[:20] in text for text in found)
+    assert any(f"robot 1: dead, position {float(position or 'nan'):.4f}"[:29] in text for text in found)
     page.mouse.move(5, 5)
     expect(pointed).to_be_hidden()
 
@@ -258,7 +260,7 @@ def test_values_of_events_have_their_units(page: Page, page_server: PageServer) 
         (2, "REFUSED", 1.0, right_to_left, f"robot 2, refused, 1.0000 – {right_to_left}"),
     )
     events = [
-        Event.of(TimedEvent(event, 0.01 * event.step))
+        PRESENTER.event(TimedEvent(event, 0.01 * event.step))
         for event in (
             SwarmEvent(0, step, agent, EventKind[kind], nan if value is None else value, detail)
             for step, (agent, kind, value, detail, _) in enumerate(cases)
@@ -298,6 +300,33 @@ def test_theme_follows_the_system_until_one_is_chosen(browser: Browser, served: 
     expect(page.locator("#theme")).to_have_text("Theme: light")
     assert page.evaluate(paper) == light
     context.close()
+
+
+def contrast(colours: list[str]) -> float:
+    """Return the contrast of two colours of CSS by WCAG 2."""
+    shades = []
+    for colour in colours:
+        red, green, blue = (int(part) / 255 for part in re.findall(r"\d+", colour)[:3])
+        light = [one / 12.92 if one <= 0.04045 else ((one + 0.055) / 1.055) ** 2.4 for one in (red, green, blue)]
+        shades.append(0.2126 * light[0] + 0.7152 * light[1] + 0.0722 * light[2] + 0.05)
+    return max(shades) / min(shades)
+
+
+PHASES: tuple[Phase, ...] = get_args(Phase)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_state_of_the_run_can_be_read_in_both_themes(page: Page, page_server: PageServer, theme: str) -> None:
+    page_server.open()
+    page.evaluate("(theme) => { document.documentElement.dataset.theme = theme; }", theme)
+    state = page.locator("#state")
+    for phase in PHASES:
+        page_server.send(State(phase=phase, text=""))
+        expect(state).to_have_text(phase)
+        text = state.evaluate(
+            "(badge) => [getComputedStyle(badge).color, getComputedStyle(document.body).backgroundColor]"
+        )
+        assert contrast(text) >= 4.5, (phase, text)
 
 
 def test_everything_has_a_name_a_size_and_can_be_reached_by_keyboard(page: Page, served: Served) -> None:
@@ -369,7 +398,7 @@ def test_the_time_stands_in_the_address_and_an_address_leads_to_its_time(page: P
     page.get_by_label("Show", exact=True).select_option("2")
     expect_span(page, "positions", 2.0, 4.0, 0.02)
     seek(page, 350)
-    expect_span(page, "angle", 1.5, 3.5, 0.02)
+    expect_span(page, "0", 1.5, 3.5, 0.02)
 
 
 @pytest.mark.parametrize("width", [1280, 375])
@@ -386,10 +415,10 @@ def test_parts_have_their_order_and_size_and_tables_tell_what_is_out_of_sight(
     expect(more).to_have_text("more rows below; 7 earlier events not listed")
     page.locator("#events").evaluate("(list) => { list.scrollTop = list.scrollHeight; }")
     expect(more).to_have_text("7 earlier events not listed")
-    tops = page.locator("#now-panel, #plane-panel").evaluate_all(
-        "(parts) => Object.fromEntries(parts.map((part) => [part.id, part.getBoundingClientRect().top]))"
+    tops = page.locator("#plane-panel, #steering, #now-panel").evaluate_all(
+        "(parts) => parts.map((part) => part.getBoundingClientRect().top)"
     )
-    assert tops["now-panel"] > tops["plane-panel"] or width == 1280
+    assert tops == sorted(tops) or width == 1280
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     if width == 375:
         small = """(parts) => parts.filter((part) => part.offsetParent && Math.min(
@@ -399,24 +428,24 @@ def test_parts_have_their_order_and_size_and_tables_tell_what_is_out_of_sight(
 
 def test_small_numbers_are_read_off_with_their_digits(page: Page, page_server: PageServer) -> None:
     page_server.open(curves(0, 50, 1.23456e-6))
-    expect(point(page, "angle", 1.0)).to_have_text(["4.9", "6.173e-7", "0"])
-    expect(point(page, "torque", 0.0)).to_have_text(["0", "-6.173e-7"])
+    expect(point(page, "0", 1.0)).to_have_text(["4.9", "6.173e-7", "0"])
+    expect(point(page, "3", 0.0)).to_have_text(["0", "6.173e-7", "0"])
     expect(page.locator(".u-value").filter(has_text="-0").filter(has_not_text=".")).to_have_count(0)
 
 
 def test_a_zoom_holds_while_a_run_goes_on(page: Page, page_server: PageServer) -> None:
     page_server.open(curves(0, 100))
-    expect_span(page, "angle", 0.0, 9.9, 0.01)
-    drag(page, "angle", 0.5, 0.7)
-    expect_span(page, "torque", 5.0, 6.9, 0.2)  # in all charts
+    expect_span(page, "0", 0.0, 9.9, 0.01)
+    drag(page, "0", 0.5, 0.7)
+    expect_span(page, "3", 5.0, 6.9, 0.2)  # in all charts
     for first in range(100, 160, 20):
         page_server.send(curves(first, first + 20))
     page.set_viewport_size({"width": 1000, "height": 900})
     page.keyboard.press("t")
-    expect_span(page, "angle", 5.0, 6.9, 0.2)
-    page.locator("#chart-error .u-over").dblclick()
+    expect_span(page, "0", 5.0, 6.9, 0.2)
+    page.locator("#chart-1 .u-over").dblclick()
     page_server.send(curves(160, 180))
-    expect_span(page, "angle", 0.0, 17.9, 0.2)
+    expect_span(page, "0", 0.0, 17.9, 0.2)
 
 
 STEERED = Steering(open=True, largest_reference=1.0, largest_disturbance=2.0, members=[1, 2], absent=[])

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.swarmabs_view.conftest import HELLO, PageServer, Served, curves, load, seek
+from tests.swarmabs_view.conftest import HELLO, PageServer, Served, curves, frame_of, load, robot_info, seek
 
-from swarmabs_bag.shown.swarm_state import Abstract, Instant, RobotStatus, ShownRobot
+from swarmabs_bag.shown.swarm_state import RobotStatus
 from swarmabs_view.protocol import (
     Event,
     Events,
@@ -17,17 +17,17 @@ from swarmabs_view.protocol import (
     Message,
     Plane,
     RobotInfo,
+    Robots,
     Row,
     State,
     Steering,
     System,
-    SystemFrame,
-    SystemRobots,
 )
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
-NAMES = ("angle", "error", "torque", "inertia")
+CHARTS = range(4)
+"""Charts of the plane that are beside each other: angle, error, angular velocity and torque."""
 
 RECORDED = """
 const drawing = CanvasRenderingContext2D.prototype;
@@ -108,28 +108,29 @@ def drawn_again(page: Page) -> None:
 
 def on_the_plane(places: Sequence[float], dead: Sequence[int] = ()) -> tuple[Message, ...]:
     """Return what shows robots at these positions of a plane of 1 m, the dead ones by their number."""
-    robots = [RobotInfo(id=n + 1, kind="single_integrator", mass=0.1, damping=None) for n in range(len(places))]
+    robots = [robot_info(n + 1) for n in range(len(places))]
     status: list[RobotStatus] = ["dead" if n + 1 in dead else "active" for n in range(len(places))]
-    shown = [ShownRobot(place, 0.0, 0.0, state) for place, state in zip(places, status, strict=True)]
-    state = Abstract(0.0, 0.1)
     hello = HELLO.model_copy(update={"robots": robots, "plane": Plane(length=1.0, inertia=0.1, gravity=9.81)})
-    return hello, Frame.of(Instant(7, 70_000_000, 0.07, 0.05, 0.0, 0.0, state, state), shown, 1.0)
+    return hello, frame_of(7, 0.05, [*zip(places, status, strict=True)])
 
 
 def on_a_system(angle: float, places: Sequence[float], bodies: Sequence[Sequence[Any]]) -> tuple[Message, ...]:
     """Return what shows robots with bodies on a beam at an angle (rad), in two dimensions."""
-    robots = [RobotInfo(id=n + 1, kind="single_integrator", mass=None, damping=None) for n in range(len(places))]
+    robots = [
+        RobotInfo(id=n + 1, kind="single_integrator", constants=[], body=list(bodies[n]) if bodies else [])
+        for n in range(len(places))
+    ]
     rows = [Row(role="parent", name="roll", unit="rad"), Row(role="robot", name="position", unit="m")]
     rows[1:1] = [Row(role=role, name="moment", unit="N m") for role in ("abstract", "desired")]
-    system = System(name="beam", rows=rows, constants=[[] for _ in places], placed=True, bodies=list(bodies))
+    system = System(name="beam", rows=rows, placed=True, disturbance_unit="")
     position = [[p * cos(angle), p * sin(angle), angle] for p in places]
     vectors = [[p] for p in places]
-    states = SystemRobots(
+    states = Robots(
         position=position, coordinates=vectors, velocities=vectors, command=vectors, status=["active"] * len(places)
     )
     ends = [[-2.0 * cos(angle), -2.0 * sin(angle)], [2.0 * cos(angle), 2.0 * sin(angle)]]
-    frame = SystemFrame(step=7, time=0.07, values=[angle, 0.0, 0.0], outline=[ends], robots=states, step_rate=None)
-    return HELLO.model_copy(update={"robots": robots}), system, frame
+    frame = Frame(step=7, time=0.07, values=[angle, 0.0, 0.0], outline=[ends], robots=states, step_rate=None)
+    return HELLO.model_copy(update={"system": system, "robots": robots}), frame
 
 
 def show(page: Page, server: PageServer, messages: Sequence[Message]) -> None:
@@ -146,16 +147,16 @@ def test_labels_are_apart_and_the_scale_follows_the_angle(page: Page, page_serve
         Event(step=0, time=t, agent=7, kind="DEAD", words="dead", value=None, detail="")
         for t in (1.0, 1.1, 1.2, 3.0, 4.9)
     ]
-    still = {"inertia": [0.02555] * 50, "torque": [0.012] * 50}
-    page_server.open(curves(0, 50).model_copy(update=still), Events(replace=True, events=events))
-    shown = [ShownRobot(position, 0.0, 0.0, "active") for position in (0.1, -0.1)]
-    state = Abstract(0.012, 0.02555)
+    moving = curves(0, 50)
+    still = [*moving.values[:3], [0.012] * 50, [0.02555] * 50, *moving.values[5:]]
+    page_server.open(moving.model_copy(update={"values": still}), Events(replace=True, events=events))
+    robots: list[tuple[float, RobotStatus]] = [(0.1, "active"), (-0.1, "active")]
     for width in (1280, 375):
         page.set_viewport_size({"width": width, "height": 800})
         for angle, reference in ((0.0, 0.0), (1.2, 0.1), (0.02, -0.02), (-0.6, 0.9), (0.05, 0.0), (0.3, 0.31)):
-            page_server.send(Frame.of(Instant(3, 30_000_000, 0.03, angle, 0.0, reference, state, state), shown, 1.0))
-            expect(page.locator("#angle")).to_have_attribute("value", f"{angle:g}")
-            expect(page.locator("#reference")).to_have_attribute("value", f"{reference:g}")
+            page_server.send(frame_of(3, angle, robots, reference=reference, abstract=(0.012, 0.02555)))
+            expect(page.locator("#parent-0")).to_have_attribute("value", f"{angle:g}")
+            expect(page.locator("#reference-0")).to_have_attribute("value", f"{reference:g}")
             plane = drawn(page, "plane")
             (x0, y0), (x1, y1) = plane["edge"]
             assert min(y0, y1) > 0
@@ -164,13 +165,13 @@ def test_labels_are_apart_and_the_scale_follows_the_angle(page: Page, page_serve
                 assert x1 - x0 > 0.5 * plane["width"]
                 assert len(plane["boxes"]) > 2
         assert len(drawn(page, "abstract")["boxes"]) >= 8
-        texts = [box[0] for box in drawn(page, "chart-angle")["boxes"]]
+        texts = [box[0] for box in drawn(page, "chart-0")["boxes"]]
         assert texts.count("mark") == 5
         assert "7 dead" in texts
 
 
 def test_a_crowd_has_a_legend_and_bands_of_its_own(page: Page, page_server: PageServer) -> None:
-    robots = [RobotInfo(id=n, kind="double_integrator", mass=0.1, damping=None) for n in range(1, 62)]
+    robots = [robot_info(n, "double_integrator") for n in range(1, 62)]
     page_server.open()
     each, crowd = page.locator(".legend .each"), page.locator(".legend .crowd")
     expect(each.filter(visible=True)).to_have_count(3)
@@ -189,7 +190,7 @@ def test_labels_have_their_room_and_all_charts_the_same(page: Page, page_server:
     page_server.open(curves(0, 50, scale))
     page.wait_for_function(
         "(names) => names.every((name) => window.drawn[`chart-${name}`].boxes.every(([, left]) => left >= 0))",
-        arg=list(NAMES),
+        arg=list(CHARTS),
     )
     page.wait_for_function(
         """(names) => new Set(names.map((name) => {
@@ -197,7 +198,7 @@ def test_labels_have_their_room_and_all_charts_the_same(page: Page, page_server:
                 (selector) => document.querySelector(selector).getBoundingClientRect());
             return `${over.x - outer.x} ${over.width}`;
         })).size === 1""",
-        arg=list(NAMES),
+        arg=list(CHARTS),
     )
 
 
@@ -285,9 +286,9 @@ def test_charts_shade_the_time_in_which_the_plane_is_disturbed(page: Page, page_
         for t, value in changes
     ]
     page_server.open(curves(0, 50), Events(replace=True, events=events))
-    page.wait_for_function("() => window.drawn['chart-angle'].areas.length === 3")
-    charts = [drawn(page, f"chart-{name}") for name in NAMES]
-    over = page.locator("#chart-angle .u-over").evaluate("(one) => one.clientWidth * devicePixelRatio")
+    page.wait_for_function("() => window.drawn['chart-0'].areas.length === 3")
+    charts = [drawn(page, f"chart-{number}") for number in CHARTS]
+    over = page.locator("#chart-0 .u-over").evaluate("(one) => one.clientWidth * devicePixelRatio")
     for chart in charts:
         (first, second, last) = chart["areas"]
         begin = first[0] - over * 1.0 / 4.9
@@ -314,7 +315,7 @@ def test_legends_are_smaller_than_what_they_explain_and_a_phone_shows_the_pictur
         (legend,) = page.locator(f"#{panel}-panel .legend").evaluate_all(HEIGHTS)
         assert legend < 0.25 * canvas
     legends = page.locator(".u-legend").evaluate_all(HEIGHTS)
-    assert len(legends) == 5
+    assert len(legends) == 6
     assert max(legends) < 0.3 * min(page.locator(".u-wrap").evaluate_all(HEIGHTS))
     below = "(part) => part.getBoundingClientRect().bottom"
     if size[0] == 390:
@@ -336,19 +337,19 @@ def test_the_layout_for_presenters_fills_a_projector_and_is_remembered(
     page.keyboard.press("p")
     expect(page.locator("#layout")).to_have_text("Full page")
     seen = page.locator("main section, .chart").filter(visible=True)
-    parts = ["plane-panel", "steering", "curves-panel", "chart-angle", "abstract-panel"]
+    parts = ["plane-panel", "steering", "curves-panel", "chart-0", "abstract-panel"]
     assert seen.evaluate_all("(parts) => parts.map((part) => part.id)") == parts
     expect(page.locator("table:not(.u-legend)").filter(visible=True)).to_have_count(0)
     page.wait_for_function(
         "(chart) => chart.firstChild.offsetHeight <= chart.clientHeight",
-        arg=page.locator("#chart-angle").element_handle(),
+        arg=page.locator("#chart-0").element_handle(),
     )
     boxes = seen.evaluate_all("(parts) => parts.map((part) => part.getBoundingClientRect().toJSON())")
     assert all(box["bottom"] <= size[1] and box["right"] <= size[0] for box in boxes)
     assert boxes[0]["width"] > 0.6 * size[0]
     assert page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]") == list(size)
     drawn_again(page)
-    for canvas in ("plane", "abstract", "chart-angle"):
+    for canvas in ("plane", "abstract", "chart-0"):
         drawn(page, canvas)
     large = [box[4] - box[2] for box in drawn(page, "plane")["boxes"] if box[0].isdigit()]
     assert min(large) > 1.4 * min(usual)
@@ -360,13 +361,27 @@ def test_the_layout_for_presenters_fills_a_projector_and_is_remembered(
     page.set_viewport_size({"width": 1600, "height": 900})  # texts and the chart follow the window
     page.wait_for_function(
         """(chart) => chart.clientHeight > 200 && Math.abs(chart.clientHeight - chart.firstChild.offsetHeight) < 2
-        && window.drawn["chart-angle"].boxes.length""",
-        arg=page.locator("#chart-angle").element_handle(),
+        && window.drawn["chart-0"].boxes.length""",
+        arg=page.locator("#chart-0").element_handle(),
     )
-    drawn(page, "chart-angle")
+    drawn(page, "chart-0")
     page.reload()
     expect(page.locator("#layout")).to_have_text("Full page")
     expect(page.locator("#now-panel")).to_be_hidden()
     page.get_by_role("button", name="Full page").click()
     expect(page.locator("#now-panel")).to_be_visible()
-    expect(page.locator(".chart").filter(visible=True)).to_have_count(5)
+    expect(page.locator(".chart").filter(visible=True)).to_have_count(6)
+
+
+def test_axes_have_no_more_room_after_a_look_at_the_layout_for_presenters(page: Page, page_server: PageServer) -> None:
+    page.add_init_script(RECORDED)
+    page_server.open(curves(0, 50))
+    before = drawn(page, "abstract")
+    for usual in (False, True):
+        page.keyboard.press("p")
+        page.wait_for_function(
+            "([width, usual]) => (document.getElementById('abstract').width === width) === usual",
+            arg=[before["width"], usual],
+        )
+        drawn_again(page)
+    assert drawn(page, "abstract") == before

@@ -247,3 +247,18 @@ def test_a_page_whose_next_run_does_not_come_says_that_the_connection_is_lost(
     page_server.refusing = 1011
     page_server.close(1001)
     expect(page.get_by_role("alert")).to_contain_text("Connection lost", timeout=10_000)
+
+
+def test_nothing_of_the_run_before_is_drawn_before_the_first_step_of_the_next(
+    page: Page, page_server: PageServer
+) -> None:
+    opened(page, page_server)
+    drawn = page.locator("#plane, #abstract, .uplot canvas")
+    expect(drawn.filter(visible=True)).to_have_count(7)
+    hello, *_, step, _ = page_server.first
+    page_server.first = (hello.model_copy(update={"place": "there"}), State(phase="paused", text=""))
+    page_server.close(1001)
+    expect(page.locator("#place")).to_have_text("there", timeout=10_000)
+    expect(drawn.filter(visible=True)).to_have_count(0)
+    page_server.send(step)
+    expect(drawn.filter(visible=True)).to_have_count(7)

@@ -44,19 +44,23 @@ def test_every_frame_is_what_the_bag_holds(run: Path, recording: Recording) -> N
     positions = {robot: read.column("/swarm/agent_state", "position", robot) for robot in (1, 2, 3, 4)}
     for step in range(401):
         frame = recording.frame(recording.row_at(step))
-        assert (frame.step, frame.time, frame.angle) == (step, step / 100, angle[step])
-        assert (frame.abstract.torque, frame.desired.inertia) == (torque[step], wanted[step])
+        assert (frame.step, frame.time, frame.values[0]) == (step, step / 100, angle[step])
+        assert (frame.values[3], frame.values[6]) == (torque[step], wanted[step])
         dead, left = step > 100, step >= 200  # the robot itself says that it leaves
         assert frame.robots.status == ["dead" if dead else "active", "left" if left else "active", "active", "active"]
         # Who is dead stands still where it was last heard; who has left is nowhere.
-        assert frame.robots.position == [
-            None if left and robot == 2 else found[min(step, len(found) - 1)] for robot, found in positions.items()
-        ]
+        there = {
+            robot: [] if left and robot == 2 else [found[min(step, len(found) - 1)]]
+            for robot, found in positions.items()
+        }
+        assert frame.robots.coordinates == [*there.values()]
+        assert frame.robots.position == [place or None for place in there.values()]
         if dead:
-            assert (frame.robots.velocity[0], frame.robots.command[0]) == (0.0, None)
+            assert (frame.robots.velocities[0], frame.robots.command[0]) == ([0.0], [])
         if left:
-            assert (frame.robots.velocity[1], frame.robots.command[1]) == (None, None)
-        assert None not in (*frame.robots.velocity[2:], *frame.robots.command[2:])
+            assert (frame.robots.velocities[1], frame.robots.command[1]) == ([], [])
+        for vector in (*frame.robots.velocities[2:], *frame.robots.command[2:]):
+            assert len(vector) == 1 and None not in vector
 
 
 def test_a_robot_is_silent_as_it_is_live_and_in_the_terminal(tmp_path: Path) -> None:
@@ -73,8 +77,8 @@ def test_the_whole_run_has_the_statuses_and_places_of_its_frames(recording: Reco
     for row in range(len(swarm)):
         for robot, column in zip(swarm.shown_robots(row), columns, strict=True):
             assert [name for name in STATUSES if swarm.have_status(name)[row, column]] == [robot.status]
-            if robot.position is not None:
-                assert swarm.positions[row, column] == robot.position
+            if robot.coordinates:
+                assert tuple(swarm.coordinates[row, column].tolist()) == robot.coordinates
 
 
 def test_thinned_curves_reach_as_far_as_the_whole(tmp_path: Path) -> None:
@@ -84,32 +88,33 @@ def test_thinned_curves_reach_as_far_as_the_whole(tmp_path: Path) -> None:
     whole = read.column("/plane/state", "angle")
     curves = recording.curves
     assert COLUMNS < len(curves.time) < len(whole)
-    assert min(curves.angle) == whole.min()  # type: ignore[type-var]
-    assert max(curves.angle) == whole.max()  # type: ignore[type-var]
+    angle, torque = curves.values[0], curves.values[3]
+    assert min(angle) == whole.min()  # type: ignore[type-var]
+    assert max(angle) == whole.max()  # type: ignore[type-var]
     places = np.searchsorted(read.times(), np.array(curves.time) - 1e-9)
-    assert curves.angle == whole[places].tolist()
-    assert curves.torque == read.column("/swarm/abstract_state", "torque")[places].tolist()
+    assert angle == whole[places].tolist()
+    assert torque == read.column("/swarm/abstract_state", "torque")[places].tolist()
 
 
 def test_plays_at_its_speed_and_stops_at_the_end(session: PlaybackSession) -> None:
-    session.control(Play(v=1, type="play"))
+    session.control(Play(v=2, type="play"))
     assert shown(session.poll(0.5)) == 50
     assert shown(session.poll(1.25)) == 125
-    session.control(Speed(v=1, type="speed", speed=2.0))
+    session.control(Speed(v=2, type="speed", speed=2.0))
     assert shown(session.poll(1.75)) == 225
-    session.control(Pause(v=1, type="pause"))
+    session.control(Pause(v=2, type="pause"))
     assert shown(session.poll(2.0)) is None
-    session.control(Play(v=1, type="play"))
+    session.control(Play(v=2, type="play"))
     said = session.poll(100.0)
     assert shown(said) == 400
     assert [state.playing for state in told(said, State)] == [False]
-    session.control(Play(v=1, type="play"))  # from the beginning
+    session.control(Play(v=2, type="play"))  # from the beginning
     assert shown(session.poll(100.1)) == 20
 
 
 def test_seeks_to_any_step_and_says_something_every_second_and_nothing_twice(session: PlaybackSession) -> None:
     for step, found in ((123, 123), (10**9, 400), (0, 0), (400, 400)):
-        session.control(Seek(v=1, type="seek", step=step))
+        session.control(Seek(v=2, type="seek", step=step))
         assert shown(session.poll(0.0)) == found
     said = [found for time in range(1, 31) if (found := session.poll(time / 10))]
     assert [len(found) for found in said] == [1, 1, 1]
@@ -138,7 +143,7 @@ def test_the_sets_are_those_of_whoever_takes_part(run: Path) -> None:
     session.hello()
     found: dict[int, Sets] = {}
     for step in (0, 100, 101, 150, 200, 201, 400, 101, 50):
-        session.control(Seek(v=1, type="seek", step=step))
+        session.control(Seek(v=2, type="seek", step=step))
         found.update((step, message) for message in told(session.poll(0.0), Sets))
     assert list(found) == [101, 201, 50]  # at 101 once more it is the same message
     assert found[50] == recording.shading.first
@@ -190,6 +195,6 @@ def test_a_bag_in_which_nothing_is_is_shown_as_such(tmp_path: Path) -> None:
     assert len(recording) == 0
     session = PlaybackSession(recording)
     session.hello()
-    for wish in (Play(v=1, type="play"), Seek(v=1, type="seek", step=3)):
+    for wish in (Play(v=2, type="play"), Seek(v=2, type="seek", step=3)):
         session.control(wish)
         assert shown(session.poll(0.0)) is None

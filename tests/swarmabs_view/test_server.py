@@ -32,7 +32,7 @@ from swarmabs_view.server import (
     serve,
 )
 
-PAUSE = '{"v": 1, "type": "pause"}'
+PAUSE = '{"v": 2, "type": "pause"}'
 
 
 OWN = {"Host": "127.0.0.1:8000"}
@@ -214,8 +214,8 @@ def test_what_comes_first_is_valid_and_complete(served: Served) -> None:
 @pytest.mark.parametrize(
     "wish",
     [
-        *("", PAUSE.ljust(4096), '{"v": 1, "type": "steer"}', '{"v": 9, "type": "play"}'),
-        *(b"", b'{"v": 1, "type": "play"}', b"\xff" * 100),
+        *("", PAUSE.ljust(4096), '{"v": 2, "type": "steer"}', '{"v": 9, "type": "play"}'),
+        *(b"", b'{"v": 2, "type": "play"}', b"\xff" * 100),
     ],
 )
 def test_who_says_what_is_no_message_is_shown_out_and_others_stay(served: Served, wish: str | bytes) -> None:
@@ -280,7 +280,7 @@ def test_a_page_that_does_not_read_gets_less_and_others_are_served_meanwhile() -
         return sessions[-1]
 
     with serving(session) as view, unread_page(view.port) as page:
-        wish = b'{"v": 1, "type": "seek", "step": 3}'
+        wish = b'{"v": 2, "type": "seek", "step": 3}'
         for _ in range(3000):
             page.sendall(struct.pack("!BB4x", 0x81, 0x80 | len(wish)) + wish)  # masked with zeros
         heard = asyncio.run(hear(view, wish.decode(), last="state", count=20))

@@ -208,7 +208,7 @@ def test_who_is_served_what(folder: RunFolder, served: list[tuple[Any, ...]], mo
     show_live(str(folder.path), listener, print)
     assert served.pop()[1]().hello()[0].title == "run"
     ProgressFile(folder.logs).over()
-    with pytest.raises(InputError, match="this run is over; view its bag without --live"):
+    with pytest.raises(InputError, match=r"this run is over; view its bag with \./scripts/swarm view "):
         show_live(str(folder.path), listener, print)
     with pytest.raises(InputError, match=r"--live some/swarm is neither a run folder nor a namespace"):
         show_live("some/swarm", listener, print)

@@ -27,7 +27,7 @@ STATUS = {
 
 
 def steer(token: str = TOKEN, **fields: Any) -> Steer:
-    return Steer(v=1, type="steer", token=token, **{"request": "r", "action": "kill", "agent": 3, **fields})
+    return Steer(v=2, type="steer", token=token, **{"request": "r", "action": "kill", "agent": 3, **fields})
 
 
 class Looks:

@@ -18,7 +18,7 @@ from tests.swarmabs_bag.test_systems import LIFT, SHEET, bag_of, simulated
 from tests.swarmabs_view.conftest import HELLO, PageServer, number, told
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
-from swarmabs_bag.shown.swarm_state import ShownSystemRobot, SwarmState, SystemIdentity, SystemInstant
+from swarmabs_bag.shown.swarm_state import Instant, RobotIdentity, ShownRobot, SwarmState, TimedEvent
 from swarmabs_cli import main as swarm_command
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.cdr import encode
@@ -100,8 +100,9 @@ def test_a_page_gets_names_with_units_once_and_numbers_in_their_order(name: str)
     n, k, d, c = SIZES[name]
     said = first_messages(view_of(heard(name, 20)))
     kinds = [type(message).__name__ for message in said]
-    assert kinds == ["Hello", "System", "Events", "SystemCurves", "Positions", "SystemFrame", "State"]
-    ((hello,), (system,)) = told(said, protocol.Hello), told(said, protocol.System)
+    assert kinds == ["Hello", "Events", "Curves", "Positions", "Frame", "State"]
+    (hello,) = told(said, protocol.Hello)
+    system = hello.system
     assert [(robot.id, robot.kind) for robot in hello.robots] == [(robot, "first_order_lag") for robot in (1, 2, 3)]
     tables = json.loads(NamedSystem(name).description)
     assert system.name == name
@@ -113,13 +114,13 @@ def test_a_page_gets_names_with_units_once_and_numbers_in_their_order(name: str)
     others = [("robot", one) for one in tables["robot"]] + [("constant", one) for one in tables["constants"]]
     further = [(role, one["name"], one["unit"]) for role, one in others]
     assert [(row.role, row.name, row.unit) for row in system.rows[len(rows) :]] == further
-    assert system.constants == [list(numbers(c, robot)) for robot in (1, 2, 3)]
-    (frame,) = told(said, protocol.SystemFrame)
+    assert [robot.constants for robot in hello.robots] == [list(numbers(c, robot)) for robot in (1, 2, 3)]
+    (frame,) = told(said, protocol.Frame)
     unknown = [None] * len(followed)  # whoever only hears a swarm does not know its reference
     assert frame.values == [*numbers(n, 0.2), *unknown, *numbers(k, 20), *numbers(k, 20.5)]
     assert frame.robots.coordinates == [list(numbers(d, 0.1 * robot + 20)) for robot in (1, 2, 3)]
     assert frame.robots.status == ["active", "limited", "active"]
-    (curves,) = told(said, protocol.SystemCurves)
+    (curves,) = told(said, protocol.Curves)
     assert (len(curves.values), curves.time) == (len(rows), [step / 100 for step in range(21)])
     assert [line[7] for line in curves.values] == [*numbers(n, 0.07), *unknown, *numbers(k, 7), *numbers(k, 7.5)]
     (positions,) = told(said, protocol.Positions)
@@ -143,37 +144,37 @@ def test_bands_of_many_robots_are_those_of_each_coordinate() -> None:
 
 
 def test_a_system_draws_itself_and_others_are_drawn_at_their_coordinates(systems: Any) -> None:
-    frame = told(first_messages(view_of(heard("beam", 5))), protocol.SystemFrame)[0]
+    frame = told(first_messages(view_of(heard("beam", 5))), protocol.Frame)[0]
     angle = 0.05
     places = [0.1 * robot + 5 for robot in (1, 2, 3)]
     assert frame.robots.position == [pytest.approx([p * cos(angle), p * sin(angle), angle]) for p in places]
     ends = [1.5 * cos(angle), 1.5 * sin(angle)]
     assert frame.outline == [[pytest.approx([-ends[0], -ends[1]]), pytest.approx(ends)]]
-    (system,) = told(first_messages(view_of(heard("beam", 5))), protocol.System)
-    assert system.placed
-    assert [body[0][2] for body in system.bodies] == [pytest.approx([0.03, 0.02 + 0.01 * robot]) for robot in (1, 2, 3)]
-    frame = told(first_messages(view_of(heard("sheet", 5))), protocol.SystemFrame)[0]
+    (hello,) = told(first_messages(view_of(heard("beam", 5))), protocol.Hello)
+    assert hello.system.placed
+    assert [robot.body[0][2] for robot in hello.robots] == [
+        pytest.approx([0.03, 0.02 + 0.01 * robot]) for robot in (1, 2, 3)
+    ]
+    frame = told(first_messages(view_of(heard("sheet", 5))), protocol.Frame)[0]
     assert frame.outline == []
     assert frame.robots.position == frame.robots.coordinates
     messages = heard("beam", 5)
     (systems / "systems_of_tests-1.5.dist-info" / "entry_points.txt").unlink()
     SYSTEMS.forget()
     presented = first_messages(view_of(messages))
-    frame, system = told(presented, protocol.SystemFrame)[0], told(presented, protocol.System)[0]
-    assert (system.placed, system.bodies, frame.outline) == (False, [[], [], []], [])
+    frame, hello = told(presented, protocol.Frame)[0], told(presented, protocol.Hello)[0]
+    assert (hello.system.placed, [robot.body for robot in hello.robots], frame.outline) == (False, [[], [], []], [])
     assert frame.robots.position == [[p] for p in places]
 
 
 @pytest.mark.usefixtures("systems")
 def test_robots_without_constants_are_placed_and_drawn_by_their_system_too() -> None:
     presenter = Presenter(SystemTables.read(NamedSystem("faulty", {"fault": "no_constants"}).description))
-    robots = [SystemIdentity(1, Kind.SINGLE_INTEGRATOR, ())]
-    (system,) = presenter.described(robots)
-    assert isinstance(system, protocol.System)
-    assert system.bodies == [[[[0.0, 0.0], [0.1, 0.0]]]]
-    instant = SystemInstant(0, 0, 0.0, (0.5, 0.0), (), (), ())
-    frame = presenter.frame(instant, [ShownSystemRobot((2.0,), (0.0,), (0.0,), "active")], robots, None)
-    assert isinstance(frame, protocol.SystemFrame)
+    robots = [RobotIdentity(1, Kind.SINGLE_INTEGRATOR, ())]
+    (told_robot,) = presenter.robots(robots)
+    assert told_robot.body == [[[0.0, 0.0], [0.1, 0.0]]]
+    instant = Instant(0, 0, 0.0, (0.5, 0.0), (), (), ())
+    frame = presenter.frame(instant, [ShownRobot((2.0,), (0.0,), (0.0,), "active")], robots, None)
     assert frame.robots.position == [pytest.approx([2.0 * cos(0.5), 2.0 * sin(0.5), 0.5])]
 
 
@@ -187,7 +188,7 @@ def test_what_is_unknown_is_not_drawn_and_a_foreign_description_changes_nothing(
     view.add(SwarmAbstract(PERIOD, 1, system, 3, (1.0, nan), (0.0, 0.0)))
     view.add(SwarmDesired(PERIOD, 1, system, Mode.RUN, (1.0, 2.0), *((0.0, 0.0) for _ in range(4))))
     frame = view.frame(0.0)
-    assert isinstance(frame, protocol.SystemFrame)
+    assert frame is not None
     assert frame.values == [None, 0.0, None, 1.0, None, 1.0, 2.0]
     assert (frame.outline, frame.robots.position) == ([], [None, None, None])
     unnamed = [{"name": 7, "unit": "m", "scale": 1.0}]
@@ -195,7 +196,7 @@ def test_what_is_unknown_is_not_drawn_and_a_foreign_description_changes_nothing(
     for text in ("", "[]", '{"name": 1}', *strange):
         foreign = view_of([SystemDescription(0, 0, 1, text), *step_of("beam", 0)])
         assert foreign.frame(0.0) is None, text
-        assert not told(first_messages(foreign), protocol.System), text
+        assert foreign.hello().system.name == "plane", text
 
 
 def view_text(**changes: Any) -> str:
@@ -213,10 +214,23 @@ def test_who_joins_and_dies_is_told_with_its_constants() -> None:
     for message in (dead, *step_of("beam", 4, robots=3)):
         view.add(message)
     said = session.poll(0.1)
-    assert len(told(said, protocol.System)[0].constants) == len(told(said, protocol.Hello)[0].robots) == 3
-    frame = told(said, protocol.SystemFrame)[0]
+    assert [len(robot.constants) for robot in told(said, protocol.Hello)[0].robots] == [3, 3, 3]
+    frame = told(said, protocol.Frame)[0]
     assert frame.robots.status == ["dead", "limited", "active"]
-    assert (frame.robots.coordinates[0], frame.robots.velocities[0], frame.robots.command[0]) == ([3.1], [0.0], [])
+    assert (frame.robots.coordinates[0], frame.robots.velocities[0], frame.robots.command[0]) == ([0.1], [0.0], [])
+
+
+@pytest.mark.usefixtures("systems")
+def test_values_of_events_have_the_units_of_the_system_where_it_states_them() -> None:
+    presenter = Presenter(SystemTables.read(NamedSystem("lift").description))
+    cases = {
+        "N": (EventKind.DEAD, 1, "kill"),
+        "m": (EventKind.STEERING, 0, "reference"),
+        "": (EventKind.STEERING, 0, "disturbance"),
+        "command": (EventKind.LIMIT_HIT, 1, "command limited"),
+    }
+    for unit, (kind, robot, detail) in cases.items():
+        assert presenter.event(TimedEvent(SwarmEvent(0, 0, robot, kind, 0.5, detail), 0.0)).unit == unit
 
 
 def open_page(server: PageServer, name: str, robots: int = 3) -> list[protocol.Message]:
@@ -238,15 +252,15 @@ def values_of(page: Page, column: str) -> list[float]:
 @pytest.mark.timeout(300)
 @pytest.mark.usefixtures("systems")
 def test_the_page_shows_the_numbers_of_a_system_with_names_and_units(page: Page, page_server: PageServer) -> None:
-    (frame,) = told(open_page(page_server, "sheet"), protocol.SystemFrame)
+    (frame,) = told(open_page(page_server, "sheet"), protocol.Frame)
     expect(page.locator("#plane-title")).to_have_text("Sheet and robots")
     expect(page.locator("#numbers dt")).to_have_count(22)
     shown = dict(zip(page.locator("#numbers dt").all_inner_texts(), page.locator("#numbers data").all(), strict=True))
     for label, value in {"al rate, rad/s": frame.values[2], "desired inertia xy, kg m²": frame.values[-1]}.items():
         assert float(shown[label].get_attribute("value") or "nan") == value
     assert shown["be reference, rad"].get_attribute("value") == shown["be error, rad"].get_attribute("value") == ""
-    head = ["robot", "kind", "mass, kg", "damping, N s/m", "status", "x, m", "y, m"]
-    head += ["rate of x, m/s", "rate of y, m/s", "command x, m", "command y, m"]
+    head = ["robot", "kind", "status", "x, m", "y, m", "rate of x, m/s", "rate of y, m/s"]
+    head += ["command x, m", "command y, m", "mass, kg", "damping, N s/m"]
     expect(page.locator("#robots th[scope=col]")).to_have_text(head)
     expect(page.locator("#robots tbody tr").nth(1)).to_contain_text("limited")
     assert values_of(page, "coordinates-1") == [place[1] for place in frame.robots.coordinates]
@@ -257,7 +271,7 @@ def test_the_page_shows_the_numbers_of_a_system_with_names_and_units(page: Page,
     page.get_by_label("Robots by").select_option("y, m")
     expect(page.locator(".u-title").last).to_have_text("y, m")
     legend = page.locator(".legend li").filter(visible=True)
-    kinds = ["with lag", "limited", "safe stop", "dead", "silent"]
+    kinds = ["with lag", "limited", "safe stop", "dead", "silent", "area proportional to mass"]
     expect(legend).to_have_text([*kinds, "actual", "desired"])
     expect(page.locator("#zoom")).to_be_hidden()
 
@@ -273,10 +287,10 @@ def test_any_two_rows_make_the_picture_and_one_row_makes_none(page: Page, page_s
     page.get_by_label("up", exact=True).select_option("inertia yy")
     said = re.compile("inertia xx 20.29 kg m.2, desired 20.79; inertia yy 20.43 kg m.2, desired 20.93")
     expect(picture).to_have_attribute("aria-label", said)
-    said_of = told(first_messages(view_of(heard("sheet", 20))), protocol.System)[0]
-    one = [row for row in said_of.rows if row.role not in {"abstract", "desired"} or row.name == "moment_x"]
-    page_server.send(HELLO)
-    page_server.send(said_of.model_copy(update={"name": "other", "rows": one}))
+    said_of = view_of(heard("sheet", 20)).hello()
+    one = [row for row in said_of.system.rows if row.role not in {"abstract", "desired"} or row.name == "moment_x"]
+    other = said_of.system.model_copy(update={"name": "other", "rows": one})
+    page_server.send(said_of.model_copy(update={"system": other}))
     expect(picture).to_be_hidden()
     expect(page.locator("#chart-4")).to_have_attribute("aria-label", "moment x, N m over time")
 
@@ -296,16 +310,16 @@ def test_robots_are_where_the_system_draws_them_and_the_plane_comes_back(
     for _ in range(2):
         page.evaluate("() => new Promise(requestAnimationFrame)")
     found: dict[str, list[float]] = page.locator("#plane").evaluate(POINTED)
-    unit = "thrust, N" if name == "lift" else "x, m" if name == "sheet" else "position, m"
-    assert {text.partition(";")[0] for text in found} == {"robot 1: active", "robot 2: limited", "robot 3: active"}
+    coordinate = "thrust" if name == "lift" else "x" if name == "sheet" else "position"
+    assert {text.partition(",")[0] for text in found} == {"robot 1: active", "robot 2: limited", "robot 3: active"}
     places = [next(at for text, at in found.items() if text.startswith(f"robot {robot}")) for robot in (1, 2, 3)]
-    assert all(f"{unit} 20." in text for text in found)
+    assert all(f"{coordinate} 20." in text for text in found)
     assert places[0][0] < places[1][0] < places[2][0]  # as their first coordinates
     assert (places[0][1] < places[2][1]) is (name == "lift")  # in its own lane, or higher with a larger coordinate
     page_server.close()  # the page of the plane, once the connection is back
     expect(page.locator("#plane-title")).to_have_text("Plane and robots", timeout=10_000)
-    expect(page.locator("#robots th[scope=col]")).to_have_text(["robot", "kind", "mass, kg", *PLANE_COLUMNS])
-    expect(page.locator(".u-title").first).to_have_text("angle and reference, rad")
+    expect(page.locator("#robots th[scope=col]")).to_have_text(PLANE_COLUMNS)
+    expect(page.locator(".u-title").first).to_have_text("angle, rad")
     assert number(page, "angle") == 0.1
     assert not faults
 
@@ -325,7 +339,8 @@ POINTED = """
 }
 """
 """Returns what is told of robots to which the pointer is moved, with the first place of each."""
-PLANE_COLUMNS = ["status", "position, m", "velocity, m/s", "command, m/s or N"]
+PLANE_COLUMNS = ["robot", "kind", "status", "position, m", "velocity, m/s", "command, m/s"]
+PLANE_COLUMNS += ["mass, kg", "damping, N s/m"]
 
 
 @pytest.mark.system
@@ -362,10 +377,10 @@ def test_every_frame_of_a_bag_is_what_the_messages_say(sheet: Path) -> None:
     recording = open_recording(sheet)
     session = PlaybackSession(recording)
     said = [*session.hello(), *session.poll(0.0)]
-    names = ["Hello", "System", "SystemCurves", "Positions", "Events", "SystemFrame", "State"]
+    names = ["Hello", "Curves", "Positions", "Events", "Frame", "State"]
     assert [type(message).__name__ for message in said] == names
-    (system,) = told(said, protocol.System)
-    assert system.constants == [[0.7, 0.0], [1.1, 0.0], [1.0, 0.0], [0.9, 0.0], [1.1, 0.2]]
+    (hello,) = told(said, protocol.Hello)
+    assert [robot.constants for robot in hello.robots] == [[0.7, 0.0], [1.1, 0.0], [1.0, 0.0], [0.9, 0.0], [1.1, 0.2]]
     _, steps = simulated(SHEET)
     said_events = [m for one in steps for m in (r.message for r in one.records) if isinstance(m, SwarmEvent)]
     begins = {(m.agent_id, EventKind(m.kind).name): m.step for m in said_events}
@@ -374,7 +389,6 @@ def test_every_frame_of_a_bag_is_what_the_messages_say(sheet: Path) -> None:
         messages = {type(record.message): record.message for record in one.records}
         last |= {m.agent_id: m for m in (record.message for record in one.records) if isinstance(m, RobotState)}
         frame = recording.frame(recording.row_at(step))
-        assert isinstance(frame, protocol.SystemFrame)
         parent, abstract, desired = (messages[kind] for kind in (ParentState, SwarmAbstract, SwarmDesired))
         reference = [0.2 * sin(0.4 * step / 100), 0.2 * sin(0.25 * step / 100)]
         assert frame.values == pytest.approx([*parent.state, *reference, *abstract.value, *desired.value], abs=1e-15)
@@ -386,7 +400,7 @@ def test_every_frame_of_a_bag_is_what_the_messages_say(sheet: Path) -> None:
             there = status[place] not in {None, "left"}
             assert frame.robots.coordinates[place] == (list(last[robot].coordinates) if there else [])
             assert frame.robots.position[place] == (list(last[robot].coordinates) if there else None)
-    (curves,) = told(said, protocol.SystemCurves)
+    (curves,) = told(said, protocol.Curves)
     assert [len(line) for line in curves.values] == [41] * 16
     (positions,) = told(said, protocol.Positions)
     assert [len(positions.labels), len(positions.lines)] == [5, 10]
@@ -414,7 +428,7 @@ def test_who_listens_later_still_hears_which_system_it_is() -> None:
             for one in listener.poll():
                 view.add(one.message)
             frame = view.frame(0.0)
-            return isinstance(frame, protocol.SystemFrame) and frame.robots.status == ["active", "limited", "active"]
+            return frame is not None and frame.robots.status == ["active", "limited", "active"]
 
         until(shown, "the system is shown with its robots", 15.0)
         node.destroy_node()  # type: ignore[no-untyped-call]

@@ -126,6 +126,10 @@ def test_it_fits(width: int, height: int) -> None:
         assert any("reference" in text for text in lines)
 
 
+def test_nothing_is_drawn_before_the_first_progress() -> None:
+    assert "".join(drawn()) == ""
+
+
 def test_starting_and_closing() -> None:
     assert drawn(Progress("starting", 2, 8, 0, 1000))[0].startswith("pd_het_4: step 400")
     assert line(drawn(Progress("closing", 8, 8, 1000, 1000, 100.0, 0.0, 0.0)), "speed") == "completing the bag"

@@ -115,7 +115,7 @@ def test_what_is_not_installed_or_taken_is_refused_with_the_remedy(monkeypatch: 
             check_foxglove(port)
     check_foxglove(port)
     monkeypatch.setattr(ports, "find_spec", lambda _: None)
-    with pytest.raises(InputError, match=r"the view needs the Python package aiohttp, which .*pip install aiohttp"):
+    with pytest.raises(InputError, match=r"the view needs the Python package aiohttp; .*pip install aiohttp$"):
         PageViewer(0)
     with pytest.raises(InputError, match="the WebSocket for Foxglove needs the Python package foxglove-sdk"):
         check_foxglove(port)

@@ -70,7 +70,7 @@ def kinds(found: Received, kind: str) -> Received:
 LENGTH = runs.seconds(100.0)
 FREEZE = "faults=[{at: 5.0, kind: freeze, agent: 2}]"
 NOISE = ("limits.velocity=0.02", "swarm.sensor.noise=[0.001, 0.001]")
-UNASKED = {"v": 1, "type": "steer", "token": "", "request": "r", "action": "kill", "agent": 1}
+UNASKED = {"v": 2, "type": "steer", "token": "", "request": "r", "action": "kill", "agent": 1}
 
 
 def whole(found: Received) -> Received:
@@ -105,9 +105,9 @@ def test_what_is_shown_of_a_run_is_what_is_recorded_and_it_does_not_need_its_vie
     assert whole(found)
     for frame in frames:
         step = frame["step"]
-        assert frame["angle"] == recorded.angle[step]
-        assert frame["abstract"]["torque"] in (None, recorded.abstract.torque[step])
-        assert frame["desired"]["inertia"] in (None, recorded.desired.inertia[step])
+        assert frame["values"][0] == recorded.angle[step]
+        assert frame["values"][3] in (None, recorded.abstract.torque[step])
+        assert frame["values"][6] in (None, recorded.desired.inertia[step])
         for shown, positions in zip(frame["robots"]["position"], recorded.agents.position.T, strict=True):
             # Best effort: of a robot the last state that came up to then, as a rule that of the step.
             assert shown is None or shown in positions[: step + 1]
@@ -145,7 +145,7 @@ def test_the_page_follows_a_run_into_its_bag(folder: Path) -> None:
             expect(page.locator("#step")).to_have_attribute("value", str(last))
             page.get_by_role("button", name="First step").click()
             expect(page.locator("#step")).to_have_attribute("value", "0")
-            assert float(page.locator("#angle").get_attribute("value") or "nan") == 0.1
+            assert float(page.locator("#parent-0").get_attribute("value") or "nan") == 0.1
             view.process.terminate()
             assert view.wait().code == 0
 
@@ -169,10 +169,10 @@ def test_a_run_is_steered_from_the_page(folder: Path) -> None:
             page.get_by_role("button", name="Set reference").click()
             expect(done).to_contain_text("reference 0.05: from step ", timeout=PATIENCE)
             expect(page.locator("#held-reference")).to_have_attribute("value", "0.05")
-            expect(page.locator("#reference")).to_have_attribute("value", "0.05")
-            page.get_by_label("Disturbance torque, N m").fill("99")
+            expect(page.locator("#reference-0")).to_have_attribute("value", "0.05")
+            page.get_by_label("Disturbance, N m").fill("99")
             page.get_by_role("button", name="Set disturbance").click()  # the browser itself refuses
-            page.get_by_label("Disturbance torque, N m").fill("0.1")
+            page.get_by_label("Disturbance, N m").fill("0.1")
             page.get_by_role("button", name="Set disturbance").click()
             expect(done).to_contain_text("disturbance 0.1: from step ")
             box = page.locator("#plane").bounding_box()
@@ -245,7 +245,8 @@ def test_a_demo_opens_a_page_that_can_steer_and_leaves_nothing_behind(folder: Pa
             assert client.ask({"action": "status"})["members"] == [*range(1, 21)]
         os.kill(command.process.pid, signal.SIGINT)
         done = command.wait()
-    assert (done.code, page.exists(), page.parent.exists()) == (1, False, False)
+    assert (done.code, page.exists(), page.parent.exists()) == (0, False, False)
+    assert "error:" not in done.err
     assert runs.summary_of(folder)["status"] == "interrupted"
     assert load_arrays(folder).agents.ids.tolist() == [*range(1, 21)]
 
@@ -265,7 +266,7 @@ def test_a_demo_starts_again_beside_the_curve_on_the_same_page(folder: Path) -> 
         expect(page.locator("#state")).to_have_text("running", timeout=PATIENCE)
         runs.until_stepping(following)
         os.kill(command.process.pid, signal.SIGINT)
-        assert command.wait().code == 1
+        assert command.wait().code == 0
     for bag in (folder, following):
         verdict = runs.swarm("verify", bag)
         assert verdict.code == 0, verdict.out + verdict.err

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -22,6 +21,11 @@ from swarmabs_bag.run.digest import digest_head
 from swarmabs_core.arrays import LAYOUT, LENGTH, PADDING, RunArrays, Tables, layout_of, run_arrays, run_event
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, lengths_of
 from swarmabs_core.messages import EVENTS, ROBOT_STATES, STANDING, SwarmEvent, Topic
+
+try:
+    import resource
+except ModuleNotFoundError:  # on Windows
+    resource = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -222,7 +226,8 @@ def available_memory(group: Path = _GROUP) -> int:
     with suppress(OSError, ValueError):  # ValueError: the text "max"
         most, used = ((group / name).read_text(encoding="ascii") for name in ("memory.max", "memory.current"))
         left.append(int(most) - int(used))
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit != resource.RLIM_INFINITY:
-        left.append(limit - psutil.Process().memory_info().vms)
+    if resource is not None:
+        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if limit != resource.RLIM_INFINITY:
+            left.append(limit - psutil.Process().memory_info().vms)
     return max(0, min(left))

@@ -15,13 +15,14 @@ from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.run.metadata import REPAIRED_KEY
 from swarmabs_config.configure import plugins
 from swarmabs_config.graph import REALTIME
+from swarmabs_config.installation import own_version
 from swarmabs_config.scenario import dump_scenario, parse_scenario
 from swarmabs_config.scenario.steered import as_planned
 from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_core.arithmetic import ARITHMETIC, FORMER
 from swarmabs_core.errors import InputError, MalformedMessageError
 from swarmabs_core.messages import BASIS, EVENTS, SYSTEM, SwarmEvent, SystemDescription
-from swarmabs_core.systems import SystemTables
+from swarmabs_core.systems import PLANE_TABLES, SystemTables
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -43,12 +44,14 @@ MERGED = "merged"
 UNDECIDED = "it contains several scenarios and does not state which one was run"
 """The `contradiction` of a bag that no repair can decide."""
 
-_DISTRIBUTIONS = ("swarmabs_core", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "mcap", "numpy")
+_DISTRIBUTIONS = ("ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "mcap", "numpy")
 
 
 def versions() -> dict[str, str]:
     """Return the versions that may affect the result of a run, of all packages installed as distributions."""
     found = {"python": platform.python_version()}
+    if own := own_version():
+        found["swarmabs_core"] = own
     for name in _DISTRIBUTIONS:
         try:
             found[name] = version(name)
@@ -204,6 +207,8 @@ def description_of(bag: BagReader) -> SystemTables:
 
     Raises `DamagedBagError` if they are missing or damaged.
     """
+    if not bag.family.once:
+        return PLANE_TABLES
     for _, _, message in bag.decoded((SYSTEM,)):
         if isinstance(message, SystemDescription):
             try:

@@ -9,7 +9,7 @@ from swarmabs_bag.attached import attached_scenario, description_of, is_realtime
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime_world import law_begins, realtime_figures
-from swarmabs_bag.run.figures import PLANE_TRACKING, RunFigures, Tracking
+from swarmabs_bag.run.figures import RunFigures, Tracking
 from swarmabs_bag.run.ordering import DisorderError, recorded_steps
 from swarmabs_config import configure
 from swarmabs_core.errors import InputError
@@ -54,7 +54,7 @@ def summarise_bag(path: Path, namespace: str | None) -> dict[str, Any]:
     scenario = _scenario(bag)
     if scenario is not None and is_realtime(bag):
         return realtime_figures(bag, scenario).summary()
-    tracking = Tracking.of(description_of(bag)) if bag.family.once else PLANE_TRACKING
+    tracking = Tracking.of(description_of(bag))
     unknown = (nan,) * len(tracking.followed)
     figures = RunFigures((lambda _: unknown) if scenario is None else configure.reference(scenario), tracking)
     try:

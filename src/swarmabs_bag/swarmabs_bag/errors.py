@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 from typing import TYPE_CHECKING
 
+from swarmabs_config.installation import COMMAND
 from swarmabs_core.errors import InputError, RunError
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def remedy(cause: OSError) -> str:
 
 def repair_command(bag: Path | str) -> str:
     """Return the remedy for a damaged bag."""
-    return f"repair it with ./scripts/swarm repair {bag}"
+    return f"repair it with {COMMAND} repair {bag}"
 
 
 class BagFolderError(InputError):

@@ -15,10 +15,12 @@ from difflib import get_close_matches
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
 
-from swarmabs_cli.options import COMMAND, examples
+from swarmabs_cli.options import examples
+from swarmabs_config.installation import COMMAND, DISTRIBUTION, IS_WHEEL, lacking
 from swarmabs_core.errors import InputError, SwarmabsError
 from swarmabs_run.ending import interrupt_once, no_more_interrupts
 from swarmabs_run.tracing_files import tracing_files_removed
@@ -31,6 +33,8 @@ SECTIONS = {
     "develop": "Set up and develop",
 }
 """Folders of commands, in the order in which they are listed, and their titles."""
+EXAMPLE = "simulate" if IS_WHEEL else "run"
+"""The command of the examples in the help."""
 PARSE_ONLY = "SWARMABS_PARSE_ONLY"
 """Environment variable with which ``scripts/swarm`` asks whether a command line is right, before it installs for it."""
 _COMMAND = re.compile(r"^@click\.(?:command|group)\b.*?^def (\w+)\(", re.MULTILINE | re.DOTALL)
@@ -49,9 +53,20 @@ class LazyGroup(click.Group):
             if file := _files(section).get(cmd_name):
                 if not ctx.resilient_parsing:
                     ctx.with_resource(tracing_files_removed())
-                command: click.Command = getattr(import_module(f"{__name__}.{section}.{file.stem}"), cmd_name)
+                try:
+                    module = import_module(f"{__name__}.{section}.{file.stem}")
+                except ModuleNotFoundError as error:
+                    raise lacking(error, f"{COMMAND} {cmd_name}") from None
+                command: click.Command = getattr(module, cmd_name)
                 return command
         return None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; the error tells what it needs that is not installed."""
+        try:
+            return super().invoke(ctx)
+        except ModuleNotFoundError as error:
+            raise lacking(error, f"{COMMAND} {ctx.invoked_subcommand}") from None
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -91,9 +106,9 @@ def _summary(name: str, path: Path) -> str:
 @click.group(
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-    epilog=examples("run", "view runs/pd_het_4-001", "run --help"),
+    epilog=examples(EXAMPLE, "view runs/pd_het_4-001", f"{EXAMPLE} --help"),
 )
-@click.version_option(package_name=__name__, message="swarm %(version)s")
+@click.version_option(package_name=DISTRIBUTION, message="swarm %(version)s")
 def swarm() -> None:
     """Run, record and study swarms of robots that level a tilting plane, with one ROS 2 process per robot.
 

@@ -17,6 +17,7 @@ from swarmabs_run.ending import interrupt_once
 from swarmabs_run.orchestration.launcher_process import LauncherProcess
 from swarmabs_run.orchestration.lockstep_run import LockstepRun
 from swarmabs_run.orchestration.realtime_run import RealtimeRun
+from swarmabs_run.orchestration.run_files import since_start
 from swarmabs_run.run import SLOWEST_STEP, Outcome, RunOptions
 from swarmabs_view.ports import check_foxglove
 from swarmabs_view.viewers import PageViewer, markers_viewer
@@ -50,16 +51,17 @@ def run_scenarios(
     """Show steered runs on one page, until one ends other than by a request for the next one.
 
     The `launcher` is that of the first run. `following` returns the options of the command, without those of the page
-    and with `paused`, for the run after a request, None for the first.
+    and with `paused`, for the run after a request, None for the first. The exit code is 0 if the user ends the last.
     """
-    options = following(None)
+    options, begun = following(None), 0.0
     with _page(0, steered=True, opens=open_browser) as page:
         while True:
             with launcher:
-                code, request = _run(launcher, page, restarts=True, **options)
+                code, request = _run(launcher, page, restarts=True, show=True, begun=begun, **options)
             if request is None:
                 page.stay()
                 return code
+            begun = since_start()
             interrupt_once()  # as at the beginning of the command
             options, launcher = following(request), LauncherProcess("lockstep")
 

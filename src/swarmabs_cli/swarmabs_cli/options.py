@@ -8,14 +8,13 @@ from typing import Any
 
 import click
 
+from swarmabs_config.installation import COMMAND
 from swarmabs_core.nodes import NodeName
 
 RUNS = Path("runs")
 """Parent of the folders of results that are not named by -o."""
 A_PATH = click.Path(path_type=Path)
 
-COMMAND = "./scripts/swarm"
-"""The program by which users start the command line."""
 _END_OF = {"[": "]", "{": "}"}
 
 

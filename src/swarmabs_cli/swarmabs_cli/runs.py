@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -17,15 +16,15 @@ from rich.console import Console
 from swarmabs_bag.errors import remedy
 from swarmabs_bag.run.figures import tracking_of
 from swarmabs_bag.run_folder import RunFolder, Split
-from swarmabs_cli.options import COMMAND
 from swarmabs_cli.output import print_json, print_warnings, results_folder
+from swarmabs_config.installation import COMMAND
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import AnyScenario, Scenario, on_plane
 from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_config.theory_setting import setting
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.ending import no_more_interrupts
-from swarmabs_run.orchestration.run_files import start_of
+from swarmabs_run.orchestration.run_files import since_start
 from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.summary import Times, summarise, summary_table
 from swarmabs_view.terminal import ProgressDisplay, shown_progress
@@ -54,11 +53,15 @@ def carry_out(
     as_json: bool,
     steered: bool = False,
     meanwhile: bool = False,
+    show: bool = False,
+    begun: float = 0.0,
     check: Callable[[AnyScenario], object] = bool,
 ) -> int:
     """Load and run a scenario, and print the summary; return the exit code.
 
-    With `meanwhile`, the theory is checked while other processes make the steps.
+    With `meanwhile`, the theory is checked while other processes make the steps. The user ends a `show`, so that an
+    interrupt after its first step is no failure. The times of the summary count from `begun`, the value of
+    `since_start` when the run was requested, s; 0 for the run of the command itself.
     """
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
@@ -76,14 +79,14 @@ def carry_out(
         print_warnings(theory_warnings(loaded))
     loaded = loaded.resolved()
     if steered:
-        click.echo(f"to steer the run: ./scripts/swarm steer {folder.path} ACTION VALUE", err=True)
+        click.echo(f"to steer the run: {COMMAND} steer {folder.path} ACTION VALUE", err=True)
     split = Split(max_bag_size, max_bag_duration * 10**9)
 
-    def run(show: ProgressDisplay) -> Outcome:
-        options = RunOptions(record=not no_bag, split=split, on_progress=show)
+    def run(display: ProgressDisplay) -> Outcome:
+        options = RunOptions(record=not no_bag, split=split, on_progress=display)
         if not meanwhile:
             return execute(loaded, folder, options)
-        with _theory_printed(loaded, show) as shown:
+        with _theory_printed(loaded, display) as shown:
             return execute(loaded, folder, replace(options, on_progress=shown))
 
     def judge(outcome: Outcome) -> Mapping[str, object]:
@@ -91,8 +94,12 @@ def carry_out(
             return {}
         return {"rerun_of": recorded.judge(outcome, folder.bag, changed=bool(overrides) or steered)}
 
-    outcome, summary = summed_up(loaded, folder, run, judge)
+    outcome, summary = summed_up(loaded, folder, run, judge, begun)
     print_summary(loaded, summary, folder, outcome, as_json=as_json)
+    if show and outcome.status == "interrupted" and outcome.start_seconds is not None:
+        return 0
+    if outcome.reason is not None:
+        click.echo(f"error: {outcome.reason}", err=True)
     if summary["rerun_of"] is not None and summary["rerun_of"]["same"] is False:
         click.echo(f"error: the digest differs from that of {scenario}; see the warnings above, and compare", err=True)
         return 1
@@ -157,10 +164,12 @@ def summed_up(
     folder: RunFolder,
     run: Callable[[ProgressDisplay], Outcome],
     more: Callable[[Outcome], Mapping[str, object]],
+    begun: float,
 ) -> tuple[Outcome, dict[str, Any]]:
     """Run while showing the progress; return the outcome and the written summary, which includes `more`.
 
-    A run in which robots flew off has failed, unless it repeats what was recorded.
+    The times count from `begun`, as in `carry_out`. A run in which robots flew off has failed, unless it repeats what
+    was recorded.
     """
     try:
         loading = since_start()
@@ -171,7 +180,7 @@ def summed_up(
         rerun: Any = told.get("rerun_of") or {}
         outcome = done.judged(repeats=rerun.get("same") is True)
         verdict = {"status": outcome.status, "reason": outcome.reason}
-        summary = {**summarise(scenario, done, times(loading, done)), **verdict, **told}
+        summary = {**summarise(scenario, done, times(loading, done, begun)), **verdict, **told}
         folder.write_summary(summary)
     except OSError as error:
         raise RunError(f"{folder.path}: {error.strerror or error}; {remedy(error)}") from error
@@ -186,7 +195,7 @@ def print_summary(
     *,
     as_json: bool,
 ) -> None:
-    """Print the summary of a run, and the reason if it failed."""
+    """Print the summary of a run."""
     print_warnings(outcome.warnings)
     if as_json:
         print_json(summary)
@@ -195,13 +204,6 @@ def print_summary(
         if folder.bag.exists():
             click.echo(f"\n{COMMAND} view {folder.path} --open   # play the run in the browser")
             click.echo(f"{COMMAND} report {folder.path}   # write a report")
-    if outcome.reason is not None and outcome.restart is None:
-        click.echo(f"error: {outcome.reason}", err=True)
-
-
-def since_start() -> float:
-    """Return the wall time since this process, and with it the user's command, was started, s."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - (start_of(os.getpid()) or 0) / os.sysconf("SC_CLK_TCK")
 
 
 def setup_seconds() -> float:
@@ -210,7 +212,10 @@ def setup_seconds() -> float:
     return float(seconds) if pid == str(os.getpid()) else 0.0
 
 
-def times(loading: float, outcome: Outcome) -> Times:
-    """Return the durations of a run; `loading` is the value of `since_start` at its beginning, s."""
-    setup, start = setup_seconds(), outcome.start_seconds
-    return Times(since_start(), setup, None if start is None else loading - setup + start)
+def times(loading: float, outcome: Outcome, begun: float = 0.0) -> Times:
+    """Return the durations of a run, from the values of `since_start` at its beginning and at its request, s.
+
+    The set-up belongs to the run of the command itself, which was requested at 0.
+    """
+    setup, start = 0.0 if begun else setup_seconds(), outcome.start_seconds
+    return Times(since_start() - begun, setup, None if start is None else loading - begun - setup + start)

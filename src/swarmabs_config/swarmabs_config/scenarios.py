@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from pydantic import AfterValidator
 
+from swarmabs_config.installation import shared
 from swarmabs_config.model.errors import show
 from swarmabs_config.model.fields import problem
 from swarmabs_config.scenario import ScenarioError, load_scenario
@@ -37,11 +38,8 @@ DEFAULT = "pd_het_4"
 
 def builtin_folder() -> Path:
     """Return the folder of the built-in scenarios: the installed one, or that of the sources."""
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        folder = Path(prefix) / "share" / "swarmabs_bringup" / "scenarios"
-        if prefix and folder.is_dir():
-            return folder
-    return Path(__file__).resolve().parents[2] / "swarmabs_bringup" / "scenarios"
+    sources = Path(__file__).resolve().parents[2] / "swarmabs_bringup" / "scenarios"
+    return shared("swarmabs_bringup", "scenarios") or sources
 
 
 def builtin_scenarios() -> dict[str, Path]:

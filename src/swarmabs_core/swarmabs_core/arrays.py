@@ -15,6 +15,7 @@ from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
     FAMILIES,
     MAIN_TOPICS,
+    PLANE_VECTORS,
     EventKind,
     Field,
     SwarmEvent,
@@ -22,9 +23,10 @@ from swarmabs_core.messages import (
     fields_of,
     word_of,
 )
+from swarmabs_core.systems.interface import PLANE_TABLES
 
 if TYPE_CHECKING:
-    from swarmabs_core.systems import SystemTables
+    from swarmabs_core.systems.interface import SystemTables
 
 Floats: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.int64]
@@ -148,9 +150,43 @@ class RunEvent(NamedTuple):
     detail: str
 
 
+class _ByName:
+    """Quantities of a run by their names in its description."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        @property
+        def parent(self) -> Floats:
+            """State of the parent system, (n+1, P)."""
+
+        @property
+        def description(self) -> SystemTables:
+            """Names and units of the quantities."""
+
+        def vector(self, group: str, name: str) -> Floats:
+            """Return a list of a group's messages, its elements in the last axis."""
+
+    def __getitem__(self, name: str) -> Floats:
+        """Return a quantity of the parent or of the abstract state, (n+1,), or of the robots, (n+1, N)."""
+        said = self.description
+        tables: tuple[tuple[tuple[Any, ...], Floats], ...] = (
+            (said.parent, self.parent),
+            (said.abstract, self.vector("abstract", "value")),
+            (said.robot, self.vector("agents", "coordinates")),
+            (said.constants, self.vector("agents", "constants")),
+        )
+        for table, values in tables:
+            for number, quantity in enumerate(table):
+                if quantity.name == name:
+                    return values[..., number]
+        raise KeyError(f"no quantity {name!r}; see `description`")
+
+
 @dataclass(frozen=True, slots=True)
-class RunArrays:
-    """A run as arrays by step, with its events and its summary.
+class RunArrays(_ByName):
+    """A run on the plane as arrays by step; ``run["angle"]`` is a quantity by its name.
 
     Attributes
     ----------
@@ -185,6 +221,26 @@ class RunArrays:
     events: tuple[RunEvent, ...]
     figures: Callable[[], dict[str, Any]] = field(repr=False, compare=False)
 
+    @property
+    def parent(self) -> Floats:
+        """State of the plane, (n+1, 2): angle and angular velocity."""
+        return np.stack([self.angle, self.angular_velocity], axis=-1)
+
+    @property
+    def references(self) -> Floats:
+        """The reference as that of other parent systems, (n+1, 1)."""
+        return self.reference[:, None]
+
+    @property
+    def description(self) -> SystemTables:
+        """Names, units and scales of the quantities."""
+        return PLANE_TABLES
+
+    def vector(self, group: str, name: str) -> Floats:
+        """Return the numbers of a list of other parent systems, such as ``value`` of ``abstract``, in the last axis."""
+        columns = getattr(self, group)
+        return np.stack([getattr(columns, field) for field in PLANE_VECTORS[name]], axis=-1)
+
     def summary(self) -> dict[str, Any]:
         """Return the key figures of the run, named as in ``summary.json``.
 
@@ -203,7 +259,7 @@ class RunArrays:
 
 
 @dataclass(frozen=True, slots=True)
-class SystemArrays:
+class SystemArrays(_ByName):
     """A run with any parent system but the plane; ``run["roll"]`` is a quantity by its name.
 
     What is not described here is as in `RunArrays`.
@@ -236,17 +292,14 @@ class SystemArrays:
         """Return the key figures of the run, named as in ``summary.json``; see `RunArrays.summary`."""
         return self.figures()
 
-    def __getitem__(self, name: str) -> Floats:
-        """Return a quantity of the parent or of the abstract state, (n+1,), or of the robots, (n+1, N)."""
-        said, agents = self.description, self.agents
-        tables: tuple[tuple[Any, ...], ...] = (said.parent, said.abstract, said.robot, said.constants)
-        for table, values in zip(
-            tables, (self.parent, self.abstract.value, agents.coordinates, agents.constants), strict=True
-        ):
-            for number, quantity in enumerate(table):
-                if quantity.name == name:
-                    return values[..., number]
-        raise KeyError(f"no quantity {name!r}; see `description`")
+    @property
+    def references(self) -> Floats:
+        """The references, (n+1, T)."""
+        return self.reference
+
+    def vector(self, group: str, name: str) -> Floats:
+        """Return a list of a group's messages, such as ``value`` of ``abstract``, in the last axis."""
+        return np.asarray(getattr(getattr(self, group), name))
 
 
 Tables = Mapping[Topic, "NDArray[np.void]"]

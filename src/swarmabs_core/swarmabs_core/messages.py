@@ -514,8 +514,8 @@ OBSERVER_NODE, CONTROLLER_NODE, RECORDER_NODE = "abstraction_observer", "parent_
 class Family:
     """The topics by which a swarm controls the plane, or any other parent system.
 
-    `node` names the process of the simulated parent. Topics in `once` have one message per run, in step 0, which a bag
-    holds before the others.
+    `node` names the process of the simulated parent; `kinds` are those that robots may have. Topics in `once` have one
+    message per run, in step 0, which a bag holds before the others.
     """
 
     node: str
@@ -526,6 +526,7 @@ class Family:
     desired: Topic
     packed: Topic
     once: tuple[Topic, ...] = ()
+    kinds: tuple[Kind, ...] = tuple(Kind)
 
     @property
     def main(self) -> tuple[Topic, ...]:
@@ -539,7 +540,14 @@ class Family:
 
 
 PLANE_FAMILY = Family(
-    "plane_sim", AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE, BROADCAST
+    "plane_sim",
+    AGENT_STATE,
+    PLANE_STATE,
+    ABSTRACT_STATE,
+    AUXILIARY_STATE,
+    DESIRED_ABSTRACT_STATE,
+    BROADCAST,
+    kinds=PLANE_KINDS,
 )
 SYSTEM_FAMILY = Family(
     "parent_system",
@@ -561,11 +569,27 @@ AnyParentState: TypeAlias = PlaneState | ParentState
 AnyBroadcast: TypeAlias = Broadcast | SwarmBroadcast
 ROBOT_STATES = (AgentState, RobotState)
 PARENT_STATES = (PlaneState, ParentState)
+ABSTRACT_STATES = (AbstractState, SwarmAbstract)
+DESIRED_STATES = (DesiredAbstractState, SwarmDesired)
 
 
-def numbers_of(parent: AnyParentState) -> Vector:
-    """Return the numbers of a parent's state that may follow a reference; on the plane its angle, rad."""
-    return (parent.angle,) if isinstance(parent, PlaneState) else parent.state
+PLANE_VECTORS: dict[str, tuple[str, ...]] = {
+    "state": ("angle", "angular_velocity"),
+    "value": ("torque", "inertia"),
+    "coordinates": ("position",),
+    "velocities": ("velocity",),
+    "command": ("command",),
+    "constants": ("mass", "damping"),
+}
+"""The fields of the plane's messages that make up a list of those of any parent system, by the name of the list."""
+_OF_PLANE = tuple(topic.message for topic in PLANE_FAMILY.main)
+
+
+def vector_of(message: Message, name: str) -> Vector:
+    """Return a list of the messages of any parent system by its name; the plane's messages name its elements."""
+    if not isinstance(message, _OF_PLANE):
+        return getattr(message, name)  # type: ignore[no-any-return]
+    return tuple(getattr(message, field) for field in PLANE_VECTORS[name])
 
 
 def coordinates_of(state: AnyRobotState) -> Vector:

@@ -7,7 +7,6 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from hashlib import sha256
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +17,7 @@ from swarmabs_config.fleet.loader import FLEET_FILE, SCENARIO_FILE
 from swarmabs_config.fleet.participants import ports
 from swarmabs_config.fleet.parts import Account, Address, FolderPath, Interface
 from swarmabs_config.graph import RECORDER
+from swarmabs_config.installation import own_version
 from swarmabs_config.model.fields import AsTuple, Model, Name
 from swarmabs_config.scenario.text_file import read_text
 from swarmabs_core.errors import InputError, RunError
@@ -118,10 +118,7 @@ def manifest_of(host: HostPlan, files: Mapping[str, BundleFile]) -> Manifest:
 
 def versions() -> dict[str, str]:
     """Return what must be the same on all hosts of a fleet: the version and the message definitions."""
-    try:
-        own = version("swarmabs_core")
-    except PackageNotFoundError:
-        own = "unknown"
+    own = own_version() or "unknown"
     return {"swarmabs": own} | {name.rpartition("/")[2]: hashes[-1] for name, hashes in READABLE.items()}
 
 

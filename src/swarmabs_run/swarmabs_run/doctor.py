@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import os
 import platform
-import resource
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,12 @@ from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_core.errors import SwarmabsError
 from swarmabs_core.messages import TOPICS
 from swarmabs_run.orchestration.network import check_loopback, claimed_domain
+from swarmabs_run.processes import usable_cores
+
+try:
+    import resource
+except ModuleNotFoundError:  # on Windows
+    resource = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -110,14 +115,17 @@ def _memory() -> Verdict:
 
 
 def _cores() -> Verdict:
-    return "ok", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}"
+    return "ok", f"{usable_cores()} cores, {platform.machine()}"
 
 
 def _descriptors() -> Verdict:
-    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft != resource.RLIM_INFINITY and soft < _DESCRIPTORS:
-        return "note", f"limit {soft}; raise it with: ulimit -n {_DESCRIPTORS}"
-    return "ok", "no limit" if soft == resource.RLIM_INFINITY else f"limit {soft}"
+    if resource is not None:
+        soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        if soft != resource.RLIM_INFINITY:
+            if soft < _DESCRIPTORS:
+                return "note", f"limit {soft}; raise it with: ulimit -n {_DESCRIPTORS}"
+            return "ok", f"limit {soft}"
+    return "ok", "no limit"
 
 
 def _disk() -> Verdict:

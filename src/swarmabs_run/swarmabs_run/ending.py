@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 _PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None)
 
 GRACE = "SWARMABS_END_GRACE"
 """Environment variable with the time, s, that nodes have to exit by themselves, for profilers; default: none."""
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+TERMINATION = tuple(number for number in signal.Signals if number.name in {"SIGINT", "SIGTERM", "SIGHUP"})
+"""The signals that ask a process to end; Windows has no SIGHUP."""
 
 
 def end_grace() -> float:
@@ -41,7 +41,7 @@ def _handled_by(handler: Callable[..., None]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    previous = {number: signal.signal(number, handler) for number in _SIGNALS}
+    previous = {number: signal.signal(number, handler) for number in TERMINATION}
     try:
         yield
     finally:
@@ -78,15 +78,16 @@ def interrupt_once() -> None:
 
     It may have come before: ``scripts/swarm`` blocks these signals until this call.
     """
-    for number in _SIGNALS:
+    for number in TERMINATION:
         signal.signal(number, _interrupt)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, TERMINATION)
 
 
 def no_more_interrupts() -> None:
     """Ignore termination signals from now on if `interrupt_once` was called: the remaining work is short."""
     if signal.getsignal(signal.SIGINT) is _interrupt:
-        for number in _SIGNALS:
+        for number in TERMINATION:
             signal.signal(number, signal.SIG_IGN)
 
 
@@ -100,6 +101,6 @@ def die_with_parent(parent: int) -> None:
 
     If the parent, given by its process id, has already ended, this process ends at once.
     """
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)

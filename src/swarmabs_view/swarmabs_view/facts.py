@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_bag.shown.swarm_state import Members, finite
 from swarmabs_config.scenario import Scenario
+from swarmabs_core.systems import PLANE_TABLES
 from swarmabs_core.theory.constraint_sets import ConstraintSets
+from swarmabs_view.presenter import Presenter
 from swarmabs_view.protocol import Manifold, Plane, Regions, Sets
 
 if TYPE_CHECKING:
@@ -35,12 +37,16 @@ MOST = 64
 REST = 4.0
 """Pause after a computation, as a multiple of its duration: one for 21 different masses takes a second."""
 
-UNKNOWN: dict[str, Any] = {**dict.fromkeys(("period", "last_step", "plane", "manifold", "regions")), "robots": []}
-"""The result of `scenario_facts` while the scenario is not known."""
+UNKNOWN: dict[str, Any] = {
+    **dict.fromkeys(("period", "last_step", "plane", "manifold", "regions")),
+    "robots": [],
+    "system": Presenter(PLANE_TABLES).system,
+}
+"""The result of `scenario_facts` while the scenario is not known: until a system describes itself, it is the plane."""
 
 
 def scenario_facts(scenario: AnyScenario) -> dict[str, Any]:
-    """Return the fields of a `Hello` that the scenario determines, except for the robots."""
+    """Return the fields of a `Hello` that the scenario determines, except for system and robots."""
     known = {**UNKNOWN, "period": scenario.period, "last_step": scenario.steps}
     if not isinstance(scenario, Scenario):
         return known
@@ -134,7 +140,10 @@ class Shading:
         plane, manifold = self._hello.plane, self._hello.manifold
         if plane is None or manifold is None:
             return
-        mass = {robot.id: nan if robot.mass is None else robot.mass for robot in self._hello.robots}
+        hello = self._hello
+        column = [row.name for row in hello.system.rows if row.role == "constant"].index("mass")
+        masses = {robot.id: robot.constants[column] for robot in hello.robots}
+        mass = {robot: nan if known is None else known for robot, known in masses.items()}
         found = regions(
             [mass[robot] for robot in members.moving],
             plane.length,

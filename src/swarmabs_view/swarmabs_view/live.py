@@ -7,19 +7,19 @@ from collections import deque
 from contextlib import suppress
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from swarmabs_bag.shown.swarm_state import ShownRobot, SystemSwarmState
+from swarmabs_bag.shown.swarm_state import SwarmState
 from swarmabs_config.graph import SILENCE
+from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import SystemDescription
+from swarmabs_core.systems import PLANE_TABLES, SystemTables
 from swarmabs_view.coordinators import DiagnosedRoles
 from swarmabs_view.facts import Shading
 from swarmabs_view.presenter import Presenter
 from swarmabs_view.protocol import (
-    Event,
     Events,
     Hello,
     Placed,
     Positions,
-    RobotInfo,
     Session,
     Sets,
     State,
@@ -29,7 +29,7 @@ from swarmabs_view.protocol import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from swarmabs_bag.shown.swarm_state import AnyInstant, SwarmState
+    from swarmabs_bag.shown.swarm_state import Instant
     from swarmabs_core.messages import Message
     from swarmabs_view import protocol
     from swarmabs_view.listener import DiagnosticsListener, Listener
@@ -118,12 +118,11 @@ class CurveBuffer(Generic[Kept]):
             self._points.append(point)
             self._thin()
 
-    def begin(self, points: Iterable[Kept]) -> None:
-        """Insert points before the first."""
-        first = self.first
-        earlier = [one for one in points if one.step % self._stride == 0 and (first is None or one.step < first)]
+    def begin(self, points: Iterable[Kept], until: int) -> None:
+        """Replace what is known before a step by the points before it."""
+        earlier = [one for one in points if one.step % self._stride == 0 and one.step < until]
         if earlier:
-            self._points = earlier + self._points
+            self._points = earlier + [one for one in self._points if one.step >= until]
             self.epoch += 1
             self._thin()
 
@@ -146,7 +145,7 @@ class LiveView:
     The hello contains what is known in advance; its robots are then those of the state.
     """
 
-    def __init__(self, hello: Hello, state: SwarmState | SystemSwarmState) -> None:
+    def __init__(self, hello: Hello, state: SwarmState) -> None:
         self.health: Health | None = None
         self.phase: Phase = "waiting"
         self.text = "waiting for the first step"
@@ -159,25 +158,26 @@ class LiveView:
         self._frame: protocol.Message | None = None
         self.learn(hello, state)
 
-    def learn(self, hello: Hello, state: SwarmState | SystemSwarmState) -> None:
+    def learn(self, hello: Hello, state: SwarmState) -> None:
         """Restart with newly known facts."""
-        self.presenter = Presenter(state.tables if isinstance(state, SystemSwarmState) else None)
+        self.presenter = Presenter(state.tables)
         self._hello, self.state = hello, state
-        self.shading = Shading(self._greeting())
-        self.curves: CurveBuffer[AnyInstant] = CurveBuffer()
+        self.shading = Shading(self.hello())
+        self.curves: CurveBuffer[Instant] = CurveBuffer()
         # Fewer steps of many robots, which bounds the messages and the computation.
         stride = 1 + len(state.robots) // ROBOTS_A_STEP
         self.positions: CurveBuffer[Placed] = CurveBuffer(MOST_PLACES, stride)
         self.sides: dict[int, bool] = {}
-        self._complete: list[AnyInstant] = []
+        self._placed_since: dict[int, int] = {}
+        self._complete: list[Instant] = []
         self.facts += 1
 
-    def hello(self) -> list[protocol.Message]:
-        """Return the first messages for a page."""
-        return [self._greeting(), *self.presenter.described(self.state.robots)]
-
-    def _greeting(self) -> Hello:
-        return self._hello.model_copy(update={"robots": [RobotInfo.of(robot) for robot in self.state.robots]})
+    def hello(self) -> Hello:
+        """Return the first message for a page."""
+        presenter = self.presenter
+        return self._hello.model_copy(
+            update={"system": presenter.system, "robots": presenter.robots(self.state.robots)}
+        )
 
     def frame(self, now: float) -> protocol.Message | None:
         """Return the step to show at a time (s), computed once for all pages; None before the plane's first state."""
@@ -191,12 +191,9 @@ class LiveView:
 
     def add(self, message: Message) -> None:
         """Process a message of the swarm; the description of a parent system begins the view of that."""
-        if isinstance(message, SystemDescription) and not isinstance(self.state, SystemSwarmState):
-            state = SystemSwarmState()
-            state.add(message)
-            with suppress(LookupError, ValueError):  # of a description that is not one
-                if state.tables is not None:
-                    self.learn(self._hello, state)
+        if isinstance(message, SystemDescription) and self.state.tables is PLANE_TABLES:
+            with suppress(MalformedMessageError, LookupError, ValueError):  # of a description that is not one
+                self.learn(self._hello, SwarmState(tables=SystemTables.read(message.description)))
         complete = self.state.add(message)
         if complete is not None:
             self.curves.add(complete)
@@ -222,21 +219,32 @@ class LiveView:
         else:
             self.phase, self.text = "silent", f"no step since {self.state.step}"
 
-    def begin(self, instants: Iterable[AnyInstant], places: Iterable[Placed]) -> None:
-        """Insert the data recorded before the first received step."""
-        self.curves.begin(instants)
+    @property
+    def heard_since(self) -> int | None:
+        """The first step in which the parent system and all robots heard by now are known, or None.
+
+        Robots are discovered one after the other.
+        """
+        first = self.curves.first
+        return None if first is None else max([first, *self._placed_since.values()])
+
+    def begin(self, instants: Iterable[Instant], places: Iterable[Placed], until: int) -> None:
+        """Show the recorded data before a step instead of what was received of it."""
+        self.curves.begin(instants, until)
         earlier = list(places)
         self.sides |= sides(earlier)
-        self.positions.begin(earlier)
+        self.positions.begin(earlier, until)
 
     def _place(self) -> None:
         """Keep the positions of the complete steps: robots' states arrive after the rest of a step."""
         for instant in self._complete:
             shown = self.state.shown_robots(instant.step)
             ids = [robot.id for robot in self.state.robots]
-            places = [one.position if isinstance(one, ShownRobot) else one.coordinates for one in shown]
-            placed = Placed(instant.step, instant.time, dict(zip(ids, places, strict=True)))
-            self.sides = sides([placed]) | self.sides
+            places = dict(zip(ids, [robot.coordinates for robot in shown], strict=True))
+            placed = Placed(instant.step, instant.time, places)
+            known = sides([placed])
+            self.sides = known | self.sides
+            self._placed_since = dict.fromkeys(known, placed.step) | self._placed_since
             self.positions.add(placed)
         self._complete.clear()
 
@@ -272,7 +280,7 @@ class LiveSession(Session):
         self._known, self._events = (live.facts, len(live.state.robots)), 0
         self._curves = self._positions = (-1, 0)
         self._sent = {Sets: live.shading.first}
-        return [*live.hello(), Events(replace=True, events=[])]
+        return [live.hello(), Events(replace=True, events=[])]
 
     def poll(self, now: float) -> list[protocol.Message]:
         """Return the new messages at a time (s) of the clock."""
@@ -313,4 +321,8 @@ class LiveSession(Session):
         state = self._live.state
         count = min(state.event_count - self._events, len(state.events))
         self._events = state.event_count
-        return [Events(replace=False, events=[Event.of(one) for one in state.events[-count:]])] if count else []
+        return (
+            [Events(replace=False, events=[self._live.presenter.event(one) for one in state.events[-count:]])]
+            if count
+            else []
+        )

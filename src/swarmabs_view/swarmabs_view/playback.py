@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from functools import cached_property
 from heapq import merge
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_bag.shown.recorded_swarm import RecordedSwarm, RecordedSystem, column_points, read_swarm
-from swarmabs_bag.shown.swarm_state import MOST_EVENTS, TimedEvent, state_of
+from swarmabs_bag.shown.recorded_swarm import RecordedSwarm, column_points, read_swarm
+from swarmabs_bag.shown.swarm_state import MOST_EVENTS, SwarmState, TimedEvent
 from swarmabs_view.coordinators import coordinators_at, read_roles, takeovers
 from swarmabs_view.facts import Shading, scenario_facts
 from swarmabs_view.ports import bound, need_web_server
@@ -18,7 +18,6 @@ from swarmabs_view.presenter import Presenter
 from swarmabs_view.protocol import (
     Control,
     Coordinators,
-    Event,
     Events,
     Hello,
     Message,
@@ -26,7 +25,6 @@ from swarmabs_view.protocol import (
     Placed,
     Play,
     Positions,
-    RobotInfo,
     Seek,
     Session,
     Sets,
@@ -39,9 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
-    from swarmabs_bag.shown.swarm_state import RobotIdentity, SystemIdentity
+    from swarmabs_bag.shown.swarm_state import RobotIdentity
     from swarmabs_view.coordinators import Role
 
 COLUMNS = 1000
@@ -53,13 +49,16 @@ def evenly(count: int, most: int) -> Sequence[int]:
     return range(0, count, -(-count // most) or 1)
 
 
-def places(swarm: RecordedSwarm | RecordedSystem, rows: Iterable[int]) -> list[Placed]:
-    """Return the positions of the robots at rows of the arrays."""
+def places(swarm: RecordedSwarm, rows: Iterable[int]) -> list[Placed]:
+    """Return the coordinates of the robots at rows of the arrays."""
     arrays, ids = swarm.arrays, swarm.arrays.agents.ids.tolist()
-    found = swarm.coordinates if isinstance(swarm, RecordedSystem) else swarm.positions
-    known = np.where(np.isfinite(found), found.astype(object), None)
+    known = np.where(np.isfinite(swarm.coordinates), swarm.coordinates.astype(object), None)
     return [
-        Placed(int(arrays.step[row]), float(arrays.time[row]), dict(zip(ids, known[row].tolist(), strict=True)))
+        Placed(
+            int(arrays.step[row]),
+            float(arrays.time[row]),
+            dict(zip(ids, map(tuple, known[row].tolist()), strict=True)),
+        )
         for row in rows
     ]
 
@@ -67,10 +66,10 @@ def places(swarm: RecordedSwarm | RecordedSystem, rows: Iterable[int]) -> list[P
 class Recording:
     """A bag, read once, as messages of the page; `roles` are those of an earlier run in lockstep with standbys."""
 
-    def __init__(self, swarm: RecordedSwarm | RecordedSystem, roles: Sequence[Role] = ()) -> None:
+    def __init__(self, swarm: RecordedSwarm, roles: Sequence[Role] = ()) -> None:
         self.swarm = swarm
         self.roles = roles
-        self.presenter = Presenter(swarm.tables if isinstance(swarm, RecordedSystem) else None)
+        self.presenter = Presenter(swarm.tables)
 
     def __len__(self) -> int:
         return len(self.swarm)
@@ -81,16 +80,16 @@ class Recording:
         swarm = self.swarm
         facts = scenario_facts(swarm.scenario)
         facts["last_step"] = int(swarm.arrays.step[-1]) if len(self) else 0
-        facts["robots"] = [RobotInfo.of(robot) for robot in self.robots]
+        facts |= {"system": self.presenter.system, "robots": self.presenter.robots(self.robots)}
         title, place = swarm.scenario.name, str(swarm.bag)
         if swarm.name is not None:
             title, place = f"{title}, swarm {swarm.name}", f"{place}, namespace {swarm.name}"
         return Hello(source="bag", title=title, place=place, playback=True, **facts)
 
     @cached_property
-    def robots(self) -> Sequence[RobotIdentity | SystemIdentity]:
+    def robots(self) -> Sequence[RobotIdentity]:
         """The robots, in the order of the scenario."""
-        return state_of(self.swarm.scenario).robots
+        return SwarmState.of(self.swarm.scenario).robots
 
     @cached_property
     def shading(self) -> Shading:
@@ -100,20 +99,12 @@ class Recording:
     @cached_property
     def curves(self) -> Message:
         """All curves, thinned without a visible change."""
-        arrays: Any = self.swarm.arrays
-        abstract, desired = arrays.abstract, arrays.desired
-        columns: Iterable[NDArray[np.float64]] = (
-            (
-                *(arrays.angle, arrays.reference, abstract.torque, desired.torque),
-                *(abstract.inertia, desired.inertia),
-            )
-            if isinstance(self.swarm, RecordedSwarm)
-            else np.hstack([arrays.parent, arrays.reference, abstract.value, desired.value]).T
-        )
         chosen = np.arange(len(self))
         if len(self) > 2 * COLUMNS:
             column = np.arange(len(self)) * COLUMNS // len(self)
-            chosen = np.unique(np.concatenate([column_points(column, values) for values in columns]))
+            chosen = np.unique(
+                np.concatenate([column_points(column, values) for values in np.hstack(self.swarm.vectors).T])
+            )
         return self.presenter.curves([self.swarm.instant(row) for row in chosen.tolist()], replace=True)
 
     @cached_property
@@ -130,7 +121,7 @@ class Recording:
         told = [TimedEvent(event, swarm.time_of(event)) for event in takeovers(self.roles)]
         found = [*merge(swarm.timed_events(), told, key=lambda timed: timed.event.step)]
         left_out = max(0, len(found) - MOST_EVENTS)
-        return Events(replace=True, events=[Event.of(one) for one in found[left_out:]], left_out=left_out)
+        return Events(replace=True, events=[self.presenter.event(one) for one in found[left_out:]], left_out=left_out)
 
     def frame(self, row: int, step_rate: float | None = None) -> Message:
         """Return the frame at a row of the arrays."""
@@ -179,8 +170,7 @@ class PlaybackSession(Session):
     def hello(self) -> list[Message]:
         """Return the initial messages for a page."""
         recording = self.recording
-        described = recording.presenter.described(recording.robots)
-        return [recording.hello, *described, recording.curves, recording.positions, recording.events]
+        return [recording.hello, recording.curves, recording.positions, recording.events]
 
     def poll(self, now: float) -> list[Message]:
         """Return the new messages at a time (s) of the clock."""

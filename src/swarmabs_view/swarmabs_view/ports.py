@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import socket
-import sys
 from importlib.util import find_spec
 
+from swarmabs_config.installation import lacking
 from swarmabs_core.errors import InputError
 
 ADDRESS = "127.0.0.1"
 
 
-def need_package(module: str, package: str, user: str) -> None:
+def need_package(module: str, user: str) -> None:
     """Raise `InputError` if an optional package is not installed."""
     if find_spec(module) is None:
-        raise InputError(
-            f"{user} needs the Python package {package}, which ./scripts/swarm installs by itself; "
-            f"with an installed ROS 2: {sys.executable} -m pip install {package}"
-        )
+        raise lacking(ModuleNotFoundError(name=module), user)
 
 
 def need_web_server() -> None:
     """Check that pages can be served; errors as for `need_package`."""
-    need_package("aiohttp", "aiohttp", "the view")
+    need_package("aiohttp", "the view")
 
 
 def need_foxglove() -> None:
     """Check that Foxglove can be served; errors as for `need_package`."""
-    need_package("foxglove", "foxglove-sdk", "the WebSocket for Foxglove")
+    need_package("foxglove", "the WebSocket for Foxglove")
 
 
 def check_foxglove(port: int) -> None:

@@ -1,4 +1,4 @@
-"""The protocol between server and page of the view: JSON messages over a WebSocket, version 1.
+"""The protocol between server and page of the view: JSON messages over a WebSocket, version 2.
 
 Each message is an object with ``v`` and ``type``. Numbers are in SI units; unknown and non-finite values are null.
 Numbers keep every bit: the page has the values of the bag.
@@ -6,25 +6,24 @@ Numbers keep every bit: the page has the values of the bag.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
 from swarmabs_bag.shown.percentiles import QUANTILES, SIDES, percentiles, starts_above
-from swarmabs_bag.shown.swarm_state import RobotStatus, ShownRobot, finite
+from swarmabs_bag.shown.swarm_state import RobotStatus, ShownVector, finite
 from swarmabs_core.events import code_of, said_event
 from swarmabs_core.messages import EventKind, Kind, word
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from typing_extensions import Self
 
-    from swarmabs_bag.shown.swarm_state import Instant, RobotIdentity, SystemIdentity, TimedEvent
+    from swarmabs_bag.shown.swarm_state import TimedEvent
 
-VERSION = 1
+VERSION: Final = 2
 """Version of the protocol, raised when a message is removed or changes its meaning. The server may add messages and
 fields: a page ignores unknown ones."""
 
@@ -42,14 +41,11 @@ _KINDS = {kind.value: kind.name for kind in EventKind}
 
 
 class Placed(NamedTuple):
-    """Positions of the robots in a step: time (s), positions (m) by id; None for a robot that is not on the plane.
-
-    On any other parent system, the places are coordinates; empty for a robot that is not there.
-    """
+    """Coordinates of the robots in a step by id, empty for a robot that is not there; time in s."""
 
     step: int
     time: float
-    places: Mapping[int, float | Sequence[Number] | None]
+    places: Mapping[int, ShownVector]
 
 
 class Part(BaseModel):
@@ -61,7 +57,26 @@ class Part(BaseModel):
 class Message(Part):
     """A message of the server."""
 
-    v: Literal[1] = 1
+    v: Literal[2] = 2
+
+
+class Row(Part):
+    """A number of the parent system or its swarm; a reference has the name of the quantity that follows it."""
+
+    role: Literal["parent", "reference", "abstract", "desired", "robot", "constant"]
+    name: str
+    unit: str
+    scale: float = Field(default=1.0, description="a typical magnitude")
+    low: Number = Field(default=None, description="the least value, null if there is none")
+
+
+class System(Part):
+    """The parent system, as its description states it."""
+
+    name: str
+    rows: list[Row] = Field(description="in the order of values, then of a robot's coordinates, then of its constants")
+    placed: bool = Field(description="whether the system itself places the robots in the picture, which is then in m")
+    disturbance_unit: str = Field(description="empty if it is not known")
 
 
 class RobotInfo(Part):
@@ -69,16 +84,11 @@ class RobotInfo(Part):
 
     id: int
     kind: str = Field(json_schema_extra={"enum": [*map(word, Kind)]})
-    mass: Number = Field(description="kg")
-    damping: Number = Field(description="N s/m")
+    constants: list[Number] = Field(description="in the order of the rows")
+    body: list[list[list[float]]] = Field(
+        default=[], description="the filled lines that draw it around its position; empty: a symbol"
+    )
     joins: bool = Field(default=False, description="whether it takes part only after it joins")
-
-    @classmethod
-    def of(cls, robot: RobotIdentity | SystemIdentity) -> Self:
-        """Return the constant properties of a robot; those of a robot that is not on the plane follow in `System`."""
-        known = {"mass": None, "damping": None, **robot._asdict(), "kind": word(robot.kind)}
-        known.pop("constants", None)
-        return cls(**known)
 
 
 class Plane(Part):
@@ -118,79 +128,19 @@ class Hello(Message):
     place: str = Field(description="bag, folder of the run, or namespace")
     period: Number = Field(description="s")
     last_step: int | None
+    system: System
     robots: list[RobotInfo] = Field(description="in the order of the arrays of a frame")
-    plane: Plane | None
-    manifold: Manifold | None
+    plane: Plane | None = Field(description="null if it is not known, or for another parent system")
+    manifold: Manifold | None = Field(description="as for the plane")
     regions: Regions | None = Field(description="sets of the initial robots")
     playback: bool = Field(description="whether the page can control the playback: play, pause, seek, speed")
 
 
-class Row(Part):
-    """A number of a parent system other than the plane; a reference has the name of the quantity that follows it."""
-
-    role: Literal["parent", "reference", "abstract", "desired", "robot", "constant"]
-    name: str
-    unit: str
-    scale: float = Field(default=1.0, description="a typical magnitude")
-
-
-class System(Message):
-    """The parent system, if it is not the plane; follows the hello. Frames and curves are then those of systems."""
-
-    type: Literal["system"] = "system"
-    name: str
-    rows: list[Row] = Field(description="in the order of values, then of a robot's coordinates, then of its constants")
-    constants: list[list[Number]] = Field(description="by robot, in the order of the hello")
-    placed: bool = Field(description="whether the system itself places the robots in the picture, which is then in m")
-    bodies: list[list[list[list[float]]]] = Field(
-        default=[], description="by robot, the filled lines that draw it around its position; empty: a symbol"
-    )
-
-
-class Abstract(Part):
-    """The abstract state."""
-
-    torque: Number = Field(description="N m")
-    inertia: Number = Field(description="kg m^2")
-
-
-class RobotStates(Part):
-    """States of all robots in the order of the hello, null for robots without data and robots that left.
+class Robots(Part):
+    """States of all robots in the order of the hello, empty for robots without data and robots that left.
 
     A dead robot stays where its event says.
     """
-
-    position: list[Number] = Field(description="m")
-    velocity: list[Number] = Field(description="m/s")
-    command: list[Number] = Field(description="m/s, of double integrators N")
-    status: list[RobotStatus | None]
-
-
-class Frame(Message):
-    """The current step."""
-
-    type: Literal["frame"] = "frame"
-    step: int
-    time: float = Field(description="s")
-    angle: Number = Field(description="rad")
-    angular_velocity: Number = Field(description="rad/s")
-    reference: Number = Field(description="rad")
-    abstract: Abstract
-    desired: Abstract
-    robots: RobotStates
-    step_rate: Number = Field(description="steps per second of wall time")
-
-    @classmethod
-    def of(cls, instant: Instant, robots: Sequence[ShownRobot], step_rate: float | None) -> Self:
-        """Return the frame of a step, with the robots in the order of the hello."""
-        shared = {name: value for name, value in instant._asdict().items() if name in cls.model_fields}
-        shared |= {"abstract": instant.abstract._asdict(), "desired": instant.desired._asdict()}
-        states = {name: [getattr(robot, name) for robot in robots] for name in ShownRobot._fields}
-        return cls(**shared, robots=RobotStates(**states), step_rate=step_rate)
-
-
-class SystemRobots(Part):
-    """States of all robots in the order of the hello, empty for robots without data and robots that left."""
 
     position: list[list[float] | None] = Field(
         description="in the picture, along a line or in two dimensions; a third number turns the body, rad"
@@ -201,15 +151,15 @@ class SystemRobots(Part):
     status: list[RobotStatus | None]
 
 
-class SystemFrame(Message):
-    """The current step of a swarm on a parent system other than the plane."""
+class Frame(Message):
+    """The current step."""
 
-    type: Literal["systemframe"] = "systemframe"
+    type: Literal["frame"] = "frame"
     step: int
     time: float = Field(description="s")
     values: list[Number] = Field(description="in the order of the rows")
     outline: list[list[list[float]]] = Field(description="lines of the picture of the system, each by its points")
-    robots: SystemRobots
+    robots: Robots
     step_rate: Number = Field(description="steps per second of wall time")
 
 
@@ -228,34 +178,6 @@ class Curves(Message):
     type: Literal["curves"] = "curves"
     replace: bool
     time: list[float] = Field(description="s")
-    angle: list[Number]
-    reference: list[Number]
-    torque: list[Number]
-    desired_torque: list[Number]
-    inertia: list[Number]
-    desired_inertia: list[Number]
-
-    @classmethod
-    def of(cls, instants: Sequence[Instant], *, replace: bool) -> Self:
-        """Return steps as points of the curves."""
-        return cls(
-            replace=replace,
-            time=[instant.time for instant in instants],
-            angle=[instant.angle for instant in instants],
-            reference=[instant.reference for instant in instants],
-            torque=[instant.abstract.torque for instant in instants],
-            desired_torque=[instant.desired.torque for instant in instants],
-            inertia=[instant.abstract.inertia for instant in instants],
-            desired_inertia=[instant.desired.inertia for instant in instants],
-        )
-
-
-class SystemCurves(Message):
-    """As the curves, of a swarm on a parent system other than the plane."""
-
-    type: Literal["systemcurves"] = "systemcurves"
-    replace: bool
-    time: list[float] = Field(description="s")
     values: list[list[Number]] = Field(description="over time, in the order of the rows")
 
 
@@ -263,7 +185,7 @@ class Positions(Message):
     """Positions over time, which are appended to the earlier ones or replace them.
 
     A line is a robot or, for more than `MOST_LINES` robots, a percentile of the robots that start on one side of the
-    axis. Of a parent system other than the plane there are so many lines for each coordinate.
+    axis. There are so many lines for each coordinate.
     """
 
     type: Literal["positions"] = "positions"
@@ -271,7 +193,9 @@ class Positions(Message):
     bands: bool
     labels: list[str] = Field(description="of the lines")
     time: list[float] = Field(description="s")
-    lines: list[list[Number]] = Field(description="m; null for a robot that is not on the plane")
+    lines: list[list[Number]] = Field(
+        description="in the unit of the coordinate; null for a robot that does not act on the parent"
+    )
 
     @classmethod
     def of(
@@ -291,11 +215,16 @@ class Positions(Message):
         labels = list(BANDS) if bands else [f"robot {robot}" for robot in robots]
         lines: list[list[Number]] = []
         for axis in axes:
-            rows = [[_along(point.places.get(robot), axis) for robot in robots] for point in points]
+            rows = [[_along(point.places.get(robot, ()), axis) for robot in robots] for point in points]
             if bands:
                 rows = [_distribution(row, [above.get(robot) for robot in robots]) for row in rows]
             lines += [[row[index] for row in rows] for index in range(len(labels))]
         return cls(replace=replace, bands=bands, labels=labels, time=[point.time for point in points], lines=lines)
+
+
+def _along(place: ShownVector, axis: int) -> Number:
+    """Return a coordinate of a place, None if it is not known."""
+    return place[axis] if axis < len(place) else None
 
 
 def sides(points: Iterable[Placed]) -> dict[int, bool]:
@@ -307,11 +236,6 @@ def sides(points: Iterable[Placed]) -> dict[int, bool]:
             if start is not None:
                 found[robot] = starts_above(start)
     return found
-
-
-def _along(place: float | Sequence[Number] | None, axis: int) -> Number:
-    """Return a coordinate of a place."""
-    return (place[axis] if place else None) if isinstance(place, Sequence) else place
 
 
 def _distribution(positions: Sequence[Number], above: Sequence[bool | None]) -> list[Number]:
@@ -333,14 +257,12 @@ class Event(Part):
     kind: str
     words: str = Field(description="what happened, as in the logs")
     value: Number
-    unit: str = Field(
-        default="", description="unit of the value on the plane, 'command' if it is that of the robot's commands"
-    )
+    unit: str = Field(default="", description="unit of the value, 'command' if it is that of the robot's commands")
     detail: str
 
     @classmethod
-    def of(cls, timed: TimedEvent) -> Self:
-        """Return an event for the page."""
+    def of(cls, timed: TimedEvent, unit_of: Callable[[str], str]) -> Self:
+        """Return an event for the page; `unit_of` returns a unit for one of `EventCode`, which are the plane's."""
         event, time = timed
         kind = _KINDS.get(event.kind, str(event.kind))
         value = finite(event.value)
@@ -352,7 +274,7 @@ class Event(Part):
             kind=kind,
             words=said_event(event),
             value=value,
-            unit=code.unit if code is not None else "",
+            unit="" if code is None else unit_of(code.unit),
             detail=event.detail,
         )
 
@@ -421,10 +343,10 @@ class Steering(Message):
 
     type: Literal["steering"] = "steering"
     open: bool = Field(description="whether the run accepts requests now")
-    reference: float = Field(default=0.0, description="offset of the reference, rad")
-    disturbance: float = Field(default=0.0, description="disturbance torque on the plane, N m")
-    largest_reference: float = Field(default=0.0, description="rad; 0: the law's reference cannot be offset")
-    largest_disturbance: float = Field(default=0.0, description="N m")
+    reference: float = Field(default=0.0, description="offset of the reference")
+    disturbance: float = Field(default=0.0, description="constant disturbance")
+    largest_reference: float = Field(default=0.0, description="0: the law's reference cannot be offset")
+    largest_disturbance: float = Field(default=0.0, description="0: there are no disturbances")
     members: list[int] = Field(default=[], description="robots that take part")
     absent: list[int] = Field(default=[], description="robots that can be added")
     paused: bool = Field(default=False, description="whether the run is held until it is resumed")
@@ -444,7 +366,7 @@ class Answer(Message):
 
 
 def _no_other_one(version: object) -> object:
-    """Reject values such as 1.0 and true that equal the integer 1."""
+    """Reject values such as 2.0 that equal the integer 2."""
     if type(version) is not int:
         raise ValueError("not an integer")
     return version
@@ -455,7 +377,7 @@ class Request(Part):
 
     model_config = ConfigDict(strict=True)
 
-    v: Annotated[Literal[1], BeforeValidator(_no_other_one)]
+    v: Annotated[Literal[2], BeforeValidator(_no_other_one)]
 
 
 class Play(Request):
@@ -511,7 +433,7 @@ class Steer(Request):
         "restart_beside",
     ]
     value: float | None = Field(
-        default=None, allow_inf_nan=False, description="reference in rad, disturbance and push in N m"
+        default=None, allow_inf_nan=False, description="reference, disturbance or push, in its unit"
     )
     agent: int | None = Field(default=None, ge=1, le=65535, description="robot, for what concerns one")
 
@@ -523,7 +445,6 @@ CONTROL: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminat
 
 FROM_SERVER: tuple[type[Message], ...] = (
     *(Hello, Frame, Sets, Curves, Positions, Events),
-    *(System, SystemFrame, SystemCurves),
     *(Health, Coordinators, State, Steering, Answer),
 )
 FROM_PAGE: tuple[type[Request], ...] = (Play, Pause, Seek, Speed, Unlock, Steer)

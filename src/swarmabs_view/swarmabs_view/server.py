@@ -17,7 +17,7 @@ from weakref import WeakSet
 from aiohttp import WSCloseCode, WSMsgType, web
 from pydantic import ValidationError
 
-from swarmabs_run.ending import no_more_interrupts
+from swarmabs_run.ending import TERMINATION, no_more_interrupts
 from swarmabs_view.ports import url_of
 from swarmabs_view.protocol import CONTROL
 
@@ -240,16 +240,20 @@ def serve(
     async def main() -> None:
         loop = asyncio.get_running_loop()
         asked = asyncio.Event()
-        previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+        previous = {number: signal.getsignal(number) for number in TERMINATION}
         for number in previous:
-            loop.add_signal_handler(number, asked.set)
+            try:
+                loop.add_signal_handler(number, asked.set)
+            except NotImplementedError:  # on Windows
+                signal.signal(number, lambda *_: loop.call_soon_threadsafe(asked.set))
         try:
             if ready is not None:
                 ready(url_of(listener))
             await ViewServer(listener, session).run(asked.wait(), *(task() for task in tasks))
         finally:
             for number, handler in previous.items():
-                loop.remove_signal_handler(number)
+                with suppress(NotImplementedError):
+                    loop.remove_signal_handler(number)
                 signal.signal(number, handler)
             if asked.is_set():  # a terminal and ros2 launch both send the signal
                 no_more_interrupts()

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.shown.recorded_swarm import read_swarm
-from swarmabs_bag.shown.swarm_state import SwarmState, state_of
+from swarmabs_bag.shown.swarm_state import SwarmState
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
 from swarmabs_run.orchestration.run_files import (
@@ -33,7 +33,7 @@ from swarmabs_run.tracing_files import tracing_files_removed
 from swarmabs_view.facts import UNKNOWN, scenario_facts
 from swarmabs_view.live import MOST_PLACES, MOST_POINTS, LiveSession, LiveView
 from swarmabs_view.playback import PlaybackSession, evenly, open_recording, places
-from swarmabs_view.protocol import Health, Hello, Process, Seek
+from swarmabs_view.protocol import VERSION, Health, Hello, Process, Seek
 from swarmabs_view.server import serve
 from swarmabs_view.steering_bridge import SteeredSession, SteeringBridge
 
@@ -46,7 +46,7 @@ with tracing_files_removed():
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from swarmabs_bag.shown.swarm_state import AnyInstant
+    from swarmabs_bag.shown.swarm_state import Instant
     from swarmabs_view.playback import Recording
     from swarmabs_view.protocol import Placed, Session
 
@@ -124,13 +124,13 @@ class RunView:
         scenario = find_scenario(str(self._folder.scenario))
         facts = await asyncio.to_thread(scenario_facts, scenario)
         hello = Hello(source="run", title=scenario.name, place=str(self._folder.path), playback=False, **facts)
-        self._live.learn(hello, state_of(scenario))
+        self._live.learn(hello, SwarmState.of(scenario))
 
     async def _fetch(self) -> None:
-        """Read the steps before the first received one from the bag that is being written."""
-        while self._live.curves.first != 0:
+        """Read the steps before the first that was received of all robots from the bag that is being written."""
+        while self._live.heard_since != 0:
             await asyncio.sleep(FETCH_INTERVAL)
-            first = self._live.curves.first
+            first = self._live.heard_since
             if first is None:
                 continue
             with suppress(InputError, DamagedBagError, OSError):  # not written yet
@@ -138,10 +138,10 @@ class RunView:
                     return
                 found = await asyncio.to_thread(self._recorded, first)
                 if found is not None:
-                    self._live.begin(*found)
+                    self._live.begin(*found, first)
                     return
 
-    def _recorded(self, first: int) -> tuple[list[AnyInstant], list[Placed]] | None:
+    def _recorded(self, first: int) -> tuple[list[Instant], list[Placed]] | None:
         """Return the recorded data before a step, None if it is not written yet."""
         swarm = read_swarm(self._folder.path)
         steps, period = swarm.arrays.step, swarm.scenario.period
@@ -201,7 +201,7 @@ class RunView:
         if self._recording is None:
             return None
         session = PlaybackSession(self._recording)
-        session.control(Seek(v=1, type="seek", step=2**63 - 1))
+        session.control(Seek(v=VERSION, type="seek", step=2**63 - 1))
         return session
 
 
@@ -253,10 +253,7 @@ async def listen(live: LiveView, namespace: str, over: Callable[[], bool]) -> No
 
 def check_running(folder: Path) -> None:
     """Raise `InputError` for the folder of a run that has ended, or a folder without a run."""
-    try:
-        environment_of_run(folder)
-    except RunOverError as error:
-        raise InputError(f"{error}; view its bag without --live") from None
+    environment_of_run(folder)
 
 
 async def closed(descriptor: int) -> None:

@@ -262,7 +262,7 @@ class RunPanel:
         self.processes: list[ProcessState] = []
         self._errors: list[float | None] = [None] * _BINS
         self._progress: Progress | None = None
-        self._line = f"{scenario.name}: starting"
+        self._line = ""
 
     def take(self, progress: Progress, one_line: str) -> None:
         """Update the panel with the latest progress."""
@@ -272,10 +272,12 @@ class RunPanel:
             self._errors[bin_] = max(abs(progress.error), self._errors[bin_] or 0.0)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Draw the run in the available space."""
+        """Draw the run in the available space; nothing before the first progress, when addresses are printed."""
         width, height = options.max_width - len(ECHO), console.size.height
         progress = self._progress
-        if width < LEAST_WIDTH or height < LEAST_HEIGHT or progress is None or progress.phase == "starting":
+        if progress is None:
+            return
+        if width < LEAST_WIDTH or height < LEAST_HEIGHT or progress.phase == "starting":
             line = Text(self._line, end="")
             line.truncate(max(width, 1), overflow="ellipsis")
             yield line

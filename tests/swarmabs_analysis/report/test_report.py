@@ -102,7 +102,7 @@ def test_weights_give_the_recorded_abstract_state_and_events_stand_in_a_table(pa
 
 def test_a_picture_shows_the_bag(report: Report, run: Path) -> None:
     """The angle's line in the page, taken back to rad by the labels of the axis, is the recorded angle."""
-    svg = report.html[report.html.index('id="panel-plane"') :]
+    svg = report.html[report.html.index('id="panel-parent-0"') :]
     svg = svg[: svg.index("</svg>")]
     line = next(d for d in re.findall(r'<path d="([^"]*)"[^>]*var\(--plane\)', svg) if d.count("L") > 8)
     points = np.array(re.findall(r"[ML] (-?[\d.]+) (-?[\d.]+)", line), dtype=float)
@@ -213,11 +213,15 @@ def test_page_is_complete_refers_to_nothing_and_is_the_same_elsewhere(
     headings = [text for tag, text in page.texts if tag == "h2"]
     contents = [text for tag, text in page.texts if tag == "a"]
     assert headings == contents
-    assert {"Metrics", "Plane", "Robots", "Constraint margins", "Events", "Timing", "Scenario"} <= set(headings)
+    assert {"Metrics", "Parent system", "Robots", "Constraint margins", "Events", "Timing", "Scenario"} <= set(headings)
     assert [text for tag, text in page.texts if tag == "h1"] == ["pd_het_4"]
     assert "prefers-color-scheme: dark" in report.html
     pictures = [attributes for tag, attributes in page.tags if tag == "svg"]
     assert len(pictures) == 17 and all(one["role"] == "img" and one["aria-label"] for one in pictures)
+    # Tables can be scrolled by keys, and no column is without a name.
+    tables = [attributes for tag, attributes in page.tags if tag == "div" and attributes.get("class") == "table"]
+    assert len(tables) > 5 and all(one.get("tabindex") == "0" for one in tables)
+    assert re.findall(r"<th[^>]*>\s*</th>", report.html) == []
     # No colour of a picture is fixed: all follow the scheme.
     assert re.findall(r'style="[^"]*#[0-9a-f]{6}', report.html) == []
     assert report.png.startswith(b"\x89PNG")
@@ -362,7 +366,7 @@ def test_a_zoom_names_all_events_in_it_and_no_legend_leaves_its_picture(tmp_path
     assert shown["zoom-1"].heading == "Around 5.01 s: robot 7 dead"
     assert shown["zoom-1"].about.endswith("then 7.01 s: robot 9 left")
     assert shown["zoom-0"].about.endswith("then 3.01 s: robot 5 dead")
-    for name in ("positions", "commands-double", "membership", "space"):
+    for name in ("robots-coordinate-0", "robots-command-position-2", "membership", "space"):
         with styled():
             figure = Figure((WIDTH, shown[name].height), layout="constrained")
             shown[name].draw(figure)
@@ -401,7 +405,7 @@ def entries(axes: Axes) -> list[str]:
 
 def test_disturbances_are_shaded_and_steps_of_the_reference_marked_with_their_names(tmp_path: Path) -> None:
     run = record(tmp_path / "run", "pd_het_4", "duration=15", SETTINGS)
-    for key in ("plane", "positions", "torque", "margin-end", "sums"):
+    for key in ("parent-0", "robots-coordinate-0", "abstract-0", "margin-end", "sums"):
         axes = drawn(run, key)[0]
         assert shaded(axes) == [pytest.approx((5.0, 6.0)), pytest.approx((7.0, 15.0))]
         assert [line for line in axes.lines if np.asarray(line.get_xdata()).tolist() == [10.0, 10.0]]
@@ -413,7 +417,7 @@ def test_disturbances_are_shaded_and_steps_of_the_reference_marked_with_their_na
     upper, _ = drawn(run, shown["Around 10 s: reference 0.05 rad"])
     assert entries(upper)[4:] == ["disturbance", "reference step"]
     quiet = record(tmp_path / "quiet", "pd_het_4")
-    assert shaded(drawn(quiet, "plane")[0]) == [] and entries(drawn(quiet, "plane")[0]) == ["θ", "reference θ"]
+    assert shaded(drawn(quiet, "parent-0")[0]) == [] and entries(drawn(quiet, "parent-0")[0]) == ["θ", "reference θ"]
 
 
 @pytest.mark.system

@@ -5,8 +5,9 @@ from math import inf
 
 import pytest
 
+from swarmabs_core import messages as msg
 from swarmabs_core.errors import InputError
-from swarmabs_core.systems.interface import NamedSystem, SystemTables
+from swarmabs_core.systems.interface import PLANE_TABLES, TABLES, NamedSystem, SystemTables
 
 pytestmark = pytest.mark.usefixtures("systems")
 
@@ -39,3 +40,45 @@ def test_unknown_systems_and_settings_are_refused() -> None:
         _ = NamedSystem("boat").made
     with pytest.raises(InputError, match=r"has no parameter 'colour'; it has stiffness, "):
         _ = NamedSystem("beam", {"colour": 1.0}).made
+
+
+VECTORS = [
+    (msg.PlaneState, "state", "parent", (0.1, -0.2)),
+    (msg.AbstractState, "value", "abstract", (3.0, 4.0)),
+    (msg.DesiredAbstractState, "value", "abstract", (3.0, 4.0)),
+    (msg.AgentState, "coordinates", "robot", (0.3,)),
+    (msg.AgentState, "velocities", "robot", (0.4,)),
+    (msg.AgentState, "command", "robot", (0.5,)),
+    (msg.AgentState, "constants", "constants", (0.6, 0.7)),
+]
+
+
+@pytest.mark.parametrize(("message", "vector", "table", "values"), VECTORS)
+def test_the_tables_of_the_plane_name_the_fields_of_its_messages_in_their_order(
+    message: type[msg.Message], vector: str, table: str, values: tuple[float, ...]
+) -> None:
+    """A list of a message of any parent system is made of the plane's fields by the tables' names and units."""
+    named = {
+        "angle": 0.1,
+        "angular_velocity": -0.2,
+        "torque": 3.0,
+        "inertia": 4.0,
+        "position": 0.3,
+        "velocity": 0.4,
+        "command": 0.5,
+        "mass": 0.6,
+        "damping": 0.7,
+    }
+    found = message(**{field: named.get(field, 1) for field in message._fields})
+    assert msg.vector_of(found, vector) == values
+    if vector not in {"velocities", "command"}:  # which are called after the coordinate
+        declared = msg.fields_of(message)
+        rows = [(row.name, row.unit) for row in getattr(PLANE_TABLES, table)]
+        assert [named[name] for name, _ in rows] == list(values)
+        assert rows == [(name, getattr(declared[name], "unit", None)) for name, _ in rows]
+    assert {*TABLES} <= {*PLANE_TABLES._fields}
+
+
+def test_lists_of_other_systems_are_read_as_they_are() -> None:
+    assert msg.vector_of(msg.ParentState(0, 0, 1, (1.0, 2.0)), "state") == (1.0, 2.0)
+    assert msg.vector_of(msg.SwarmDesired(0, 0, 1, 1, (1.0,), (), (), (), ()), "value") == (1.0,)

@@ -410,6 +410,16 @@ def test_a_run_that_is_asked_to_start_again_ends_as_one_that_is_interrupted(tmp_
     assert machine.signals == [(RECORDER, SIGINT)]
 
 
+@pytest.mark.parametrize("seconds", [0.2, 0.4])
+def test_no_run_follows_one_that_was_interrupted_when_it_had_been_asked_to_start_again(
+    tmp_path: Path, seconds: float
+) -> None:
+    asked = report(0.3, "steering", "restart", action="restart")
+    machine = FakeMachine((recorded(0.1, 20), asked, end_asked(seconds)), deaf=(RECORDER,))
+    outcome = drive(machine, tmp_path, steered=True)
+    assert (outcome.status, outcome.restart) == ("interrupted", None)
+
+
 def test_a_run_in_real_time_is_told_when_it_begins_and_tells_its_timing(tmp_path: Path) -> None:
     machine = FakeMachine((exited(0.3, "agent_003", -9), *A_SECOND), deaf=("agent_004",))
     outcome = drive(machine, tmp_path, kind=RealtimeRun)

@@ -17,7 +17,6 @@ from swarmabs_bag.run.figures import PLANE_TRACKING, RealtimeFigures, RunFigures
 from swarmabs_bag.run.ordering import REALTIME_WINDOW, recorded_steps
 from swarmabs_config import configure
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import SYSTEM_FAMILY
 from swarmabs_core.realtime.base import Schedule
 
 if TYPE_CHECKING:
@@ -131,7 +130,7 @@ class Comparison:
     scenario : tuple of SettingDifference
         Fields in which the resolved scenarios differ; also empty if one of them is missing.
     provenance : tuple of SettingDifference
-        Differences of the provenance: versions, machine, fingerprint.
+        Differences of the provenance: versions, machine, arithmetic.
     system : SystemTables or None
         Names and units of the quantities of bags on another parent system than the plane, if those of both are equal.
     """
@@ -221,9 +220,8 @@ class _Side:
             not_compared=tuple(channel.name for channel in bag.channels if channel.topic is None),
         )
         self.tables: SystemTables | None = None
-        if bag.family is SYSTEM_FAMILY:
-            with suppress(DamagedBagError):
-                self.tables = description_of(bag)._replace(settings={})
+        with suppress(DamagedBagError):
+            self.tables = description_of(bag)._replace(settings={})
         reference: Reference = _unknown
         tracking = PLANE_TRACKING
         period_ns = 1

@@ -14,9 +14,10 @@ from rich.table import Table
 from rich.text import Text
 
 from swarmabs_analysis.difference import component_of
-from swarmabs_bag.run.figures import PLANE_TRACKING, Tracking
+from swarmabs_bag.run.figures import Tracking
 from swarmabs_config.model.errors import printable, shorten
-from swarmabs_core.messages import ROBOT_STATE, TOPICS
+from swarmabs_core.messages import TOPICS
+from swarmabs_core.systems import PLANE_TABLES
 from swarmabs_core.systems.components import components
 
 if TYPE_CHECKING:
@@ -102,12 +103,8 @@ def _facts(comparison: Comparison) -> Iterator[tuple[str, str, str]]:
     yield "period, s", _number(a.period), _number(b.period)
     yield "robots", str(a.robots), str(b.robots)
     yield "robots only in this bag", _ids(comparison.robots_only_in_a), _ids(comparison.robots_only_in_b)
-    tracking = Tracking.of(comparison.system) if comparison.system else PLANE_TRACKING
-    different = comparison.system is None and any(
-        topic.topic == ROBOT_STATE.name for topic in comparison.messages.topics
-    )
-    for key, figure in tracking.figures.items():
-        name = figure.name if different else figure.label  # different systems have different units
+    for key, figure in Tracking.of(comparison.system or PLANE_TABLES).figures.items():
+        name = figure.label if comparison.system else figure.name  # different systems have different units
         yield name, _number(a.figures[key]), _number(b.figures[key])
     yield "not compared", ", ".join(a.not_compared), ", ".join(b.not_compared)
 

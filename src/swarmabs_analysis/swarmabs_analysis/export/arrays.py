@@ -15,7 +15,7 @@ from swarmabs_bag.attached import event_time
 from swarmabs_bag.errors import BagTooLargeError
 from swarmabs_bag.reader import open_bag
 from swarmabs_config.files import whole_file
-from swarmabs_core.arrays import MessageArrays, RunArrays
+from swarmabs_core.arrays import MessageArrays
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS, Field, SwarmEvent, fields_of, word
 
@@ -27,10 +27,12 @@ if TYPE_CHECKING:
 
     from swarmabs_analysis.export.tables import BagTable
     from swarmabs_bag.reader import BagReader
-    from swarmabs_core.arrays import SystemArrays
+    from swarmabs_core.arrays import RunArrays, SystemArrays
 
 
 ArrayFormat = Literal["numpy", "mat"]
+_VECTORS = {"parent": "state"}
+"""The vector of a message by the name of its array in `SystemArrays`, where they differ."""
 SUFFIXES: dict[ArrayFormat, str] = {"numpy": ".npz", "mat": ".mat"}
 """Endings of the files of arrays."""
 
@@ -86,29 +88,27 @@ def _write_mat(stream: IO[bytes], content: Mapping[str, Any]) -> None:
 
 
 def _named(run: RunArrays | SystemArrays, tables: Sequence[BagTable]) -> Iterator[tuple[str, NDArray[Any]]]:
-    if not isinstance(run, RunArrays):
-        yield from _components(run, tables)
-        return
+    """Yield the arrays of a run, an array for each component of a vector."""
+    by_name = {table.name: table for table in tables}
     for field in fields(run):
         value = getattr(run, field.name)
         if isinstance(value, MessageArrays):
-            yield from ((f"{field.name}_{name}", array) for name, array in value.items())
-        elif isinstance(value, np.ndarray):
+            table = by_name[field.name]
+            vectors = dict.fromkeys(vector for vector, _ in table.vectors.values())
+            yield from ((f"{field.name}_{name}", array) for name, array in value.items() if name not in vectors)
+            for vector in vectors:
+                yield from _components(table, vector, getattr(value, vector))
+        elif isinstance(value, np.ndarray) and value.ndim == 1:
             yield field.name, value
+        elif isinstance(value, np.ndarray):
+            yield from _components(by_name["parent"], _VECTORS.get(field.name, field.name), value)
 
 
-def _components(run: SystemArrays, tables: Sequence[BagTable]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the arrays of a run on any parent system, an array for each component of a vector."""
-    yield from (("step", run.step), ("time", run.time))
-    for table in tables:
-        group = {"state": run.parent, "reference": run.reference} if table.name == "parent" else {}
-        if table.topic is not EVENTS and not group:
-            group = dict(getattr(run, table.name).items())
-        vectors = {field for field, _ in table.vectors.values()}
-        yield from ((f"{table.name}_{name}", array) for name, array in group.items() if name not in vectors)
-        for name, (field, index) in table.vectors.items():
-            if index < group[field].shape[-1]:
-                yield f"{table.name}_{name}", group[field][..., index]
+def _components(table: BagTable, vector: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the components of a vector by the names of their columns."""
+    for name, (of, index) in table.vectors.items():
+        if of == vector and index < values.shape[-1]:
+            yield f"{table.name}_{name}", values[..., index]
 
 
 def _events(bag: BagReader, events: Sequence[SwarmEvent], start: float) -> dict[str, NDArray[Any]]:

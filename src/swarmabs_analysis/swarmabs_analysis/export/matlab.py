@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.io import savemat
 
+from swarmabs_config.installation import lacking
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,6 +33,11 @@ def write_mat(stream: IO[bytes], variables: Mapping[str, Any]) -> None:
     InputError
         If an array is too large for the format.
     """
+    try:
+        from scipy.io import savemat  # noqa: PLC0415 - may be missing
+    except ModuleNotFoundError as error:
+        raise lacking(error, "a MAT file") from None
+
     start = stream.tell()
     savemat(stream, _fields(variables), long_field_names=True, oned_as="column")
     stream.seek(start)

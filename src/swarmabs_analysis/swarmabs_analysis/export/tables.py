@@ -16,6 +16,7 @@ from swarmabs_bag.bag_summary import reference_of_bag, summarise_bag
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import new_folder
+from swarmabs_config.installation import lacking
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import (
     EVENTS,
@@ -45,6 +46,8 @@ SUMMARY_FILE = "summary.json"
 PARQUET_ROWS = 16_384
 """Rows of a Parquet row group; at most this many are in memory."""
 TableFormat = Literal["csv", "parquet"]
+FILE_SUFFIXES = frozenset((".csv", ".parquet", ".npz", ".mat"))
+"""Endings by which a reader takes a name for that of one file, which a folder of tables is not."""
 
 
 class Column(NamedTuple):
@@ -204,10 +207,15 @@ def export_tables(
     Raises
     ------
     InputError
-        If it is not the bag of a swarm, the folder exists, or pyarrow is not installed.
+        If it is not the bag of a swarm, the folder exists or is named like a file, or pyarrow is not installed.
     RunError
         If the bag is damaged or the disk fails.
     """
+    if folder.suffix in FILE_SUFFIXES:
+        raise InputError(
+            f"{folder} is named like a file, and tables are written to a folder",
+            f"name one with -o, such as {folder.with_suffix('')}, and the format with --format csv or parquet",
+        )
     bag = open_bag(path, namespace=namespace)
     if bag.namespace is None:
         raise NotABagError(f"{bag.path} is not the bag of a swarm: it has none of its topics; name another bag")
@@ -241,10 +249,8 @@ def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
     try:
         import pyarrow as pa  # noqa: PLC0415 - may be missing
         from pyarrow.parquet import ParquetWriter  # noqa: PLC0415 - may be missing
-    except ImportError as error:
-        raise InputError(
-            f"Parquet needs the package pyarrow ({error}); install it, or use --format csv or numpy"
-        ) from error
+    except ModuleNotFoundError as error:
+        raise lacking(error, "Parquet") from None
     optional = (name for name, field in fields_of(table.topic.message).items() if _may_be_missing(field))
     nullable = {*table.vectors, *optional}
     schema = pa.schema(

@@ -19,7 +19,7 @@ from swarmabs_core.messages import (
     SwarmAuxiliary,
     SwarmEvent,
     coordinates_of,
-    numbers_of,
+    vector_of,
     word,
 )
 from swarmabs_core.ranges import Strays, lane
@@ -147,7 +147,7 @@ class Measures:
 
     def errors(self, parent: AnyParentState) -> tuple[float, float]:
         """Return the parent's distance from its reference, and its largest error in units of the tolerances."""
-        errors = self._tracking.errors(self._reference(parent.stamp / 1e9), numbers_of(parent))
+        errors = self._tracking.errors(self._reference(parent.stamp / 1e9), vector_of(parent, "state"))
         shares = [abs(e) / tolerance for e, tolerance in zip(errors, self._tracking.tolerances, strict=True)]
         return hypot(*errors), max(shares, default=0.0)
 

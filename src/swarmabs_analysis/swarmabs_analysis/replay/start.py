@@ -5,9 +5,11 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING
 
+from swarmabs_analysis.verification.trial import check_nodes
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.graph import CONTROLLER, OBSERVER, agent_name
+from swarmabs_core.errors import InputError
 from swarmabs_core.messages import STANDING
 from swarmabs_core.nodes import NodeKind
 from swarmabs_run.orchestration.plan import plan
@@ -25,12 +27,18 @@ _PROCESSES = {NodeKind.OBSERVER: OBSERVER, NodeKind.CONTROLLER: CONTROLLER}
 def start_commands(bag: BagReader, nodes: Collection[NodeName]) -> Iterator[str]:
     """Yield for each node the command that starts it with the parameters of the recorded run.
 
+    Nothing if the bag has no scenario that can be loaded, such as a bag that rosbag2 has recorded.
+
     Raises
     ------
     InputError
-        As for `attached_scenario`.
+        If the scenario lacks one of the nodes.
     """
-    scenario = attached_scenario(bag).resolved()
+    try:
+        scenario = attached_scenario(bag).resolved()
+    except InputError:
+        return
+    check_nodes(nodes, scenario)
     processes = {process.name: process for process in plan(scenario, RunFolder(bag.path), RunOptions(packed=False))}
     names = {**_PROCESSES, NodeKind.PARENT: scenario.family.node}
     # In a playback there are no recorder to wait for, and no fixed number of counterparts.

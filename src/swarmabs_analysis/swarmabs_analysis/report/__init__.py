@@ -74,7 +74,7 @@ def make_report(path: Path, *, namespace: str | None = None, scenario: str | Non
 
 
 def _numbers(recorded: Recorded) -> dict[str, Any]:
-    if recorded.system is not None:
+    if recorded.plane is None:
         margins = {"gram": recorded.rank_margin}
     else:
         margin = recorded.margins

@@ -180,18 +180,19 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
 
 def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
     """Return a function that draws what is tracked, and positions or first coordinates, in a span of time, s."""
-    time, (name, unit, *_) = recorded.arrays.time, recorded.subject.tracked
-    symbol, metre, *_ = recorded.subject.robot[0]
+    time, followed, tables = recorded.arrays.time, recorded.tracking.followed, recorded.tables
+    state = recorded.subject.term(tables.parent[followed[0] if followed else 0])
+    robot = recorded.subject.term(tables.robot[0])
     inside = (time >= begin) & (time <= end)
 
     def draw(figure: FigureBase) -> None:
         upper, lower = figure.subplots(2, 1, sharex=True)
         upper.plot(time[inside], recorded.references[inside], color=REFERENCE, linestyle=DASHED)
         upper.plot(time[inside], recorded.tracked[inside], color=PLANE)
-        upper.set_ylabel(f"{name}, {unit}" if len(recorded.tracking.followed) == 1 else unit)
+        upper.set_ylabel(state.label if len(followed) == 1 else state.unit)
         _linear(lower, float(time[-1]))
-        named = _robots(lower, recorded, np.where(inside[:, None], recorded.coordinates[..., 0], np.nan), symbol)
-        lower.set(xlabel="time, s", ylabel=f"{symbol}, {metre}", xlim=(begin, end))
+        named = _robots(lower, recorded, np.where(inside[:, None], recorded.coordinates[..., 0], np.nan), robot.symbol)
+        lower.set(xlabel="time, s", ylabel=f"{robot.symbol}, {robot.unit}", xlim=(begin, end))
         _mark_settings(lower, recorded)
         few = len(recorded.arrays.agents.ids) <= MANY
         _legend(upper, [*(named if few else ()), *_mark_settings(upper, recorded)])

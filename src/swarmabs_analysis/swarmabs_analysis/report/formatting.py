@@ -17,6 +17,11 @@ def quantity(value: float, unit: str) -> str:
     return f"{value:.4g} {unit}".strip()
 
 
+def tolerated(value: float, unit: str) -> str:
+    """Return a tolerance with its unit; angles are in mrad."""
+    return f"{1e3 * value:g} mrad" if unit == "rad" else quantity(value, unit)
+
+
 def span(name: str, values: NDArray[np.float64], unit: str, *, over_time: bool = True) -> str:
     """Return the range of values in words, and for values over time also the first and the last."""
     there = np.asarray(values)[np.isfinite(values)]

@@ -34,7 +34,6 @@ MOST_EVENTS = 60
 
 SECTIONS = {
     "metrics": "Metrics",
-    "plane": "Plane",
     "parent": "Parent system",
     "zooms": "Around the events",
     "robots": "Robots",
@@ -71,7 +70,7 @@ def page(recorded: Recorded, panels: Sequence[Panel]) -> str:
     counts = {kind: int((agents.kind == kind).any(axis=0).sum()) for kind in Kind}
     time = recorded.arrays.time
     groups, whole = _groups(recorded)
-    theory = check_scenario(scenario) if recorded.system is None else None
+    theory = None if recorded.plane is None else check_scenario(scenario)
     texts = tuple(key for key in TEXTS if key != "theory" or theory)
     return (
         _environment()

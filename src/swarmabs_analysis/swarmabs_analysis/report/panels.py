@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import cycle
 from typing import TYPE_CHECKING
 
@@ -26,8 +26,7 @@ from swarmabs_analysis.report.drawing import (
     statuses,
     zoom,
 )
-from swarmabs_analysis.report.formatting import counted, joined, quantity, span
-from swarmabs_bag.run.figures import TOLERANCE
+from swarmabs_analysis.report.formatting import counted, joined, quantity, span, tolerated
 from swarmabs_bag.shown.colours import (
     ABSENT,
     ERROR,
@@ -51,12 +50,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_analysis.report.record import Recorded
+    from swarmabs_analysis.report.subject import Term
     from swarmabs_core.messages import SwarmEvent
-    from swarmabs_core.systems import Quantity, SystemTables
+    from swarmabs_core.plant import Plane as TiltingPlane
+    from swarmabs_core.systems import Quantity
 
     Floats = NDArray[np.float64]
+    _Curves = Sequence[tuple[Quantity, Floats, Floats | None]]
 
-_SETTLED = f"{1e3 * TOLERANCE:g} mrad"
 BEFORE, AFTER, MOST_ZOOMS, MOST_NAMED = 1.0, 4.0, 6, 5
 """Time shown before and after an event, s, the most events that have a panel, and the most others named in it."""
 ZOOMED = {
@@ -84,6 +85,8 @@ RANK = (
     "cannot control all rows of the abstract state, and stop."
 )
 PALETTE = (PLANE, ERROR, TORQUE, INERTIA, *KINDS.values())
+_ABSTRACT = (TORQUE, INERTIA, PLANE, ERROR, *KINDS.values())
+"""Colours of the rows of the abstract state."""
 NORM = "Below 0, the state also admits positions off the plane. The norm adds N m and kg m², as the paper does."
 
 
@@ -104,68 +107,86 @@ class Panel:
 
 
 def panels(recorded: Recorded) -> Iterator[Panel]:
-    """Yield the pictures of a run, in the order of a report."""
-    if recorded.system is not None:
-        yield from _of_system(recorded, recorded.system)
-    else:
-        yield from _plane(recorded)
-        yield from _zooms(recorded)
-        yield from _robots(recorded)
-        yield from _abstract(recorded)
-        yield from _margins(recorded)
+    """Yield the pictures of a run, in the order of a report: those of all tables, and those of the plane's own data."""
+    yield from _parent(recorded)
+    yield from _zooms(recorded)
+    yield from _robots(recorded)
+    yield from _abstract(recorded)
+    yield from _margins(recorded)
+    if recorded.plane is not None:
         yield _sums(recorded)
     yield _membership(recorded)
 
 
-def _of_system(recorded: Recorded, system: SystemTables) -> Iterator[Panel]:
-    """Yield the pictures of a run on another parent system than the plane."""
-    arrays, followed = recorded.arrays, list(recorded.tracking.followed)
-    references = dict(zip(followed, recorded.references.T, strict=True))
-    groups = [followed] if followed else []
-    for number, group in enumerate([*groups, *_by_unit(system.parent, followed)]):
-        curves = [(system.parent[place], arrays.parent[:, place], references.get(place)) for place in group]
-        yield _curves(recorded, f"parent-{number}", "State of the parent system", "recorded", curves)
-    for group in groups:
-        curves = [(system.parent[place], references[place] - arrays.parent[:, place], None) for place in group]
-        panel = _curves(recorded, "parent-error", "Tracking error, reference minus state", "error of", curves)
-        settled = recorded.metrics["settled_at"]
-        when = "it does not settle" if settled is None else f"it stays within the tolerance from {settled:g} s on"
-        yield replace(panel, about=joined(panel.about, when))
-    yield from _zooms(recorded)
-    count = len(arrays.agents.ids)
-    note = joined(BANDS if count > MANY else "", recorded.falsified_note, by=" ")
-    if len(system.robot) == 2:
-        draw = paths(recorded, [row.label for row in system.robot])
-        about = f"each of {counted(count, 'robot')} ends in a dot"
-        yield Panel("robots-paths", "robots", "Paths of the robots", draw, about, height=2.9)
-    for place, (name, unit, *_) in enumerate(system.robot):
-        values = recorded.coordinates[..., place]
-        draw = of_all_robots(recorded, values, name, f"{name}, {unit}".removesuffix(", "))
-        about = span(f"coordinates {name}", values, unit, over_time=False)
-        heading = f"Coordinates of the robots: {name}"
-        yield Panel(f"robots-coordinate-{place}", "robots", heading, draw, about, note)
-        yield from _commands(recorded, name, unit, arrays.agents.command[..., place], note)
-    rows, actual, desired = system.abstract, arrays.abstract.value, arrays.desired.value
-    for number, group in enumerate(_by_unit(rows)):
-        curves = [(rows[place], actual[:, place], desired[:, place]) for place in group]
-        yield _curves(recorded, f"abstract-{number}", "Abstract state of the swarm", "actual", curves, "desired")
-    margin = recorded.rank_margin
-    draw = lines_over_time(recorded, "smallest eigenvalue", [Line("_", margin, BLACK)], positive=True)
-    about = joined(span("smallest eigenvalue", margin, ""), _lowest(margin, arrays.time, ""))
-    yield Panel("margins-gram", "margins", "Distance of the Gram matrix from singularity", draw, about, RANK)
+def _parent(recorded: Recorded) -> Iterator[Panel]:
+    """Yield the state of the parent by unit, what is tracked first, and the tracking error."""
+    rows, followed = recorded.tables.parent, list(recorded.tracking.followed)
+    note = MEASURED if recorded.measured else ""
+    tracked: _Curves = [
+        (rows[place], recorded.tracked[:, n], recorded.references[:, n]) for n, place in enumerate(followed)
+    ]
+    others: list[_Curves] = [
+        [(rows[place], recorded.arrays.parent[:, place], None) for place in group] for group in _by_unit(rows, followed)
+    ]
+    for number, curves in enumerate(filter(None, (tracked, *others))):
+        yield _curves(recorded, number, curves, note)
+    if tracked:
+        yield from _errors(recorded, note)
 
 
-def _commands(recorded: Recorded, name: str, unit: str, command: Floats, note: str) -> Iterator[Panel]:
-    """Yield a panel with the commands along a coordinate for each kind of robot, whose units differ."""
-    for kind in Kind:
-        of_kind = (recorded.arrays.agents.kind == kind).any(axis=0)
-        if of_kind.any():
-            values, own = np.where(of_kind, command, np.nan), MODELS[kind].command_unit(unit)
-            draw = of_all_robots(recorded, values, f"u {name} ", f"command along {name}, {own}".removesuffix(", "))
-            whose = counted(int(of_kind.sum()), said(kind))
-            about = span(f"commands of {whose}", values, own, over_time=False)
-            heading = f"Commands of the {said(kind)}s along {name}"
-            yield Panel(f"robots-command-{name}-{kind.value}", "robots", heading, draw, about, note)
+def _curves(recorded: Recorded, number: int, curves: _Curves, note: str) -> Panel:
+    """Return a panel of numbers of the parent of the same unit over time, each with its reference, dashed, if any."""
+    lines, texts = [], []
+    terms = [recorded.subject.term(row) for row, *_ in curves]
+    for term, (_, values, goal), colour in zip(terms, curves, cycle(PALETTE), strict=False):
+        lines.append(Line(term.symbol, values, colour))
+        texts.append(span(term.words, values, term.unit))
+        if goal is not None:
+            lines.append(Line(f"reference {term.symbol}", goal, REFERENCE if len(curves) == 1 else colour, DASHED))
+            texts.append(span("reference", goal, term.unit) if np.any(goal) else "")
+    goals = [goal for *_, goal in curves if goal is not None]
+    heading = _titles(terms) + {0: "", 1: " and reference"}.get(len(goals), " and references")
+    draw = lines_over_time(recorded, terms[0].label if len(curves) == 1 else terms[0].unit, lines)
+    return Panel(
+        f"parent-{number}", "parent", f"{heading} of the {recorded.subject.parent}", draw, joined(*texts), note
+    )
+
+
+def _errors(recorded: Recorded, note: str) -> Iterator[Panel]:
+    """Yield the tracking error, and its size on a logarithmic axis."""
+    tracking, settled = recorded.tracking, recorded.metrics["settled_at"]
+    terms = [recorded.subject.term(recorded.tables.parent[place]) for place in tracking.followed]
+    only, unit = len(terms) == 1, terms[0].unit
+    moment = Mark(f"settled at {settled:g} s", settled, BLACK, DOTTED) if isinstance(settled, float) else None
+    errors = (recorded.references - recorded.tracked).T
+    colours = [ERROR] if only else PALETTE
+    lines = [
+        Line(f"reference - {term.symbol}", error, colour)
+        for term, error, colour in zip(terms, errors, cycle(colours), strict=False)
+    ]
+    for tolerance in sorted(set(tracking.tolerances)):
+        bound = np.full(len(recorded.arrays.time), tolerance)
+        lines += [Line(f"±{tolerated(tolerance, unit)}", bound, BLACK, DOTTED), Line("_", -bound, BLACK, DOTTED)]
+    within = recorded.within
+    names = ["tracking error"] if only else [f"error of {term.words}" for term in terms]
+    about = joined(
+        *(span(name, error, unit) for name, error in zip(names, errors, strict=True)),
+        f"it does not stay within {within}" if settled is None else f"it stays within {within} from {settled:g} s on",
+    )
+    draw = lines_over_time(recorded, f"error, {unit}", lines, moment=moment)
+    heading = f"Tracking error of the {_titles(terms).lower()}"
+    yield Panel("parent-error", "parent", heading, draw, about, note)
+    size = f"|reference - {terms[0].symbol}|" if only else "norm of the errors"
+    level = Mark(within, tracking.tolerances[0], BLACK, DOTTED) if only else None
+    lines = [Line(size, np.abs(recorded.error), ERROR)]
+    draw = lines_over_time(recorded, f"|error|, {unit}", lines, level=level, moment=moment, positive=True)
+    about = "a straight descent is exponential"
+    yield Panel("parent-error-decades", "parent", "Size of the tracking error", draw, about, note)
+
+
+def _titles(terms: Sequence[Term]) -> str:
+    """Return what several numbers are called in a heading."""
+    return ", ".join([terms[0].title, *(term.words for term in terms[1:])])
 
 
 def _by_unit(rows: Sequence[Quantity], without: Sequence[int] = ()) -> list[list[int]]:
@@ -175,68 +196,6 @@ def _by_unit(rows: Sequence[Quantity], without: Sequence[int] = ()) -> list[list
     return [[place for place in others if rows[place].unit == unit] for unit in units]
 
 
-def _curves(
-    recorded: Recorded,
-    key: str,
-    heading: str,
-    what: str,
-    curves: Sequence[tuple[Quantity, Floats, Floats | None]],
-    goal: str = "reference",
-) -> Panel:
-    """Return a panel of quantities of the same unit over time, each with its goal, dashed, if it has one."""
-    lines, texts = [], []
-    for ((name, unit, *_), values, aim), colour in zip(curves, cycle(PALETTE), strict=False):
-        lines.append(Line(name, values, colour))
-        texts.append(span(f"{what} {name}", values, unit))
-        if aim is not None:
-            lines.append(Line(f"{name} {goal}", aim, REFERENCE if len(curves) == 1 else colour, DASHED))
-            texts.append(span(goal, aim, unit))
-    heading = f"{heading}: {', '.join(name for (name, *_), *_ in curves)}"
-    draw = lines_over_time(recorded, f"{name}, {unit}" if len(curves) == 1 else unit, lines)
-    return Panel(key, key.partition("-")[0], heading, draw, joined(*texts))
-
-
-def _plane(recorded: Recorded) -> Iterator[Panel]:
-    arrays, reference = recorded.arrays, recorded.arrays.reference
-    note = MEASURED if recorded.measured else ""
-    settled = recorded.metrics["settled_at"]
-    lines = [Line("θ", arrays.angle, PLANE), Line("reference θ", reference, REFERENCE, DASHED)]
-    about = joined(
-        span("angle θ", arrays.angle, "rad"),
-        span("reference", reference, "rad") if np.any(reference) else "",
-    )
-    draw = lines_over_time(recorded, "θ, rad", lines)
-    yield Panel("plane", "plane", "Angle and reference of the plane", draw, about, note)
-    draw = lines_over_time(recorded, "ω, rad/s", [Line("ω", arrays.angular_velocity, PLANE)])
-    about = span("rate ω", arrays.angular_velocity, "rad/s")
-    yield Panel("rate", "plane", "Rate of the plane", draw, about, note)
-    moment = Mark(f"settled at {settled:g} s", settled, BLACK, DOTTED) if isinstance(settled, float) else None
-    bound = np.full(len(arrays.time), TOLERANCE)
-    lines = [
-        Line("reference - θ", recorded.error, ERROR),
-        Line(f"±{_SETTLED}", bound, BLACK, DOTTED),
-        Line("_", -bound, BLACK, DOTTED),
-    ]
-    about = joined(
-        span("tracking error", recorded.error, "rad"),
-        f"it does not stay within {_SETTLED}"
-        if settled is None
-        else f"it stays within {_SETTLED} from {settled:g} s on",
-    )
-    draw = lines_over_time(recorded, "error, rad", lines, moment=moment)
-    yield Panel("tracking", "plane", "Tracking error of the angle", draw, about, note)
-    draw = lines_over_time(
-        recorded,
-        "|error|, rad",
-        [Line("|reference - θ|", np.abs(recorded.error), ERROR)],
-        level=Mark(_SETTLED, TOLERANCE, BLACK, DOTTED),
-        moment=moment,
-        positive=True,
-    )
-    about = "a straight descent is exponential"
-    yield Panel("tracking-decades", "plane", "Size of the tracking error", draw, about, note)
-
-
 def _zooms(recorded: Recorded) -> Iterator[Panel]:
     """Yield angle and positions around the start and the events; if many, around those with the largest errors."""
     time, error = recorded.arrays.time, np.abs(recorded.error)
@@ -244,6 +203,10 @@ def _zooms(recorded: Recorded) -> Iterator[Panel]:
     if last < 2.0 * (BEFORE + AFTER):
         return
     moments = {0.0: ["the start"]}
+    followed, (first_row, *_) = recorded.tracking.followed, recorded.tables.robot
+    upper = recorded.subject.term(recorded.tables.parent[followed[0]]).title.lower() if len(followed) == 1 else ""
+    lower = recorded.subject.term(first_row).title.lower()
+    zoomed = f"{upper or 'what is tracked'} with its dashed reference, and {lower}"
     begin = 0.0
     for event in recorded.swarm.events:
         at = recorded.swarm.time_of(event)
@@ -260,7 +223,7 @@ def _zooms(recorded: Recorded) -> Iterator[Panel]:
         first, *others = moments[moment]
         further = joined(*others[:MOST_NAMED], f"{len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else "")
         about = joined(
-            recorded.subject.zoomed,
+            zoomed,
             f"largest error {quantity(largest(moment), recorded.tracking.unit)}",
             f"then {further}" if further else "",
         )
@@ -273,61 +236,82 @@ def _set(recorded: Recorded, event: SwarmEvent) -> str:
     code = code_of(event)
     if code not in (EventCode.REFERENCE, EventCode.DISTURBANCE):
         return ""
-    unit = recorded.subject.disturbance_unit if code is EventCode.DISTURBANCE else recorded.reference_unit
+    unit = recorded.tables.disturbance_unit if code is EventCode.DISTURBANCE else recorded.reference_unit
     return f" {quantity(event.value, unit)}"
 
 
 def _robots(recorded: Recorded) -> Iterator[Panel]:
-    agents, sensor = recorded.arrays.agents, recorded.scenario.swarm.sensor
-    count, half = len(agents.ids), recorded.scenario.plane.length / 2.0
-    note = SENSED if any((*sensor.noise, *sensor.resolution)) else ""
-    note = joined(BANDS if count > MANY else "", note, by=" ")
-    draw = of_all_robots(recorded, agents.position, "p", "position p, m", end=half)
-    where = span(f"positions of {counted(count, 'robot')}", agents.position, "m", over_time=False)
-    about = joined(where, f"the plane ends at ±{half:g} m")
-    yield Panel(
-        "positions",
-        "robots",
-        "Positions of the robots",
-        draw,
-        about,
-        joined(note, recorded.falsified_note, by=" "),
-    )
-    if count > MANY:
-        about = f"total mass {quantity(float(np.nansum(np.nanmax(agents.mass, axis=0))), 'kg')}"
-        heading = "Mass density of the robots"
-        yield Panel("mass", "robots", heading, mass_density(recorded), about, recorded.falsified_note)
-    draw = of_all_robots(recorded, agents.velocity, "v", "velocity v, m/s")
-    about = span("velocities", agents.velocity, "m/s", over_time=False)
-    yield Panel("velocities", "robots", "Velocities of the robots", draw, about, note)
-    for kind, name, unit in ((Kind.SINGLE_INTEGRATOR, "single", "m/s"), (Kind.DOUBLE_INTEGRATOR, "double", "N")):
-        of_kind = (agents.kind == kind).any(axis=0)
+    """Yield coordinates, rates and commands of the robots, for each coordinate."""
+    arrays, subject, rows, plane = recorded.arrays, recorded.subject, recorded.tables.robot, recorded.plane
+    count = len(arrays.agents.ids)
+    note = joined(BANDS if count > MANY else "", SENSED if recorded.sensed else "", by=" ")
+    falsified = joined(note, recorded.falsified_note, by=" ")
+    if len(rows) == 2:
+        draw = paths(recorded, [subject.term(row).label for row in rows])
+        about = f"each of {counted(count, 'robot')} ends in a dot"
+        yield Panel("robots-paths", "robots", "Paths of the robots", draw, about, height=2.9)
+    rates = arrays.vector("agents", "velocities")
+    for place, row in enumerate(rows):
+        term, rate = subject.term(row), subject.rate(row)
+        values = recorded.coordinates[..., place]
+        half = None if plane is None else plane.length / 2.0
+        draw = of_all_robots(recorded, values, term.symbol, term.label, end=half)
+        where = span(f"{term.words} of {counted(count, 'robot')}", values, term.unit, over_time=False)
+        about = joined(where, "" if half is None else f"the plane ends at ±{half:g} m")
+        yield Panel(f"robots-coordinate-{place}", "robots", f"{term.title} of the robots", draw, about, falsified)
+        if plane is not None and count > MANY:
+            about = f"total mass {quantity(float(np.nansum(np.nanmax(arrays.agents.mass, axis=0))), 'kg')}"
+            heading = "Mass density of the robots"
+            yield Panel("mass", "robots", heading, mass_density(recorded), about, recorded.falsified_note)
+        draw = of_all_robots(recorded, rates[..., place], rate.symbol, rate.label)
+        about = span(rate.words, rates[..., place], rate.unit, over_time=False)
+        yield Panel(f"robots-rate-{place}", "robots", f"{rate.title} of the robots", draw, about, note)
+        yield from _commands(recorded, place, f" along {row.name}" if len(rows) > 1 else "", note)
+
+
+def _commands(recorded: Recorded, place: int, along: str, note: str) -> Iterator[Panel]:
+    """Yield a panel with the commands along a coordinate for each kind of robot, whose units differ."""
+    row, command = recorded.tables.robot[place], recorded.arrays.vector("agents", "command")[..., place]
+    for kind in Kind:
+        of_kind = (recorded.arrays.agents.kind == kind).any(axis=0)
         if of_kind.any():
-            values = np.where(of_kind, agents.command, np.nan)
-            whose = counted(int(of_kind.sum()), f"{name} integrator")
-            draw = of_all_robots(recorded, values, "u", f"command u, {unit}")
-            about = span(f"commands of {whose}", values, unit, over_time=False)
-            yield Panel(f"commands-{name}", "robots", f"Commands of the {name} integrators", draw, about, note)
+            values, own = np.where(of_kind, command, np.nan), MODELS[kind].command_unit(row.unit)
+            draw = of_all_robots(recorded, values, "u", f"command u{along}, {own}".removesuffix(", "))
+            about = span(f"commands of {counted(int(of_kind.sum()), said(kind))}", values, own, over_time=False)
+            heading = f"Commands of the {said(kind)}s{along}"
+            yield Panel(f"robots-command-{row.name}-{kind.value}", "robots", heading, draw, about, note)
 
 
 def _abstract(recorded: Recorded) -> Iterator[Panel]:
+    """Yield the abstract state by unit with the desired one; on the plane also its error, and its path in space."""
+    rows = recorded.tables.abstract
+    actual, desired = (recorded.arrays.vector(group, "value") for group in ("abstract", "desired"))
+    for number, group in enumerate(_by_unit(rows)):
+        terms = [recorded.subject.term(rows[place]) for place in group]
+        estimated = number == 0 and recorded.estimated
+        lines, texts = [], []
+        for term, place in zip(terms, group, strict=True):
+            only, colour = len(group) == 1, _ABSTRACT[place % len(_ABSTRACT)]
+            lines.append(Line(f"{term.symbol} {'estimated' if estimated else 'actual'}", actual[:, place], colour))
+            if estimated:
+                lines.append(Line(f"{term.symbol} from the robots' states", recorded.torque, ERROR, DOTTED))
+            aim = REFERENCE if only else colour
+            lines.append(Line(f"{term.symbol} desired", desired[:, place], aim, DASHED))
+            texts.append(span(f"actual {term.words}", actual[:, place], term.unit))
+            texts.append(span(f"desired {term.words}", desired[:, place], term.unit))
+        if estimated:
+            texts.append(span("from the robots' states", recorded.torque, terms[0].unit))
+        heading = f"{_titles(terms)} of the swarm, desired and actual"
+        draw = lines_over_time(recorded, terms[0].label if len(terms) == 1 else terms[0].unit, lines)
+        note = ESTIMATED if estimated else ""
+        yield Panel(f"abstract-{number}", "abstract", heading, draw, joined(*texts), note)
+    if recorded.plane is not None:
+        yield from _abstract_space(recorded)
+
+
+def _abstract_space(recorded: Recorded) -> Iterator[Panel]:
+    """Yield the error of the plane's abstract state, and its path with the manifold and the constraint sets."""
     actual, desired = recorded.arrays.abstract, recorded.arrays.desired
-    for key, letter, unit, colour, found, target, weight in (
-        ("torque", "τ", "N m", TORQUE, actual.torque, desired.torque, recorded.torque if recorded.estimated else None),
-        ("inertia", "J", "kg m²", INERTIA, actual.inertia, desired.inertia, None),
-    ):
-        lines = [Line(f"{letter} {'actual' if weight is None else 'estimated'}", found, colour)]
-        if weight is not None:
-            lines.append(Line(f"{letter} from the robots' states", weight, ERROR, DOTTED))
-        lines.append(Line(f"{letter} desired", target, REFERENCE, DASHED))
-        about = joined(
-            span(f"actual {key}", found, unit),
-            span(f"desired {key}", target, unit),
-            span("from the robots' states", weight, unit) if weight is not None else "",
-        )
-        heading = f"{key.capitalize()} {letter} of the swarm, desired and actual"
-        draw = lines_over_time(recorded, f"{letter}, {unit}", lines)
-        yield Panel(key, "abstract", heading, draw, about, ESTIMATED if weight is not None else "")
     about = joined(
         span("error of τ", desired.torque - actual.torque, "N m"),
         span("error of J", desired.inertia - actual.inertia, "kg m²"),
@@ -347,8 +331,19 @@ def _abstract(recorded: Recorded) -> Iterator[Panel]:
 
 
 def _margins(recorded: Recorded) -> Iterator[Panel]:
+    """Yield the distances to the constraints of the plane, otherwise from a singular Gram matrix."""
+    if recorded.plane is not None:
+        yield from _constraint_margins(recorded, recorded.plane)
+        return
+    margin = recorded.rank_margin
+    draw = lines_over_time(recorded, "smallest eigenvalue", [Line("_", margin, BLACK)], positive=True)
+    about = joined(span("smallest eigenvalue", margin, ""), _lowest(margin, recorded.arrays.time, ""))
+    yield Panel("margins-gram", "margins", "Distance of the Gram matrix from singularity", draw, about, RANK)
+
+
+def _constraint_margins(recorded: Recorded, plane: TiltingPlane) -> Iterator[Panel]:
     time, margin = recorded.arrays.time, recorded.margins
-    limit = least_s3(1.0, recorded.scenario.plane.length)
+    limit = least_s3(1.0, plane.length)
     level = Mark("end of the plane", 0.0, FAILED, DASHED)
     draw = lines_over_time(recorded, "m", [Line("L/2 - largest |p|", margin.end, BLACK)], level=level)
     about = joined(span("margin", margin.end, "m"), _lowest(margin.end, time, "m"))
@@ -391,12 +386,12 @@ def _sums(recorded: Recorded) -> Panel:
 def _membership(recorded: Recorded) -> Panel:
     agents, swarm = recorded.arrays.agents, recorded.swarm
     count, reporting, stopped = len(agents.ids), agents.kind > 0, swarm.have_status("safe_stop")
-    dead, silent = swarm.have_status("dead"), swarm.have_status("silent")
+    dead, silent, limited = (swarm.have_status(status) for status in ("dead", "silent", "limited"))
     follows = swarm.on_plane & ~stopped & ~dead & ~silent
     kinds = agents.kind.max(axis=0, initial=0)
     looks = {
-        **{f"{said(kind)} follows": (follows & (kinds == kind), KINDS[kind]) for kind in recorded.subject.kinds},
-        **({"at a limit": (swarm.have_status("limited"), ERROR)} if recorded.subject.limits else {}),
+        **{f"{said(kind)} follows": (follows & (kinds == kind), KINDS[kind]) for kind in Kind if (kinds == kind).any()},
+        **({"at a limit": (limited, ERROR)} if limited.any() else {}),
         "safe stop": (stopped, SAFE_STOP),
         "dead": (dead, FAILED),
         "silent": (silent & ~dead, ABSENT),

@@ -43,7 +43,7 @@ def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | 
         chosen = np.flatnonzero(there & (above == side))
         if len(chosen):
             _draw_band(axes, recorded, values[:, chosen], colour)
-            symbol = recorded.subject.robot[0].name
+            symbol = recorded.subject.term(recorded.tables.robot[0]).symbol
             legend.append(Patch(color=colour, alpha=0.5, label=f"initially {symbol} {named_side}"))
     named = _named(recorded, values, there).items() if there.any() else ()
     for (name, column), dashes in zip(named, (SOLID, DASHED, DOTTED), strict=False):
@@ -114,8 +114,8 @@ def _named(recorded: Recorded, values: Floats, there: NDArray[np.bool_]) -> dict
     columns = np.flatnonzero(there)
     farthest = np.nanmax(np.abs(values[:, columns]), axis=0)
     chosen = {"largest": columns[int(np.argmax(farthest))]}
-    if recorded.subject.weighed:
-        mass = np.nanmax(agents.mass[:, columns], axis=0)
+    if "mass" in {constant.name for constant in recorded.tables.constants}:
+        mass = np.nanmax(recorded.arrays["mass"][:, columns], axis=0)
         chosen |= {"heaviest": columns[int(np.argmax(mass))], "lightest": columns[int(np.argmin(mass))]}
     names: dict[int, list[str]] = defaultdict(list)
     for name, column in chosen.items():

@@ -33,11 +33,11 @@ WIDTH = 3.6
 """Width of a panel in the page, inches: about that of a phone, so that its text is legible there."""
 OVERVIEW = (
     *(
-        ("plane", "parent-0"),
-        ("mass", "positions", "robots-paths", "robots-coordinate-0"),
+        ("parent-0",),
+        ("mass", "robots-paths", "robots-coordinate-0"),
         ("abstract-error", "abstract-0"),
     ),
-    *(("tracking", "parent-error"), ("space", "abstract-1"), ("margin-end", "margins-gram")),
+    *(("parent-error",), ("space", "abstract-1"), ("margin-end", "margins-gram")),
 )
 """The panels of the PNG, row by row; of several for one place, the first that exists."""
 COLOURS = {

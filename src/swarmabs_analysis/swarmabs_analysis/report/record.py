@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from swarmabs_analysis.figures.runs import RecordedRun
-from swarmabs_analysis.report.subject import Subject, subject_of
+from swarmabs_analysis.report.formatting import tolerated
+from swarmabs_analysis.report.subject import Subject
 from swarmabs_analysis.step_response import StepResponse, step_response
 from swarmabs_bag.arrays import arrays_since, digest_of, load_messages
 from swarmabs_bag.attached import attached_provenance, is_realtime, supply_scenario
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from swarmabs_bag.shown.recorded_swarm import RecordedSwarm
+    from swarmabs_core.plant import Plane
+    from swarmabs_core.sensing import PlaneSensor, RobotSensor
     from swarmabs_core.systems import SystemTables
 
     Floats = NDArray[np.float64]
@@ -73,7 +77,7 @@ class Recorded:
     that name in the summary of a run in real time.
     """
 
-    swarm: Any  # RecordedSwarm or RecordedSystem
+    swarm: RecordedSwarm
     metrics: Mapping[str, float | int | str | None]
     counts: Mapping[str, int]
     provenance: Mapping[str, Any]
@@ -97,34 +101,45 @@ class Recorded:
         return self.swarm.arrays
 
     @property
-    def system(self) -> SystemTables | None:
-        """Names and units of another parent system than the plane."""
-        return _tables(self.swarm)
+    def tables(self) -> SystemTables:
+        """Names and units of the numbers."""
+        return self.swarm.tables
+
+    @property
+    def plane(self) -> Plane | None:
+        """The plane, if it is the parent system: what only the plane has is shown if it is there."""
+        return getattr(self.scenario, "plane", None)
 
     @cached_property
     def tracking(self) -> Tracking:
         """What of the parent's state follows the reference."""
         return tracking_of(self.scenario)
 
+    @property
+    def within(self) -> str:
+        """The errors below which what is tracked counts as settled, in words."""
+        tolerances = sorted(set(self.tracking.tolerances))
+        return " or ".join(tolerated(tolerance, self.tracking.unit) for tolerance in tolerances)
+
     @cached_property
     def subject(self) -> Subject:
         """What to say of the parent system and its robots."""
-        return subject_of(self.system, self.tracking)
+        return Subject(self.tables)
 
     @property
     def tracked(self) -> Floats:
-        """The numbers of the parent's state that follow the reference, (n+1, T): of the plane the angle, rad."""
-        return self.subject.states(self.arrays)[:, self.tracking.followed]
+        """The numbers of the parent's state that follow the reference, (n+1, T)."""
+        return self.swarm.arrays.parent[:, self.tracking.followed]
 
     @property
     def references(self) -> Floats:
         """Their references, (n+1, T)."""
-        return np.reshape(self.arrays.reference, self.tracked.shape)
+        return self.swarm.arrays.references
 
-    @property
+    @cached_property
     def coordinates(self) -> Floats:
-        """Coordinates of the robots, (n+1, N, d): on the plane the position, m."""
-        return self.subject.coordinates(self.arrays)
+        """Coordinates of the robots as recorded, (n+1, N, d)."""
+        return self.swarm.arrays.vector("agents", "coordinates")
 
     def settings(self, name: str) -> list[Setting]:
         """Return the values of a setting of the whole run (`DISTURBANCE` or `REFERENCE`) that was changed in it."""
@@ -174,7 +189,7 @@ class Recorded:
     @property
     def torque(self) -> Floats:
         """The torque of the weights on the plane at each step, N m; dead robots count, robots that left do not."""
-        return np.asarray(np.nansum(self.masses * self.swarm.positions, axis=1) * self.scenario.plane.gravity)
+        return np.asarray(np.nansum(self.masses * self.swarm.coordinates[..., 0], axis=1) * self.scenario.plane.gravity)
 
     def spans(self) -> Iterator[tuple[int, int, tuple[float, ...]]]:
         """Yield spans of rows [begin, end) with the same robots on the plane, and their masses, kg."""
@@ -203,7 +218,8 @@ class Recorded:
                     clearance(sets, torque, inertia).upper if np.isfinite(torque) and np.isfinite(inertia) else np.nan
                     for torque, inertia in pairs
                 ]
-        reach = np.where(self.swarm.on_plane, np.abs(self.swarm.positions), -np.inf).max(axis=1, initial=-np.inf)
+        positions = np.abs(self.swarm.coordinates[..., 0])
+        reach = np.where(self.swarm.on_plane, positions, -np.inf).max(axis=1, initial=-np.inf)
         end_margin = plane.length / 2.0 - np.where(np.isfinite(reach), reach, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = arrays.auxiliary.s3 / arrays.auxiliary.s0**2
@@ -211,8 +227,8 @@ class Recorded:
 
     @cached_property
     def rank_margin(self) -> Floats:
-        """Smallest eigenvalue of the scaled Gram matrix of another parent system, by its largest diagonal entry."""
-        scales = np.array([row.scale for row in self.system.abstract] if self.system else [])
+        """Smallest eigenvalue of the scaled Gram matrix by its largest diagonal entry; not for the plane."""
+        scales = np.array([row.scale for row in self.tables.abstract])
         rows, columns = np.tril_indices(len(scales))
         matrix = np.zeros((len(self.arrays.step), len(scales), len(scales)))
         scaled = np.nan_to_num(self.arrays.auxiliary.gram) / (scales[rows] * scales[columns])
@@ -223,7 +239,7 @@ class Recorded:
     @property
     def estimated(self) -> bool:
         """Whether the recorded torque of the swarm is an estimate from the plane's motion."""
-        return bool(self.scenario.observer.type == "parent_response")
+        return self.plane is not None and self.scenario.observer.type == "parent_response"
 
     @property
     def falsified_note(self) -> str:
@@ -240,8 +256,12 @@ class Recorded:
     @property
     def measured(self) -> bool:
         """Whether the recorded motion of the plane comes from an imperfect sensor."""
-        sensor = self.scenario.plane.sensor
-        return any((*sensor.noise, *sensor.resolution))
+        return self.plane is not None and _imperfect(self.plane.sensor)
+
+    @property
+    def sensed(self) -> bool:
+        """Whether robots on the plane measure their states with imperfect sensors."""
+        return self.plane is not None and _imperfect(self.scenario.swarm.sensor)
 
 
 def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | None = None) -> Recorded:
@@ -275,21 +295,21 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
     )
 
 
-def _tables(swarm: Any) -> SystemTables | None:
-    return getattr(swarm, "tables", None)
+def _imperfect(sensor: PlaneSensor | RobotSensor) -> bool:
+    return any((*sensor.noise, *sensor.resolution))
 
 
 def _metrics(swarm: Any, arrays: Any) -> dict[str, Any]:
     """Return the figures of the run, by the same arithmetic as during the recording."""
     scenario, tracking = swarm.scenario, tracking_of(swarm.scenario)
-    found, subject = RunFigures(configure.reference(scenario), tracking), subject_of(_tables(swarm), tracking)
-    states = zip(arrays.time.tolist(), arrays.step.tolist(), subject.states(arrays).tolist(), strict=True)
+    found = RunFigures(configure.reference(scenario), tracking)
+    states = zip(arrays.time.tolist(), arrays.step.tolist(), arrays.parent.tolist(), strict=True)
     for time, step, state in states:
         if not np.isnan(state[0]):
             found.follow(step, round(time * 1e9) / 1e9, tuple(state))
     for event in swarm.events:
         found.strays.hear(event, event.stamp / 1e9)
-    coordinates = np.abs(subject.coordinates(arrays))
+    coordinates = np.abs(arrays.vector("agents", "coordinates"))
     there = coordinates[arrays.agents.kind > 0]
     if there.size:
         found.reach(float(there.max()))

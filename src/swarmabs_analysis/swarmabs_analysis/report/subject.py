@@ -1,90 +1,77 @@
-"""What a report says of a parent system and its robots: the plane's names and units, or those of another system."""
+"""What a report calls the numbers of a parent system and its robots: names of their tables, or symbols of the paper."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_core.messages import PLANE_KINDS, Kind
-from swarmabs_core.systems import Quantity
+from swarmabs_core.systems.components import derived
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Mapping
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from swarmabs_bag.run.figures import Tracking
-    from swarmabs_core.systems import SystemTables
-
-    Floats = NDArray[np.float64]
+    from swarmabs_core.systems import Quantity, SystemTables
 
 
-class Subject(NamedTuple):
-    """What the panels and tables of a report name and read.
+class Term(NamedTuple):
+    """What a number is called.
+
+    Attributes
+    ----------
+    title : str
+        In headings.
+    symbol : str
+        In legends.
+    words : str
+        In descriptions.
+    unit : str
+        Its unit, for readers.
+    label : str
+        On axes, with the unit.
+    """
+
+    title: str
+    symbol: str
+    words: str
+    unit: str
+    label: str
+
+
+_PAPER: Mapping[str, Term] = {
+    "angle": Term("Angle", "θ", "angle θ", "rad", "θ, rad"),
+    "angular_velocity": Term("Rate", "ω", "rate ω", "rad/s", "ω, rad/s"),
+    "torque": Term("Torque τ", "τ", "torque", "N m", "τ, N m"),
+    "inertia": Term("Inertia J", "J", "inertia", "kg m²", "J, kg m²"),
+    "position": Term("Positions", "p", "positions", "m", "position p, m"),
+    "rate of position": Term("Velocities", "v", "velocities", "m/s", "velocity v, m/s"),
+}
+
+
+class Subject:
+    """What the panels and tables of a report name.
 
     Attributes
     ----------
     parent : str
-        What the robots act on.
-    tracked : Quantity
-        The first number that follows the reference.
-    zoomed : str
-        What the panels around events show.
-    robot : tuple of Quantity
-        Coordinates of a robot; the kinds of robots are those of `kinds`.
+        The parent system.
     falsified : str
         What a robot with a falsified state misreports.
-    disturbance_unit : str
-        Unit of disturbances; empty for another parent system, which does not state it.
-    limits, weighed : bool
-        Whether robots report that they are at a limit; whether they differ by mass.
-    states, coordinates : callable
-        Return the numbers of the parent's state, (n+1, S), and the coordinates of the robots, (n+1, N, d), of the
-        arrays of a run.
     """
 
-    parent: str
-    tracked: Quantity
-    zoomed: str
-    robot: tuple[Quantity, ...]
-    kinds: Iterable[Kind]
-    falsified: str
-    disturbance_unit: str
-    limits: bool
-    weighed: bool
-    states: Callable[[Any], Floats]
-    coordinates: Callable[[Any], Floats]
+    def __init__(self, tables: SystemTables) -> None:
+        self.parent = tables.name.replace("_", " ")
+        of_paper = tables.name == "plane"
+        self.falsified = "positions and masses" if of_paper else "coordinates and constants"
+        self._terms = _PAPER if of_paper else {}
 
+    def term(self, quantity: Quantity) -> Term:
+        """Return what a number is called."""
+        return self._term(quantity.name, quantity.unit)
 
-PLANE = Subject(
-    parent="plane",
-    tracked=Quantity("θ", "rad"),
-    zoomed="angle with its dashed reference, and positions",
-    robot=(Quantity("p", "m"),),
-    kinds=PLANE_KINDS,
-    falsified="positions and masses",
-    disturbance_unit="N m",
-    limits=False,
-    weighed=True,
-    states=lambda arrays: arrays.angle[:, None],
-    coordinates=lambda arrays: arrays.agents.position[..., None],
-)
+    def rate(self, quantity: Quantity) -> Term:
+        """Return what the rate of a number is called."""
+        return self._term(f"rate of {quantity.name}", derived(quantity.unit))
 
-
-def subject_of(system: SystemTables | None, tracking: Tracking) -> Subject:
-    """Return what to say of a parent system: of the plane, which has no tables, or of another one."""
-    if system is None:
-        return PLANE
-    return Subject(
-        parent="parent system",
-        tracked=Quantity(tracking.name, tracking.unit),
-        zoomed="what is tracked with its dashed reference, and the first coordinate of the robots",
-        robot=tuple(system.robot),
-        kinds=Kind,
-        falsified="coordinates and constants",
-        disturbance_unit="",
-        limits=True,
-        weighed=False,
-        states=lambda arrays: arrays.parent,
-        coordinates=lambda arrays: arrays.agents.coordinates,
-    )
+    def _term(self, name: str, unit: str) -> Term:
+        words, shown = name.replace("_", " "), unit.replace("^2", "²").replace("^3", "³")
+        usual = Term(f"{words[:1].upper()}{words[1:]}", words, words, shown, ", ".join(filter(None, (words, shown))))
+        return self._terms.get(name, usual)

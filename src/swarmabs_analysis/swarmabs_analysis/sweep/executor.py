@@ -9,13 +9,11 @@ of the scenario and its overrides; the result is a line of text.
 from __future__ import annotations
 
 import logging
-import os
 import shutil
 import tempfile
 from asyncio import CancelledError, TimeoutError as LateError  # distinct from the built-in in Python 3.10
 from contextlib import ExitStack, contextmanager
 from hashlib import sha256
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,7 +29,9 @@ import swarmabs_config
 import swarmabs_core
 import swarmabs_run
 from swarmabs_analysis.sweep.evaluate import evaluate, lost
+from swarmabs_config.installation import lacking, own_version
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_run.processes import usable_cores
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -148,13 +148,13 @@ class LocalExecutor(Executor):
     """
 
     def __init__(self, jobs: int | None = None) -> None:
-        jobs = jobs or len(os.sched_getaffinity(0))
+        jobs = jobs or usable_cores()
         super().__init__(f"{jobs} local processes")
         self._most_pending = jobs  # one per process, so that the task of a process that dies is known
         try:
             self._security = Security.temporary()
         except ImportError as error:
-            raise InputError(f"{error}; `swarm sweep` needs the package cryptography: install it") from error
+            raise lacking(ModuleNotFoundError(name="cryptography"), "a sweep on this machine") from error
 
     def _client(self) -> Client:
         folder = tempfile.mkdtemp(prefix="swarmabs-sweep-")
@@ -236,16 +236,12 @@ class Identity(NamedTuple):
 
 def identity(sources: Mapping[str, Path] = SOURCES) -> Identity:
     """Return the identity of this process, from the folders of its sources."""
-    try:
-        installed = version("swarmabs_core")
-    except PackageNotFoundError:
-        installed = "not installed"
     total = sha256()
     for name, folder in sources.items():
         for path in sorted(folder.rglob("*.py")):
             content = path.read_bytes()
             total.update(f"{name}/{path.relative_to(folder).as_posix()}\0{len(content)}\0".encode() + content)
-    return Identity(installed, total.hexdigest()[:16])
+    return Identity(own_version() or "not installed", total.hexdigest()[:16])
 
 
 def different_worker(mine: Identity, workers: Mapping[str, Identity]) -> str | None:

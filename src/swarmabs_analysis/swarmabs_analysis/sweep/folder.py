@@ -6,7 +6,6 @@ crash left incomplete. Tables, pictures and ``summary.json`` appear complete or 
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import time
@@ -18,6 +17,11 @@ from swarmabs_analysis.sweep.study import SCENARIO_FILE, Study
 from swarmabs_bag.run_folder import new_run_folder, next_run_folder
 from swarmabs_config.files import write_whole
 from swarmabs_core.errors import InputError, RunError
+
+try:
+    import fcntl
+except ModuleNotFoundError:  # on Windows, where nothing notices two sweeps in one folder
+    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,8 +65,9 @@ class SweepFolder:
             If another process has locked it, or it cannot be written.
         """
         try:
-            self._journal = os.open(self.journal, os.O_RDWR | os.O_CREAT, 0o666)
-            fcntl.flock(self._journal, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._journal = os.open(self.journal, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+            if fcntl is not None:
+                fcntl.flock(self._journal, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self.read()
         except BlockingIOError:
             self._close()

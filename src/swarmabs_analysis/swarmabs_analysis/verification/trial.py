@@ -16,7 +16,7 @@ from swarmabs_core.systems import SystemTables
 from swarmabs_run.simulation import nodes_in_process
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.messages import Message, Messages
@@ -56,7 +56,7 @@ class Trial:
         self._scenario = scenario
         self._changed, self._recorded = scenario.other_system, recorded.other_system
         self._comparison = MessageComparison()
-        _check_nodes(self.nodes, recorded)
+        check_nodes(self.nodes, recorded)
         _check_changes(scenario, recorded)
 
     def in_process(self, division: int) -> dict[NodeName, NodeInProcess]:
@@ -96,7 +96,8 @@ def deviations(comparison: MessageComparison) -> list[dict[str, Any]]:
     return [{"topic": topic.topic, **asdict(field)} for topic in comparison.topics for field in topic.fields]
 
 
-def _check_nodes(nodes: Sequence[NodeName], recorded: AnyScenario) -> None:
+def check_nodes(nodes: Iterable[NodeName], recorded: AnyScenario) -> None:
+    """Raise `InputError` if one of the nodes is a robot that the scenario of a recording lacks."""
     members = sorted(configure.members(recorded))
     for node in nodes:
         if node.kind is NodeKind.AGENT and node.agent_id not in members:

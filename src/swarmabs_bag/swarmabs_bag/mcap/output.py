@@ -93,7 +93,10 @@ class Reserve:
         if size <= self._size:
             return
         rounded = -(-size // _RESERVE_STEP) * _RESERVE_STEP
-        os.posix_fallocate(self._file.fileno(), 0, rounded)
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(self._file.fileno(), 0, rounded)
+        else:
+            self._file.write(bytes(rounded - self._size))
         self._size = rounded
 
     def release(self) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from swarmabs_bag.run.step import Step
-    from swarmabs_bag.shown.swarm_state import RobotStatus
+    from swarmabs_bag.shown.swarm_state import RobotStatus, ShownRobot
     from swarmabs_core.messages import Message
 
 SHOWN_ROBOTS = 200
@@ -114,7 +114,7 @@ class SummaryTracker:
         return SwarmSummary(
             dict(sorted(Counter(letters).items())),
             "".join(letters) if few else "",
-            [_place(shown_robot(*each).position, half) for each in known] if few and half is not None else [],
+            [_place(shown_robot(*each), half) for each in known] if few and half is not None else [],
             list(self._events),
             [*self._strays.values()][:SHOWN_EVENTS],
         )
@@ -141,7 +141,8 @@ class SummaryTracker:
             self.hear(state)
 
 
-def _place(position: float | None, half: float) -> int:
+def _place(robot: ShownRobot, half: float) -> int:
+    position = robot.coordinates[0] if robot.coordinates else None
     if position is None:
         return 0
     return round(max(-THOUSAND, min(THOUSAND * position / half, THOUSAND)))

@@ -18,11 +18,11 @@ from swarmabs_core.messages import (
     Source,
     SwarmEvent,
     Topic,
-    numbers_of,
+    vector_of,
 )
 from swarmabs_core.ranges import Strays
 from swarmabs_core.summation import added
-from swarmabs_core.systems.interface import Quantity
+from swarmabs_core.systems.interface import PLANE_TABLES, Quantity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
     Reference = Callable[[float], float | Vector]
 
-TOLERANCE = 0.01
-"""Error below which the plane counts as settled, rad."""
 _PENDING = 100
 """Steps for which a state of the plane waits for the answer of the parent controller, or vice versa."""
 _ANSWERED = 10
@@ -47,15 +45,15 @@ class Tracking(NamedTuple):
     """What of the parent's state follows the reference: indices, errors below which the numbers count as settled.
 
     The first of them, or else of the state, is the number to show, with its name and unit. `coordinate` is what the
-    robots' coordinates are called, with their unit, empty if they have several.
+    robots' coordinates are called, their common unit empty if they have several.
     """
 
-    followed: tuple[int, ...] = (0,)
-    tolerances: tuple[float, ...] = (TOLERANCE,)
-    name: str = "angle"
-    unit: str = "rad"
-    coordinate: str = "position"
-    coordinate_unit: str = "m"
+    followed: tuple[int, ...]
+    tolerances: tuple[float, ...]
+    name: str
+    unit: str
+    coordinate: str
+    coordinate_unit: str
 
     @classmethod
     def of(cls, system: ParentSystem | SystemTables) -> Tracking:
@@ -66,7 +64,8 @@ class Tracking(NamedTuple):
         tolerances = tuple(tracked.tolerance for tracked in system.tracked)
         units = {row.unit for row in system.robot}
         unit = units.pop() if len(units) == 1 else ""
-        return cls(followed, tolerances, shown.name, shown.unit, "coordinate", unit)
+        coordinate = system.robot[0].name if len(system.robot) == 1 else "coordinate"
+        return cls(followed, tolerances, shown.name, shown.unit, coordinate, unit)
 
     @property
     def figures(self) -> dict[str, Quantity]:
@@ -85,12 +84,14 @@ class Tracking(NamedTuple):
         return [goal - state[place] for goal, place in zip(goals, self.followed, strict=True)]
 
 
-PLANE_TRACKING = Tracking()
+PLANE_TRACKING = Tracking.of(PLANE_TABLES)
+TOLERANCE = PLANE_TRACKING.tolerances[0]
+"""Error below which the plane counts as settled, rad."""
 
 
 def tracking_of(scenario: AnyScenario) -> Tracking:
     """Return what the parent system of a scenario tracks."""
-    return PLANE_TRACKING if scenario.other_system is None else Tracking.of(scenario.other_system.made)
+    return Tracking.of(scenario.tables)
 
 
 class Latest(NamedTuple):
@@ -209,7 +210,7 @@ class RunFigures(Figures):
         for distance in step.max_abs_positions:
             self.reach(distance)
         for parent in step.parents:
-            self.follow(parent.step, parent.stamp / 1e9, numbers_of(parent))
+            self.follow(parent.step, parent.stamp / 1e9, vector_of(parent, "state"))
 
     def digest(self) -> str:
         """Return the digest of the steps so far."""

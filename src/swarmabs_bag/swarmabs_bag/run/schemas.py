@@ -9,11 +9,10 @@ from __future__ import annotations
 import json
 import os
 import re
-import sys
-from pathlib import Path
 from typing import NamedTuple
 
 from swarmabs_bag.errors import UnknownTypeError
+from swarmabs_config.installation import prefixes, shared
 from swarmabs_config.model.errors import show
 
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]{,99})/msg/([A-Z][A-Za-z0-9]{,99})")
@@ -56,14 +55,13 @@ def message_schema(ros_type: str) -> MessageSchema:
 
 
 def _read(ros_type: str, suffix: str) -> str:
-    """Return a file of a type from the first ROS prefix that has it; ROS wheels install below Python's prefix."""
+    """Return a file of a type from the first prefix that has it."""
     package, short = _split(ros_type)
-    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
-    for prefix in prefixes:
-        path = Path(prefix, "share", package, "msg", f"{short}.{suffix}")
-        if path.is_file():
-            return path.read_text(encoding="utf-8")
-    raise _not_found(ros_type, f"no share/{package}/msg/{short}.{suffix} under {os.pathsep.join(prefixes)}")
+    path = shared(package, "msg", f"{short}.{suffix}")
+    if path is None:
+        places = os.pathsep.join(map(str, prefixes()))
+        raise _not_found(ros_type, f"no share/{package}/msg/{short}.{suffix} under {places}")
+    return path.read_text(encoding="utf-8")
 
 
 def _split(ros_type: str) -> tuple[str, str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +29,7 @@ from swarmabs_bag.run.metadata import (
 from swarmabs_bag.run.schemas import message_schema
 from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_config.graph import LOCKSTEP, OFFERED
+from swarmabs_config.installation import own_version
 from swarmabs_core.messages import EVENTS
 
 if TYPE_CHECKING:
@@ -435,7 +435,4 @@ def _new_folder(folder: Path, file: Path) -> Iterator[ExitStack]:
 
 
 def _library() -> str:
-    try:
-        return f"swarmabs {version('swarmabs_core')}"
-    except PackageNotFoundError:  # run from the source tree without having been built
-        return "swarmabs"
+    return " ".join(filter(None, ("swarmabs", own_version())))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Generic
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,36 +16,19 @@ from swarmabs_bag.shown.swarm_state import (
     STATUS_NAMES,
     STATUSES,
     Instant,
-    InstantT,
     RobotHistory,
     ShownRobot,
-    ShownSystemRobot,
-    ShownT,
-    SystemInstant,
     TimedEvent,
     finites,
-    instant_of,
     is_silent,
     shown_robot,
-    shown_system_robot,
 )
-from swarmabs_core.arrays import MessageArrays
-from swarmabs_core.messages import (
-    PLANE_FAMILY,
-    PLANE_KINDS,
-    SYSTEM_FAMILY,
-    AbstractState,
-    DesiredAbstractState,
-    Family,
-    Kind,
-    PlaneState,
-    Status,
-    SwarmEvent,
-)
+from swarmabs_core.arrays import MessageArrays, RunArrays, SystemArrays
+from swarmabs_core.messages import AnyRobotState, Status, SwarmEvent
 from swarmabs_core.ranges import Strays, reason_of, texts_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -53,7 +36,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.shown.swarm_state import Members, RobotStatus
     from swarmabs_config.scenario import AnyScenario
-    from swarmabs_core.arrays import RunArrays, SystemArrays, Tables
+    from swarmabs_core.arrays import Tables
     from swarmabs_core.systems import SystemTables
 
     Floats = NDArray[np.float64]
@@ -65,19 +48,15 @@ _DRAWABLE = 1e100
 
 
 @dataclass(frozen=True)
-class _Recorded(Generic[InstantT, ShownT]):
+class RecordedSwarm:
     """A swarm read from its bag, how the run ended, and its namespace if there are several.
 
     Values that cannot be drawn, such as infinity, are NaN in the arrays.
     """
 
-    family: ClassVar[Family]
-    _coordinates: ClassVar[str]
-    _robot: ClassVar[Callable[..., Any]]
-
     bag: Path
     scenario: Any
-    arrays: Any
+    arrays: RunArrays | SystemArrays
     events: tuple[SwarmEvent, ...]
     status: str
     reason: str | None
@@ -109,17 +88,31 @@ class _Recorded(Generic[InstantT, ShownT]):
         """Return all events with their times."""
         return [TimedEvent(event, self.time_of(event)) for event in self.events]
 
-    def instant(self, row: int) -> InstantT:
-        """Return the state of the swarm to show at a row of the arrays."""
-        raise NotImplementedError
+    @property
+    def tables(self) -> SystemTables:
+        """Names and units of the numbers."""
+        return self.arrays.description
 
-    def shown_robots(self, row: int) -> list[ShownT]:
+    @cached_property
+    def vectors(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """The vectors of an `Instant` over the rows: parent, reference, abstract and desired."""
+        arrays = self.arrays
+        abstract, desired = (arrays.vector(group, "value") for group in ("abstract", "desired"))
+        return arrays.parent, arrays.references, abstract, desired
+
+    def instant(self, row: int) -> Instant:
+        """Return the state of the swarm to show at a row of the arrays."""
+        time = float(self.arrays.time[row])
+        vectors = (finites(vector[row].tolist()) for vector in self.vectors)
+        return Instant(int(self.arrays.step[row]), round(time * 1e9), time, *vectors)
+
+    def shown_robots(self, row: int) -> list[ShownRobot]:
         """Return the states of the robots to show at a row, in the order of the scenario."""
         step, timeline = int(self.arrays.step[row]), self.timeline
         shown = []
         for agent, column in zip(self.scenario.agents, self._columns, strict=True):
             last = int(np.searchsorted(self.arrays.step, timeline.last_step(agent.id, step), side="right")) - 1
-            shown.append(self._robot(timeline.out(agent.id, step), self._state(column, last), step))
+            shown.append(shown_robot(timeline.out(agent.id, step), self._state(column, last), step))
         return shown
 
     def members(self, row: int) -> Members:
@@ -135,13 +128,18 @@ class _Recorded(Generic[InstantT, ShownT]):
         """Which robots act on the parent at each row, (n+1, N): on the plane, those that are on it."""
         return self._membership[1]
 
+    @property
+    def coordinates(self) -> Floats:
+        """Coordinates of the robots, (n+1, N, d): of a dead robot as `ShownRobot`; NaN for robots that do not act."""
+        return self._membership[2]
+
     @cached_property
     def _membership(self) -> tuple[NDArray[np.int8], Flags, Floats]:
-        """Status and position of all robots at all rows, as `shown_robot` has them for one; -1: no state yet."""
+        """Status (-1: no state yet), presence and coordinates of all robots at all rows, as of one in `shown_robot`."""
         step, agents = self.arrays.step, self.arrays.agents
         columns = np.arange(len(agents.ids))
         said = agents.status[self._latest, columns]
-        place = np.array(getattr(agents, self._coordinates)[self._latest, columns])
+        place = np.array(self.arrays.vector("agents", "coordinates")[self._latest, columns])
         codes = np.full(place.shape[:2], -1, dtype=np.int8)
         for known, name in STATUS_NAMES.items():
             codes[said == known] = STATUSES.index(name)
@@ -157,7 +155,8 @@ class _Recorded(Generic[InstantT, ShownT]):
                 if out is not None and out.status != "absent":
                     codes[begin:end, column] = STATUSES.index(out.status)
                     there[begin:end, column] = out.status == "dead"
-                    place[begin:end, column] = out.place if place.ndim == 2 else place[max(0, begin - 1), column]
+                    place[begin:end, column] = place[max(0, begin - 1), column]
+                    place[begin:end, column, 0] = out.place
         place[~there] = np.nan
         return codes, there, place
 
@@ -175,72 +174,17 @@ class _Recorded(Generic[InstantT, ShownT]):
         rows = np.where(heard, np.arange(len(heard))[:, None], -1)
         return np.asarray(np.maximum.accumulate(rows, axis=0))
 
-    def _state(self, column: int, last: int) -> Any:
+    def _state(self, column: int, last: int) -> AnyRobotState | None:
         """Return the latest state of a robot up to a row, or None."""
         row = -1 if min(column, last) < 0 else int(self._latest[last, column])
         if row < 0:
             return None
         agents: MessageArrays = self.arrays.agents
-        made: Any = self.family.robot.message
+        made: Any = self.scenario.family.robot.message
         known = {name: column_of[row, column].tolist() for name, column_of in agents.items() if name != "ids"}
         head = {name: 0 for name in made._fields if name not in known}  # these are not shown
-        return made(**known | head | {"step": int(self.arrays.step[row])})
-
-
-@dataclass(frozen=True)
-class RecordedSwarm(_Recorded[Instant, ShownRobot]):
-    """A swarm on the plane read from its bag."""
-
-    family = PLANE_FAMILY
-    _coordinates = "position"
-    _robot = staticmethod(shown_robot)
-
-    arrays: RunArrays
-
-    def instant(self, row: int) -> Instant:
-        """Return the state of the swarm to show at a row of the arrays."""
-        arrays, time = self.arrays, float(self.arrays.time[row])
-        stamp, step = round(time * 1e9), int(arrays.step[row])
-        return instant_of(
-            PlaneState(stamp, step, float(arrays.angle[row]), float(arrays.angular_velocity[row])),
-            AbstractState(stamp, step, *_fields(AbstractState, arrays.abstract, row)),
-            DesiredAbstractState(stamp, step, *_fields(DesiredAbstractState, arrays.desired, row)),
-            time=time,
-            reference=float(arrays.reference[row]),
-        )
-
-    @property
-    def positions(self) -> Floats:
-        """Positions of the robots, m, (n+1, N): of a dead robot that of its event; NaN for robots not on the plane."""
-        return self._membership[2]
-
-
-@dataclass(frozen=True)
-class RecordedSystem(_Recorded[SystemInstant, ShownSystemRobot]):
-    """A swarm on any parent system read from its bag."""
-
-    family = SYSTEM_FAMILY
-    _coordinates = "coordinates"
-    _robot = staticmethod(shown_system_robot)
-
-    arrays: SystemArrays
-
-    @property
-    def tables(self) -> SystemTables:
-        """Names and units of the numbers."""
-        return self.arrays.description
-
-    def instant(self, row: int) -> SystemInstant:
-        """Return the state of the swarm to show at a row of the arrays."""
-        arrays, time = self.arrays, float(self.arrays.time[row])
-        vectors = (arrays.parent, arrays.reference, arrays.abstract.value, arrays.desired.value)
-        known = (finites(vector[row].tolist()) for vector in vectors)
-        return SystemInstant(int(arrays.step[row]), round(time * 1e9), time, *known)
-
-    @property
-    def coordinates(self) -> Floats:
-        """Coordinates of the robots, (n+1, N, d): of a dead robot its last ones; NaN for robots that do not act."""
-        return self._membership[2]
+        state: AnyRobotState = made(**known | head | {"step": int(self.arrays.step[row])})
+        return state
 
 
 def column_points(column: Integers, values: Floats) -> Integers:
@@ -262,8 +206,8 @@ def column_points(column: Integers, values: Floats) -> Integers:
     return np.unique(np.concatenate([begins, ends - 1, gaps, gaps + 1, np.array(extremes, dtype=np.int64)]))
 
 
-def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm | Any:
-    """Read the swarm of a bag, of an incomplete one as far as possible; a `RecordedSystem` unless it is on the plane.
+def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm:
+    """Read the swarm of a bag, of an incomplete one as far as possible.
 
     Raises `InputError` if it is not the bag of a swarm or contains no valid scenario, `DamagedBagError` if it cannot be
     read or contains a robot of unknown kind.
@@ -273,7 +217,7 @@ def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm | A
     return recorded_swarm(bag, messages, arrays_since(bag, messages)[0])
 
 
-def recorded_swarm(bag: BagReader, messages: LoadedMessages, arrays: Any) -> RecordedSwarm | Any:
+def recorded_swarm(bag: BagReader, messages: LoadedMessages, arrays: RunArrays | SystemArrays) -> RecordedSwarm:
     """Return the swarm of an open bag whose messages and arrays are loaded; as `read_swarm`."""
     scenario, tables = attached_scenario(bag), messages.tables
     if scenario.family is not bag.family:
@@ -284,7 +228,7 @@ def recorded_swarm(bag: BagReader, messages: LoadedMessages, arrays: Any) -> Rec
     if realtime:
         events = _since_first(events, tables)
     status, reason = _ending(bag, scenario, None if realtime else len(tables[bag.family.parent]), events)
-    return (RecordedSwarm if bag.family is PLANE_FAMILY else RecordedSystem)(
+    return RecordedSwarm(
         bag=bag.path,
         scenario=scenario,
         arrays=_drawable(arrays),
@@ -302,8 +246,8 @@ def _name(bag: BagReader) -> str | None:
 
 
 def _check_kinds(bag: BagReader, tables: Tables) -> None:
-    states, kinds = tables[bag.family.robot], PLANE_KINDS if bag.family is PLANE_FAMILY else tuple(Kind)
-    wrong = states[~np.isin(states["kind"], [kind.value for kind in kinds])]
+    states = tables[bag.family.robot]
+    wrong = states[~np.isin(states["kind"], [kind.value for kind in bag.family.kinds])]
     if len(wrong):
         first = wrong[0]
         raise DamagedBagError(
@@ -322,36 +266,32 @@ def _since_first(events: tuple[SwarmEvent, ...], tables: Tables) -> tuple[SwarmE
 def _ending(
     bag: BagReader, scenario: AnyScenario, states: int | None, events: Iterable[SwarmEvent]
 ) -> tuple[str, str | None]:
-    """Return how the run ended; `states` is the number of plane states, None if steps may lack one."""
+    """Return how the run ended; `states` is the number of states of the parent system, None if steps may lack one."""
     if bag.problem is not None:
         return "damaged", f"the end of the bag is missing: {bag.problem}"
     aborted = bag.aborted()
     if aborted is not None:
         return ("interrupted" if aborted.startswith("interrupted") else "failed"), aborted
-    of = "plane" if bag.family is PLANE_FAMILY else "parent"
     if states is not None and states != scenario.steps + 1:
-        return "incomplete", f"{states} of {scenario.steps + 1} states of the {of} are recorded"
+        return "incomplete", f"{states} of {scenario.steps + 1} states of the parent system are recorded"
     reason = reason_of(Strays(events).summary())
     return ("failed", reason) if reason else ("ok", None)
 
 
-def _drawable(run: Any) -> Any:
+def _drawable(arrays: RunArrays | SystemArrays) -> RunArrays | SystemArrays:
     """Replace values that cannot be drawn with NaN."""
-    found = {field.name: getattr(run, field.name) for field in fields(run)}
-    groups = {name: value for name, value in found.items() if isinstance(value, MessageArrays)}
-    shown = {name: _finite(value) for name, value in found.items() if isinstance(value, np.ndarray)}
-    for name, group in groups.items():
-        shown[name] = MessageArrays({field: _finite(column) for field, column in group.items()})
-    return replace(run, **shown)
+    shown: dict[str, Any] = {}
+    for field in fields(arrays):
+        value = getattr(arrays, field.name)
+        if isinstance(value, np.ndarray):
+            shown[field.name] = _finite(value)
+        elif isinstance(value, MessageArrays):
+            shown[field.name] = MessageArrays({name: _finite(column) for name, column in value.items()})
+    return replace(arrays, **shown)
 
 
-def _finite(column: Any) -> Any:
+def _finite(column: NDArray[Any]) -> NDArray[Any]:
     if column.dtype.kind != "f":
         return column
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(column) < _DRAWABLE, column, np.nan)
-
-
-def _fields(kind: type[AbstractState | DesiredAbstractState], columns: MessageArrays, row: int) -> list[Any]:
-    """Return the fields of a message after stamp and step, at a row of its arrays."""
-    return [getattr(columns, name)[row].item() for name in kind._fields[2:]]

@@ -8,46 +8,50 @@ accepts messages in any order and with gaps.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right, insort
-from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args, overload
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args, overload
 
 from swarmabs_config import configure
-from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
+    ABSTRACT_STATES,
+    DESIRED_STATES,
+    FAMILIES,
+    PARENT_STATES,
     PLANE_FAMILY,
+    ROBOT_STATES,
     SYSTEM_FAMILY,
-    AbstractState,
-    AgentState,
     AnyRobotState,
     Basis,
-    DesiredAbstractState,
     EventKind,
-    Family,
     Kind,
     Message,
-    ParentState,
-    PlaneState,
     Removal,
-    RobotState,
     Source,
     Status,
     SwarmEvent,
-    SystemDescription,
+    vector_of,
 )
-from swarmabs_core.systems import SystemTables
+from swarmabs_core.systems import PLANE_TABLES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
     from typing_extensions import Self
 
     from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.messages import (
+        AbstractState,
+        AnyParentState,
+        DesiredAbstractState,
+        SwarmAbstract,
+        SwarmDesired,
+    )
     from swarmabs_core.steering import OffsetReference
+    from swarmabs_core.systems import SystemTables, Vector
 
     Integers = NDArray[np.int64]
     Flags = NDArray[np.bool_]
@@ -80,17 +84,7 @@ CLOCK = 10**17
 
 
 class RobotIdentity(NamedTuple):
-    """Constant properties of a robot: id, kind, mass (kg), damping (N s/m), and whether it is absent until it joins."""
-
-    id: int
-    kind: Kind
-    mass: float | None
-    damping: float | None
-    joins: bool = False
-
-
-class SystemIdentity(NamedTuple):
-    """Constant properties of a robot on any parent system: id, kind, constants, and whether it is absent at first."""
+    """Constant properties of a robot: id, kind, constants by the table, and whether it is absent until it joins."""
 
     id: int
     kind: Kind
@@ -113,21 +107,9 @@ class Members(NamedTuple):
 
 
 class ShownRobot(NamedTuple):
-    """State of a robot for display: position (m), velocity (m/s), command (m/s, double integrators N), and status.
+    """State of a robot for display, its vectors by the tables of the parent system; empty where nothing is known.
 
-    Unknown and non-finite values are None; all are None for a robot without a state.
-    """
-
-    position: float | None = None
-    velocity: float | None = None
-    command: float | None = None
-    status: RobotStatus | None = None
-
-
-class ShownSystemRobot(NamedTuple):
-    """State of a robot on any parent system for display; empty where nothing is known.
-
-    A dead robot has the coordinates of its last state before its death, and no command.
+    A dead robot has no command. It stays at the first coordinate of its event, with the others of its last state.
     """
 
     coordinates: ShownVector = ()
@@ -136,32 +118,8 @@ class ShownSystemRobot(NamedTuple):
     status: RobotStatus | None = None
 
 
-class Abstract(NamedTuple):
-    """An abstract state: torque (N m) and inertia (kg m^2); None if unknown or not finite."""
-
-    torque: float | None = None
-    inertia: float | None = None
-
-
 class Instant(NamedTuple):
-    """State of the whole swarm in a step, for display.
-
-    The stamp is in ns, the time in s, angle and reference in rad, the angular velocity in rad/s. The reference includes
-    offsets. Unknown and non-finite values are None.
-    """
-
-    step: int
-    stamp: int
-    time: float
-    angle: float | None
-    angular_velocity: float | None
-    reference: float | None
-    abstract: Abstract
-    desired: Abstract
-
-
-class SystemInstant(NamedTuple):
-    """State of a whole swarm on any parent system in a step, for display.
+    """State of the whole swarm in a step, for display, its vectors by the tables of the parent system.
 
     The stamp is in ns, the time in s. `reference` contains the references of what the parent tracks, with offsets.
     Vectors are empty if unknown.
@@ -174,13 +132,6 @@ class SystemInstant(NamedTuple):
     reference: ShownVector
     abstract: ShownVector
     desired: ShownVector
-
-
-AnyInstant: TypeAlias = Instant | SystemInstant
-AnyShownRobot: TypeAlias = ShownRobot | ShownSystemRobot
-_Identity = TypeVar("_Identity", RobotIdentity, SystemIdentity)
-InstantT = TypeVar("InstantT", Instant, SystemInstant)
-ShownT = TypeVar("ShownT", ShownRobot, ShownSystemRobot)
 
 
 class TimedEvent(NamedTuple):
@@ -218,54 +169,35 @@ def shown_status(out: Out | None, state: AnyRobotState | None, step: int) -> Rob
     return "silent" if is_silent(state.step, step) and state.status != Status.LEFT else STATUS_NAMES.get(state.status)
 
 
-def shown_robot(out: Out | None, state: AgentState | None, step: int) -> ShownRobot:
+def shown_robot(out: Out | None, state: AnyRobotState | None, step: int) -> ShownRobot:
     """Return the state of a robot to show in a step: its latest one up to then, unless it no longer takes part.
 
     A dead robot stays at its place, whatever its process still publishes.
     """
     status = shown_status(out, state, step)
     if out is not None and status == "dead":
-        return ShownRobot(finite(out.place), 0.0, None, status)
+        place = (out.place, *(() if state is None else vector_of(state, "coordinates")[1:]))
+        return ShownRobot(finites(place), (0.0,) * len(place), (), status)
     if state is None or status == "left":
         return ShownRobot(status=status)
-    return ShownRobot(finite(state.position), finite(state.velocity), finite(state.command), status)
-
-
-def shown_system_robot(out: Out | None, state: RobotState | None, step: int) -> ShownSystemRobot:
-    """Return the state of a robot on any parent system, as `shown_robot`; for a dead one its last state is given."""
-    status = shown_status(out, state, step)
-    if state is None or status == "left":
-        return ShownSystemRobot(status=status)
-    if status == "dead":
-        return ShownSystemRobot(finites(state.coordinates), (0.0,) * len(state.coordinates), (), status)
-    return ShownSystemRobot(finites(state.coordinates), finites(state.velocities), finites(state.command), status)
+    coordinates, velocities, command = (
+        finites(vector_of(state, name)) for name in ("coordinates", "velocities", "command")
+    )
+    return ShownRobot(coordinates, velocities, command, status)
 
 
 def instant_of(
-    plane: PlaneState,
-    abstract: AbstractState | None,
-    desired: DesiredAbstractState | None,
+    parent: AnyParentState,
+    abstract: Message | None,
+    desired: Message | None,
     *,
     time: float,
-    reference: float | None,
+    reference: Vector,
 ) -> Instant:
-    """Return the state of the whole swarm from the messages of a step, its time (s) and the reference (rad)."""
-    return Instant(
-        plane.step,
-        plane.stamp,
-        time,
-        finite(plane.angle),
-        finite(plane.angular_velocity),
-        None if reference is None else finite(reference),
-        _pair(abstract),
-        _pair(desired),
-    )
-
-
-def system_instant(parent: ParentState, abstract: Any, desired: Any, *, time: float, reference: Any) -> SystemInstant:
-    """Return the same on any parent system; the reference is a vector."""
-    vectors = (parent.state, reference, abstract and abstract.value, desired and desired.value)
-    return SystemInstant(parent.step, parent.stamp, time, *(finites(vector or ()) for vector in vectors))
+    """Return the state of the whole swarm from the messages of a step, its time (s) and what is tracked."""
+    sums = (() if message is None else vector_of(message, "value") for message in (abstract, desired))
+    vectors = (vector_of(parent, "state"), reference, *sums)
+    return Instant(parent.step, parent.stamp, time, *map(finites, vectors))
 
 
 class RobotHistory:
@@ -356,7 +288,7 @@ class RobotHistory:
         begun, out = changes[place - 1] if place else (0, None)
         return begun - 1 if out is not None and out.status == "dead" else step
 
-    def latest(self, robot: int, step: int) -> Any:
+    def latest(self, robot: int, step: int) -> AnyRobotState | None:
         """Return the latest state of a robot up to a step, for a dead one up to its death; None if there is none."""
         known = self._states.get(robot, [])
         place = bisect_right(known, self.last_step(robot, step), key=attrgetter("step"))
@@ -367,13 +299,13 @@ class RobotHistory:
 class _Step:
     """The received messages of a step."""
 
-    parent: Any = None
-    abstract: Any = None
-    desired: Any = None
+    parent: AnyParentState | None = None
+    abstract: AbstractState | SwarmAbstract | None = None
+    desired: DesiredAbstractState | SwarmDesired | None = None
 
 
-class _State(Generic[_Identity, InstantT, ShownT]):
-    """The current state of a swarm.
+class SwarmState:
+    """The current state of a swarm on the parent system with these tables.
 
     It shows the latest step with messages of parent, observer and controller, and each robot's latest state up to it.
     If observer or controller is silent, it shows the parent's latest step without it.
@@ -383,19 +315,16 @@ class _State(Generic[_Identity, InstantT, ShownT]):
     every message; `events` are the latest, in the order of arrival.
     """
 
-    family: ClassVar[Family]
-    _identity: ClassVar[Callable[..., Any]]
-    _instant_of: ClassVar[Callable[..., Any]]
-    _robot: ClassVar[Callable[..., Any]]
-
     def __init__(
         self,
-        robots: Sequence[_Identity] = (),
+        robots: Sequence[RobotIdentity] = (),
         *,
+        tables: SystemTables = PLANE_TABLES,
         reference: OffsetReference | None = None,
         period_ns: int | None = None,
     ) -> None:
-        self.robots: list[_Identity] = list(robots)
+        self.tables = tables
+        self.robots: list[RobotIdentity] = list(robots)
         self.version = 0
         self.events: list[TimedEvent] = []
         self.event_count = 0
@@ -406,7 +335,9 @@ class _State(Generic[_Identity, InstantT, ShownT]):
         self._begun: Basis | None = None
         self._first_stamp: int | None = None
         self._known_events: dict[tuple[int, int, int, str], None] = {}
-        self._parent: Any = None
+        family = PLANE_FAMILY if tables is PLANE_TABLES else SYSTEM_FAMILY
+        self._foreign = tuple(topic.message for other in FAMILIES if other is not family for topic in other.main)
+        self._parent: AnyParentState | None = None
         self._shown = _Step()
         self._steps: dict[int, _Step] = {}
 
@@ -414,42 +345,47 @@ class _State(Generic[_Identity, InstantT, ShownT]):
     def of(cls, scenario: AnyScenario) -> Self:
         """Return the initial state of a scenario's swarm; its robots must be listed."""
         there = {agent.id for agent in scenario.initial_agents}
-        configs = configure.agent_configs(scenario)
-        robots = [cls._identity(config, joins=config.agent_id not in there) for config in configs]
-        return cls(robots, reference=configure.reference(scenario), period_ns=scenario.step_ns)
+        reference = configure.reference(scenario)
+        robots = [
+            RobotIdentity(robot.agent_id, robot.kind, finites(robot.constants), robot.agent_id not in there)
+            for robot in configure.agent_configs(scenario)
+        ]
+        return cls(robots, tables=scenario.tables, reference=reference, period_ns=scenario.step_ns)
 
     @property
     def step(self) -> int | None:
         """The latest step of the parent, None before its first message."""
-        return None if self._parent is None else int(self._parent.step)
+        return None if self._parent is None else self._parent.step
 
-    def add(self, message: Message) -> InstantT | None:
+    def add(self, message: Message) -> Instant | None:
         """Process a message, and return the step that it completes, if any.
 
-        Outdated messages change nothing.
+        Outdated messages, and those of another family, change nothing.
         """
         self.version += 1
-        if isinstance(message, self.family.robot.message):
+        if isinstance(message, self._foreign):
+            return None
+        if isinstance(message, ROBOT_STATES):
             self._hear(message)
         elif isinstance(message, SwarmEvent) and not isinstance(message, Removal):  # its effect is announced
             self._record_event(message)
         elif isinstance(message, Basis):
             if message.source == Source.CONTROLLER and _newer(message, self._begun):
                 self._begun = message
-        elif isinstance(message, self.family.parent.message):
+        elif isinstance(message, PARENT_STATES):
             if _newer(message, self._parent):
                 self._parent = message
             self._pending(message.step).parent = message
             return self._complete(message.step)
-        elif isinstance(message, self.family.abstract.message):
+        elif isinstance(message, ABSTRACT_STATES):
             self._pending(message.step).abstract = message
             return self._complete(message.step)
-        elif isinstance(message, self.family.desired.message):
+        elif isinstance(message, DESIRED_STATES):
             self._pending(message.step).desired = message
             return self._complete(message.step)
         return None
 
-    def instant(self) -> InstantT | None:
+    def instant(self) -> Instant | None:
         """Return the step to show, None before the first message of the parent."""
         if self._parent is None:
             return None
@@ -458,22 +394,24 @@ class _State(Generic[_Identity, InstantT, ShownT]):
             shown = self._steps.get(self._parent.step, _Step())
         return self._instant(shown.parent or self._parent, shown)
 
-    def shown_robots(self, step: int) -> list[ShownT]:
+    def shown_robots(self, step: int) -> list[ShownRobot]:
         """Return the states of all robots to show in a step, in order."""
         history, ids = self._history, [robot.id for robot in self.robots]
-        return [self._robot(history.out(robot, step), history.latest(robot, step), step) for robot in ids]
+        return [shown_robot(history.out(robot, step), history.latest(robot, step), step) for robot in ids]
 
     def members(self) -> Members:
         """Return the robots that take part in the step shown, of those known in advance."""
         instant = self.instant()
         return self._history.members(0 if instant is None else instant.step)
 
-    def _hear(self, state: Any) -> None:
+    def _hear(self, state: AnyRobotState) -> None:
         if state.agent_id not in self._ids:
             if len(self.robots) >= MOST_ROBOTS:
                 return
             self._ids.add(state.agent_id)
-            insort(self.robots, self._identity(state), key=lambda robot: robot.id)
+            kind = Kind(state.kind) if state.kind in set(Kind) else Kind.SINGLE_INTEGRATOR
+            robot = RobotIdentity(state.agent_id, kind, finites(vector_of(state, "constants")))
+            insort(self.robots, robot, key=attrgetter("id"))
         self._history.add(state)
 
     def _record_event(self, event: SwarmEvent) -> None:
@@ -498,7 +436,7 @@ class _State(Generic[_Identity, InstantT, ShownT]):
                 del self._steps[min(self._steps)]
         return found
 
-    def _complete(self, step: int) -> InstantT | None:
+    def _complete(self, step: int) -> Instant | None:
         """Return a step if it is complete, and drop those before it."""
         found = self._steps.get(step, _Step())
         if found.parent is None or found.abstract is None or found.desired is None:
@@ -509,10 +447,9 @@ class _State(Generic[_Identity, InstantT, ShownT]):
             del self._steps[earlier]
         return self._instant(found.parent, found)
 
-    def _instant(self, parent: Any, found: _Step) -> InstantT:
+    def _instant(self, parent: AnyParentState, found: _Step) -> Instant:
         time, reference = self._time(parent), self._reference_at(parent)
-        made: InstantT = self._instant_of(parent, found.abstract, found.desired, time=time, reference=reference)
-        return made
+        return instant_of(parent, found.abstract, found.desired, time=time, reference=reference)
 
     def _time(self, message: Message) -> float:
         """Return the time of a message's step, s; without a period its stamp, relative to the first if from a clock."""
@@ -522,70 +459,16 @@ class _State(Generic[_Identity, InstantT, ShownT]):
             self._first_stamp = message.stamp
         return (message.stamp - (self._first_stamp if self._first_stamp > CLOCK else 0)) / 1e9
 
-    def _reference_at(self, parent: Any) -> Any:
-        """Return the reference at a step, rad; in real time the controller announces when its law's time begins."""
+    def _reference_at(self, parent: AnyParentState) -> Vector:
+        """Return the reference at a step; in real time the controller announces when its law's time begins."""
         if self._reference is None or (self._begun is None and parent.stamp > CLOCK):
-            return None
+            return ()
         begun = 0 if self._begun is None else self._begun.begun
         if begun > parent.step:
-            return None
-        return self._reference(self._time(parent._replace(step=parent.step - begun)))
-
-
-def _identity(robot: Any, *, joins: bool = False) -> RobotIdentity:
-    kind = Kind.DOUBLE_INTEGRATOR if robot.kind == Kind.DOUBLE_INTEGRATOR else Kind.SINGLE_INTEGRATOR
-    return RobotIdentity(robot.agent_id, kind, finite(robot.mass), finite(robot.damping), joins)
-
-
-def _system_identity(robot: Any, *, joins: bool = False) -> SystemIdentity:
-    kind = robot.kind if robot.kind in set(Kind) else Kind.SINGLE_INTEGRATOR
-    return SystemIdentity(robot.agent_id, Kind(kind), finites(robot.constants), joins)
-
-
-class SwarmState(_State[RobotIdentity, Instant, ShownRobot]):
-    """The current state of a swarm on the plane."""
-
-    family = PLANE_FAMILY
-    _identity = staticmethod(_identity)
-    _instant_of = staticmethod(instant_of)
-    _robot = staticmethod(shown_robot)
-
-
-class SystemSwarmState(_State[SystemIdentity, SystemInstant, ShownSystemRobot]):
-    """The current state of a swarm on any parent system.
-
-    `tables` name its numbers, once they are known from the scenario or a message.
-    """
-
-    family = SYSTEM_FAMILY
-    tables: SystemTables | None = None
-    _identity = staticmethod(_system_identity)
-    _instant_of = staticmethod(system_instant)
-    _robot = staticmethod(shown_system_robot)
-
-    @classmethod
-    def of(cls, scenario: Any) -> Self:
-        """Return the initial state of a scenario's swarm."""
-        found = super().of(scenario)
-        found.tables = SystemTables.read(scenario.named.description)
-        return found
-
-    def add(self, message: Message) -> SystemInstant | None:
-        """Process a message, and return the step that it completes, if any."""
-        if isinstance(message, SystemDescription):
-            with suppress(MalformedMessageError):
-                self.tables = SystemTables.read(message.description)
-        return super().add(message)
-
-
-def state_of(scenario: AnyScenario) -> SwarmState | SystemSwarmState:
-    """Return the initial state of a scenario's swarm, of either family; its robots must be listed."""
-    return SwarmState.of(scenario) if scenario.family is PLANE_FAMILY else SystemSwarmState.of(scenario)
+            return ()
+        reference = self._reference(self._time(parent._replace(step=parent.step - begun)))
+        return reference if isinstance(reference, tuple) else (reference,)
 
 
 def _newer(message: Message, known: Message | None) -> bool:
     return known is None or message.step > known.step
-
-
-def _pair(state: AbstractState | DesiredAbstractState | None) -> Abstract:
-    return Abstract() if state is None else Abstract(finite(state.torque), finite(state.inertia))

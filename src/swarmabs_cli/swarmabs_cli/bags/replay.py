@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,6 +70,7 @@ def replay(
     pace = Pace(rate or (math.inf if nodes else 1.0), start or 0.0, duration, loop)
     recorded = open_bag(bag, namespace=namespace, several=not nodes)
     answers = Answers(recorded, nodes) if nodes else None
+    commands = tuple(start_commands(recorded, nodes)) if nodes else ()
     if not network:  # a range that is set already, such as by the environment of a run, is kept
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     playable, warnings = choose_topics(
@@ -85,9 +85,8 @@ def replay(
         click.echo(f"playing {', '.join(map(shown, names))} in ROS domain {domain}", err=True)
         if nodes:
             click.echo("waiting for the nodes under test; with the settings of the recording they start with", err=True)
-            with suppress(InputError):  # a bag of rosbag2 has no scenario
-                for command in start_commands(recorded, nodes):
-                    click.echo(f"  {command}", err=True)
+            for command in commands:
+                click.echo(f"  {command}", err=True)
         count = play(recorded, playable, pace, answers=answers, wait=wait, asked_to_end=asked)
     result = {} if answers is None else answers.to_dict()
     if as_json:

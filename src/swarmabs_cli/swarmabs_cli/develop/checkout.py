@@ -1,4 +1,4 @@
-"""``swarm bench``, ``swarm docs`` and ``swarm test``, which need files of the checkout that are not installed."""
+"""Commands that need files of the checkout which are not installed: ``bench``, ``docs``, ``test`` and ``wheel``."""
 
 from __future__ import annotations
 
@@ -133,6 +133,17 @@ def docs(output: Path | None) -> int:
     except OSError as error:
         raise InputError(f"{folder} cannot be made: {error.strerror}; name another folder with -o") from error
     return _run(["docs.build_site", str(folder)], NO_MKDOCS_2_WARNING="1")
+
+
+@click.command(epilog=examples("wheel -o dist"))
+@output_option("Folder of the wheel.  [default: build/wheel]")
+def wheel(output: Path | None) -> int:
+    """Build a wheel with everything that needs no ROS, for pip on any platform.
+
+    The same sources give the same bytes.
+    """
+    folder = (output or _checkout() / "build" / "wheel").absolute()
+    return _run(["scripts.build_wheel", str(folder)])
 
 
 class Tier(NamedTuple):

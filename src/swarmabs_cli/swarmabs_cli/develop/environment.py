@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import shlex
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
 
 from swarmabs_cli.options import examples, json_option
 from swarmabs_cli.output import print_findings, print_json
+from swarmabs_config.installation import COMMAND, lacking
 from swarmabs_run.doctor import examine
 from swarmabs_run.orchestration.run_files import environment_of_run
 
@@ -40,6 +42,8 @@ def env(run: Path | None, *, as_json: bool) -> None:
     a ROS installation, its tools stay usable: the workspace is only added to it. Without RUN, the variables are those
     with which nodes start by hand; a sourced ROS is then left out, unless SWARMABS_USE_SOURCED_ROS=1.
     """
+    if find_spec("rclpy") is None:
+        raise lacking(ModuleNotFoundError(name="rclpy"), f"{COMMAND} env")
     variables = {name: os.environ[name] for name in WORKSPACE if name in os.environ}
     sourced = {name[len(SOURCED) :]: value for name, value in os.environ.items() if name.startswith(SOURCED)}
     if run is not None:

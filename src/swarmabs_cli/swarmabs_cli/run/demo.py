@@ -57,7 +57,7 @@ def demo(robots: str, minutes: int, output: Path | None, *, no_browser: bool) ->
     push the plane, kill robots, let them leave, shift the reference and pause. You can also start again, as before or
     with the robots beside the curve of desired states, where the run waits to be resumed: the run ends and the next
     one starts, in a folder of its own on the same page. The last run ends after --minutes or with Ctrl-C; each is
-    recorded like any other.
+    recorded like any other. On a terminal the page then plays the last bag until you press Ctrl-C again.
     """
     end_grace()
     show = SHOWS[robots]

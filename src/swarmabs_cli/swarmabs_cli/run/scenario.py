@@ -22,7 +22,7 @@ def scenario() -> None:
 @scenario.command("list")
 @json_option
 def list_scenarios(*, as_json: bool) -> None:
-    """List the built-in scenarios with the figure of the paper that each reproduces."""
+    """List the built-in scenarios with their figures in the paper."""
     rows = []
     for name, path in builtin_scenarios().items():
         loaded = load_scenario(path)
@@ -57,7 +57,7 @@ def list_scenarios(*, as_json: bool) -> None:
 @set_option("Change a value; repeatable.")
 @json_option
 def show(name: str, overrides: tuple[str, ...], *, as_json: bool) -> None:
-    """Print a scenario with every default filled in and every robot listed."""
+    """Print a scenario with every default filled in."""
     loaded = scenario_of(name, overrides).resolved()
     print_warnings(loaded.warnings())
     if as_json:

@@ -27,7 +27,7 @@ ACTIONS = (*NUMBERS, "kill", "freeze", "remove", "leave", "add", *BARE)
     ),
 )
 @run_argument
-@click.argument("action", type=click.Choice(ACTIONS))
+@click.argument("action", type=click.Choice(ACTIONS), metavar="ACTION")
 @click.argument("value", required=False, metavar="[VALUE|ROBOT]")
 @json_option
 def steer(run: Path, action: str, value: str | None, *, as_json: bool) -> int:

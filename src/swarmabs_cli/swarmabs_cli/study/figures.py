@@ -17,7 +17,6 @@ from swarmabs_cli.output import print_json
 from swarmabs_config.scenario import AnyScenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_run.orchestration.lockstep_run import LockstepRun
 from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 from swarmabs_view.terminal import shown_progress
@@ -109,6 +108,8 @@ def figures(
 
 
 def _run_processes(scenario: AnyScenario, folder: RunFolder, options: RunOptions) -> Outcome:
+    from swarmabs_run.orchestration.lockstep_run import LockstepRun  # noqa: PLC0415 - needs ROS
+
     return LockstepRun(scenario, folder, options).run()
 
 

@@ -18,7 +18,6 @@ from swarmabs_analysis.sweep.folder import find_folder, make_folder
 from swarmabs_analysis.sweep.study import load_sweep
 from swarmabs_cli.options import A_PATH, RUNS, WholeNumber, examples, json_option, output_option, set_option
 from swarmabs_cli.output import print_json
-from swarmabs_core.errors import InputError
 
 _LINE_INTERVAL = 5.0
 """Time, s, between two lines."""
@@ -57,11 +56,10 @@ def sweep(
         raise click.UsageError("--resume needs the folder of the sweep; name it with -o DIR")
     if jobs is not None and scheduler is not None:
         raise click.UsageError("--jobs cannot be combined with --scheduler, which has its own workers; remove --jobs")
-    try:  # imported here, since the help needs none of them
-        from swarmabs_analysis.sweep.executor import LocalExecutor, SchedulerExecutor  # noqa: PLC0415
-        from swarmabs_analysis.sweep.run import run_sweep  # noqa: PLC0415
-    except ModuleNotFoundError as missing:
-        raise InputError(f"{missing}; `swarm sweep` needs dask, distributed and pyarrow: install them") from missing
+    # Imported here, since the help needs none of them.
+    from swarmabs_analysis.sweep.executor import LocalExecutor, SchedulerExecutor  # noqa: PLC0415
+    from swarmabs_analysis.sweep.run import run_sweep  # noqa: PLC0415
+
     study = load_sweep(file, overrides)
     with closing(LocalExecutor(jobs) if scheduler is None else SchedulerExecutor(scheduler)) as executor:
         begun = resume and output is not None and output.exists() and any(output.iterdir())

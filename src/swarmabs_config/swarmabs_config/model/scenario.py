@@ -21,7 +21,7 @@ from swarmabs_core.settings import Lockstep, Run
 from swarmabs_core.steering import REFERENCE
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_core.systems.desired import Requests
-from swarmabs_core.systems.interface import NamedSystem
+from swarmabs_core.systems.interface import PLANE_TABLES, NamedSystem, SystemTables
 from swarmabs_core.systems.law import SystemGains
 
 from .agents import AGENT_KINDS, Agent, Generate, SystemAgent, SystemGenerate
@@ -190,6 +190,11 @@ class AnyScenario(Model):
     def system_hash(self) -> int | None:
         """Hash of the description of the parent system, which its messages carry; None on the plane."""
         return None if self.other_system is None else self.other_system.hash
+
+    @cached_property
+    def tables(self) -> SystemTables:
+        """Names and units of the numbers of the parent system and its robots."""
+        return PLANE_TABLES if self.other_system is None else SystemTables.read(self.other_system.description)
 
     @cached_property
     def step_ns(self) -> int:

@@ -57,7 +57,7 @@ def _read_bytes(path: Path, source: str, kind: str, form: str) -> bytes:
 
 def _open_without_waiting(path: str, flags: int) -> int:
     """Open a file without blocking, so that a pipe without a writer can be rejected."""
-    return os.open(path, flags | os.O_NONBLOCK)
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # Windows has none
 
 
 def _remedy_missing(path: Path) -> str:

@@ -57,6 +57,11 @@ class RobotConfig:
     law: str = choice(LAWS.find, LAWS.built_in, PAPER.name, "control law of the robots")
     law_settings: Settings = field(default_factory=dict, hash=False)
 
+    @property
+    def constants(self) -> tuple[float, float]:
+        """Mass (kg) and damping (N s/m)."""
+        return self.mass, self.damping
+
     def refuse_contradictions(self) -> None:
         """Reject settings that do not apply to the robot's kind, unless an external drive moves its body.
 

@@ -5,6 +5,7 @@ all that a run, its recording and its display need to know about it; the kernels
 """
 
 from swarmabs_core.systems.interface import (
+    PLANE_TABLES,
     SYSTEMS,
     Constant,
     Need,
@@ -19,6 +20,7 @@ from swarmabs_core.systems.interface import (
 )
 
 __all__ = [
+    "PLANE_TABLES",
     "SYSTEMS",
     "Constant",
     "Need",

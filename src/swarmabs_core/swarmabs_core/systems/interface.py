@@ -240,7 +240,10 @@ TABLES: dict[str, tuple[Any, int, int]] = {
 
 
 class SystemTables(NamedTuple):
-    """What the description of a parent system states: its type, the tables of `ParentSystem`, and its settings."""
+    """What the description of a parent system states: its type, the tables of `ParentSystem`, and its settings.
+
+    The unit of a constant disturbance is not part of descriptions; it is empty if it is not known.
+    """
 
     name: str
     parent: tuple[Quantity, ...]
@@ -250,16 +253,33 @@ class SystemTables(NamedTuple):
     needs: tuple[Need, ...]
     tracked: tuple[Tracked, ...]
     settings: Mapping[str, Any]
+    disturbance_unit: str = ""
 
     @classmethod
     def read(cls, description: str) -> SystemTables:
         """Read the text of a `SystemDescription`; raise `MalformedMessageError` if it is not one."""
         try:
             found = json.loads(description)
-            tables = {name: tuple(row(**each) for each in found[name]) for name, (row, *_) in TABLES.items()}
-            return cls(str(found["name"]), **tables, settings=dict(found["settings"]))
+            tables: dict[str, Any] = {
+                name: tuple(row(**each) for each in found[name]) for name, (row, *_) in TABLES.items()
+            }
+            return cls(name=str(found["name"]), settings=dict(found["settings"]), **tables)
         except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise MalformedMessageError(SystemDescription.__name__, f"its text lacks {error}") from error
+
+
+PLANE_TABLES = SystemTables(
+    name="plane",
+    parent=(Quantity("angle", "rad"), Quantity("angular_velocity", "rad/s")),
+    abstract=(Quantity("torque", "N m", scale=5.0), Quantity("inertia", "kg m^2", scale=0.5, low=0.0)),
+    robot=(Quantity("position", "m"),),
+    constants=(Constant("mass", "kg"), Constant("damping", "N s/m", 0.0)),
+    needs=(),
+    tracked=(Tracked("angle", 0.01),),
+    settings={},
+    disturbance_unit="N m",
+)
+"""What the plane would state in a description; its messages have these numbers by name (`vector_of`)."""
 
 
 @dataclass(frozen=True)

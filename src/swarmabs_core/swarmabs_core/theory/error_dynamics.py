@@ -10,6 +10,7 @@ from __future__ import annotations
 from math import atan2, cos, exp, inf, log, pi, sin, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarmabs_core.summation import added
 from swarmabs_core.theory.report import Condition, Form
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def initial_energy(setting: Setting) -> float:
 
 def second_order_energy(kp: Pair, epsilon: float, error: Pair, rate: Pair) -> float:
     """Return V_a = z' M1 z/2 of an error (N m, kg m^2) and its rate; gains as in `second_order`."""
-    return sum(0.5 * (k * e * e + 2.0 * epsilon * e * de + de * de) for k, e, de in zip(kp, error, rate, strict=True))
+    return added(0.5 * (k * e * e + 2.0 * epsilon * e * de + de * de) for k, e, de in zip(kp, error, rate, strict=True))
 
 
 def deepest_swing(kp: float, kd: float, excess: float, rate: float) -> float:

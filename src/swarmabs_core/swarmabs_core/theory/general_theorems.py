@@ -22,10 +22,10 @@ from math import hypot, inf
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from swarmabs_core.plant import STEEPEST
 from swarmabs_core.theory.error_dynamics import deepest_swing
+from swarmabs_core.theory.linear_algebra import minimum
 from swarmabs_core.theory.report import Condition, Form
 
 if TYPE_CHECKING:
@@ -79,8 +79,8 @@ def manifold_clearance(sets: ConstraintSets, curvature: float, offset: float, to
     for side in (0, 1):
         index = min(range(len(grid)), key=lambda i: states[i][side])
         bounds = (grid[max(index - 1, 0)], grid[min(index + 1, len(grid) - 1)])
-        near = minimize_scalar(lambda torque: at(torque)[side], bounds=bounds, method="bounded")  # noqa: B023
-        least.append(min(states[index][side], float(near.fun)))
+        near = minimum(lambda torque: at(torque)[side], *bounds)  # noqa: B023
+        least.append(min(states[index][side], near))
     return Clearance(*least)
 
 

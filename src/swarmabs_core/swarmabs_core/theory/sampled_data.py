@@ -15,18 +15,16 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from swarmabs_core.controllers import Arise, StateFeedback
 from swarmabs_core.desired_state import BANDWIDTH
 from swarmabs_core.drive import DoubleIntegratorDrive
+from swarmabs_core.theory.linear_algebra import Matrix, exponential
 from swarmabs_core.theory.report import Condition, Form
 
 if TYPE_CHECKING:
     from swarmabs_core.theory.setting import Setting
 
-Matrix: TypeAlias = NDArray[np.float64]
 Pair: TypeAlias = tuple[float, float]
 Loop: TypeAlias = Callable[[float, int], Matrix]
 """Maps period (s) and delay (periods) to the matrix of the loop."""
@@ -137,10 +135,11 @@ def parent_loop(
     continuous[0, 1] = 1.0
     continuous[1, 1], continuous[1, 2] = -slope / inertia, -1.0 / inertia
     continuous[2:order, 3 : order + 1] = np.eye(order - 2)
+    command_filter = np.array([[0.0, 1.0, 0.0], [-(BANDWIDTH**2), -2.0 * BANDWIDTH, BANDWIDTH**2], [0.0, 0.0, 0.0]])
 
     def loop(period: float, delay: int) -> Matrix:
-        held = expm(continuous * period)
-        filtered = expm(np.array([[0, 1, 0], [-(BANDWIDTH**2), -2 * BANDWIDTH, BANDWIDTH**2], [0, 0, 0]]) * period)
+        held = exponential(continuous * period)
+        filtered = exponential(command_filter * period)
         # State: plane and swarm, filter's value and rate, integral.
         size = order + 3
         value, rate, total = order, order + 1, order + 2

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import schur, solve_discrete_lyapunov
 
 from swarmabs_core.errors import RunError, one_line
 from swarmabs_core.messages import NEVER, ParentState, RobotState, Status, SwarmBroadcast
@@ -30,6 +29,7 @@ from swarmabs_core.systems.desired import Requests, SystemDesiredState
 from swarmabs_core.systems.law import SINGULAR, RobotLaw, by_row
 from swarmabs_core.systems.motion import ParentMotion
 from swarmabs_core.systems.swarm import observed
+from swarmabs_core.theory.linear_algebra import discrete_lyapunov, subspace_outside
 from swarmabs_core.theory.report import Condition, Form, Report, Theorem, Verdict
 from swarmabs_core.theory.sampled_data import Loop, double_integrator_loop, loop_conditions, single_integrator_loop
 
@@ -250,8 +250,8 @@ def _margins(setting: SystemSetting, loop: ClosedLoop, state: Array, slope: Arra
     parent, coupling = slope[:n, :n] - slope[:n, n:] @ back @ error[:, :n], slope[:n, n:] @ back
     leak = error @ slope[:, :n] - error @ slope[:, n:] @ back @ error[:, :n]
     # Numbers that have no effect, such as an integral that is not used, are not part of z.
-    block, basis, n = schur(parent.T, sort=_is_seen)
-    parent, coupling, leak = block[:n, :n].T, basis[:, :n].T @ coupling, leak @ basis[:, :n]
+    basis = subspace_outside(parent.T, 1.0, UNSEEN)
+    parent, coupling, leak = basis.T @ parent @ basis, basis.T @ coupling, leak @ basis
     decay, radius = (
         min(x * (1.0 - 0.5 * h * x) for x in one.gains.k),
         float(np.abs(np.linalg.eigvals(parent)).max(initial=0.0)),
@@ -259,7 +259,7 @@ def _margins(setting: SystemSetting, loop: ClosedLoop, state: Array, slope: Arra
     yield Condition("l", None, Form("l = K (1 - h K/2) > 0", decay, 0.0), {"k": one.gains.k, "period": h})
     yield Condition("V_p", None, Form("spectral radius of the parent with a = a_d < 1", radius, 1.0, "<"))
     if radius < 1.0 and decay > 0.0:
-        p = solve_discrete_lyapunov(parent.T, h * np.eye(n))
+        p = discrete_lyapunov(parent.T, h * np.eye(len(parent)))
         c2, c5 = (float(np.linalg.norm(m.T @ p @ coupling, 2)) / h for m in (2.0 * parent, coupling))
         c3, kappa = float(np.linalg.norm(leak, 2)) / h, c5 / decay + c2 * c2 / (4.0 * decay)
         inputs = {"c1": 1.0, "c2": c2, "c3": c3, "c5": c5, "l": decay, "smallest_kappa": kappa}

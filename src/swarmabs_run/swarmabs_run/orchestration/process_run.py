@@ -89,6 +89,7 @@ class ProcessRun:
         self._folder.fill(self._scenario)
         profile, realtime = self._folder.logs / "fastdds.xml", self._driver is REALTIME
         with ExitStack() as stack:
+            asked = stack.enter_context(end_asked())
             stack.enter_context(tracing_files_removed())
             domain = stack.enter_context(claimed_domain(participants))
             peers = [*range(COORDINATORS), *(p.participant for p in self._plan if not p.agents)]
@@ -96,7 +97,6 @@ class ProcessRun:
             profile.write_text(text, encoding="utf-8")
             write_network(self._folder.logs, domain, participants, realtime=realtime)
             stack.callback(self._progress_file.over)
-            asked = stack.enter_context(end_asked())
             wake = stack.enter_context(woken_by_signals())
             client = LauncherClient(
                 dds_environment(domain, str(profile.resolve())),
@@ -241,7 +241,7 @@ class ProcessRun:
             None if self._started is None else self._started - self._begun,
             None if self._started is None else (self._finished or self._machine.now()) - self._started,
             self._warnings(),
-            restart=state.restart,
+            restart=None if self._machine.end_asked() else state.restart,
         )
 
     def _figures(self, recorded: Mapping[str, Any]) -> dict[str, Any]:

@@ -41,7 +41,7 @@ class RunOverError(InputError):
     """The run in the given folder has ended."""
 
     def __init__(self, run: Path) -> None:
-        super().__init__(f"{run}: this run is over")
+        super().__init__(f"{run}: this run is over", f"view its bag with ./scripts/swarm view {run}")
 
 
 def write_network(logs: Path, domain: int, participants: int, *, realtime: bool = False) -> None:
@@ -139,6 +139,13 @@ def start_of(pid: int) -> int | None:
     except OSError:
         return None
     return int(stat.rpartition(")")[2].split()[_START])
+
+
+def since_start() -> float:
+    """Return the wall time since this process, and with it the user's command, was started, s."""
+    if (ticks := start_of(os.getpid())) is None:  # not Linux
+        return time.time() - psutil.Process().create_time()
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
 
 
 def orchestrator_of(run: Path) -> psutil.Process | None:

@@ -1,14 +1,9 @@
-// Two rows of the abstract state: on the plane torque and inertia, with the manifold and the sets A_A and A_P.
-import { systemRows } from "./description.js";
+// Two rows of the abstract state; with the manifold and the sets A_A and A_P, where these are known.
+import { rowsOf } from "./description.js";
 import { axes, framed, mapping, marked, prepared, short } from "./drawing.js";
 
 const TRAIL = 400;
 const ROOM = 120; // px, height of the axes from which on there is an inset, with texts of the usual size
-// Rows to choose from: title, name and unit for screen readers, least margin and value shown, and where the values are.
-const PLANE_ROWS = [
-  { name: "torque", title: "torque, N m", unit: "newton metres", margin: 0.02, least: -Infinity },
-  { name: "inertia", title: "inertia, kg m²", unit: "kilogram square metres", margin: 0.001, least: 0 },
-].map((row) => ({ ...row, actual: (frame) => frame.abstract[row.name], wanted: (frame) => frame.desired[row.name], curve: (curves) => curves[row.name] }));
 
 export class AbstractView {
   // `changed` is called when the user has chosen a row.
@@ -27,11 +22,11 @@ export class AbstractView {
   }
 
   hello({ system }) {
-    if (this.all && system?.name === this.system?.name) {
+    if (system.name === this.system?.name) {
       return;
     }
     this.system = system;
-    this.all = system ? systemRows(system) : PLANE_ROWS;
+    this.all = rowsOf(system);
     this.rows = this.all.slice(0, 2);
     [this.left, this.described] = [0, -Infinity];
     this.choices.forEach((choice, axis) => {
@@ -52,7 +47,7 @@ export class AbstractView {
       high = Math.max(high, y);
     }
     const manifold = hello.manifold;
-    if ((near || this.system) && points.length) {
+    if ((near || !manifold) && points.length) {
       const [dx, dy] = [Math.max(0.1 * (right - left), this.rows[0].margin), Math.max(0.1 * (high - low), this.rows[1].margin)];
       return [left - dx, right + dx, Math.max(this.rows[1].least, low - dy), high + dy];
     }
@@ -83,9 +78,9 @@ export class AbstractView {
     const shown = this.bounds(hello, frame, trail, this.near);
     const marks = marked(shown[2], shown[3], height, unit);
     const box = framed(surface, marks, this.left);
-    this.left = box.x;
+    this.left = box.left;
     const at = mapping(box, shown);
-    this.contents(surface, hello, frame, trail, box, at, shown);
+    this.contents(surface, hello, this.points(frame), trail, box, at, shown);
     axes(surface, at, box, shown, marks, this.rows.map((one) => one.title));
     if (this.near && hello.manifold && trail.length && box.h >= ROOM * unit) {
       this.inset(surface, hello, frame, trail, box, shown, at);
@@ -93,7 +88,7 @@ export class AbstractView {
     this.describe(hello, frame);
   }
 
-  contents({ context, colour, unit }, hello, frame, trail, { x, y, w, h }, at, shown) {
+  contents({ context, colour, unit }, hello, points, trail, { x, y, w, h }, at, shown) {
     context.save();
     context.beginPath();
     context.rect(x, y, w, h);
@@ -112,7 +107,7 @@ export class AbstractView {
     trail.forEach((point) => context.lineTo(...at(...point)));
     context.stroke();
     context.lineJoin = "miter";
-    this.marks(context, this.points(frame), colour, at, unit);
+    this.marks(context, points, colour, at, unit);
     context.restore();
   }
 
@@ -136,7 +131,7 @@ export class AbstractView {
     context.fillRect(corner.x, corner.y, w, h);
     const whole = this.bounds(hello, frame, trail, false);
     const small = mapping(corner, whole);
-    this.contents(surface, hello, { ...frame, desired: {} }, [], corner, small, whole);
+    this.contents(surface, hello, this.points(frame).slice(0, 1), [], corner, small, whole);
     context.strokeRect(corner.x, corner.y, w, h);
     const [x0, y0] = small(shown[0], shown[3]);
     const [x1, y1] = small(shown[1], shown[2]);

@@ -1,5 +1,5 @@
 // Curves over time, drawn by uPlot (third_party/uplot).
-import { minus, roles, systemCharts, titled } from "./description.js";
+import { chartsOf, roles, titled } from "./description.js";
 import { colours, eventColour, font, short, unitOf } from "./drawing.js";
 import { KINDS } from "./kinds.js";
 
@@ -13,21 +13,6 @@ const TICKS = 18; // of it for ticks and gaps
 const FLAG = 16; // above a chart, for the marks of events
 const LINE = 1.6; // width of a curve
 
-const PLANE_CHARTS = [
-  {
-    place: "chart-angle",
-    says: "Angle and reference over time",
-    title: "angle and reference, rad",
-    lines: [
-      { label: "angle", colour: "angle", of: (c) => c.angle },
-      { label: "reference", colour: "reference", dash: [8, 5], of: (c) => c.reference },
-    ],
-  },
-  { place: "chart-error", says: "Tracking error over time", title: "tracking error, rad", lines: [{ label: "reference − angle", colour: "error", of: (c) => minus(c.reference, c.angle) }] },
-  { place: "chart-torque", says: "Torque error over time", title: "torque error, N m", lines: [{ label: "desired − torque", colour: "torque", of: (c) => minus(c.desired_torque, c.torque) }] },
-  { place: "chart-inertia", says: "Inertia error over time", title: "inertia error, kg m²", lines: [{ label: "desired − inertia", colour: "inertia", of: (c) => minus(c.desired_inertia, c.inertia) }] },
-];
-const PLANE_CURVES = { time: [], angle: [], reference: [], torque: [], desired_torque: [], inertia: [], desired_inertia: [] };
 const POSITIONS = "chart-positions";
 const SIDES = ["ink", "quiet"]; // colours of the robots that start above 0, and of the others
 const BANDS = [[6, 2, "22"], [5, 3, "44"]]; // of the positions of each side: series above, series below, opacity
@@ -81,17 +66,20 @@ export class Charts {
       this.coordinate = Number(event.target.value);
       this.build();
     });
-    this.hello({ robots: [] });
+    this.plots = [];
     new ResizeObserver(() => this.resize()).observe(document.getElementById(POSITIONS).parentElement);
     window.addEventListener("appearancechange", () => this.build());
   }
 
   build() {
+    if (!this.system) {
+      return; // nothing is known yet
+    }
     const colour = colours();
     const { zoom } = this;
     const unit = unitOf(document.getElementById(POSITIONS));
     [this.unit, this.left] = [unit, NARROWEST * unit];
-    for (const plot of this.plots ?? []) {
+    for (const plot of this.plots) {
       plot.destroy();
     }
     const sync = window.uPlot.sync("time");
@@ -140,7 +128,7 @@ export class Charts {
     const kinds = new Map(this.robots.map((robot) => [`robot ${robot.id}`, robot.kind]));
     const side = (index) => SIDES[Math.floor(index / PERCENTILES)];
     const lines = labels.map((label, index) => ({ label, colour: bands ? side(index) : KINDS[kinds.get(label)]?.colour, dash: DASHES[label.split(": ")[1]] }));
-    const what = this.system ? titled(roles(this.system).robot[this.coordinate]) : "positions, m";
+    const what = titled(roles(this.system).robot[this.coordinate]);
     const title = bands ? `${what}: by side of the start, median, 50 and 90 %, extremes` : what;
     const areas = SIDES.flatMap((fill, one) => BANDS.map(([high, low, opacity]) => [high + one * PERCENTILES, low + one * PERCENTILES, fill, opacity]));
     const first = this.coordinate * labels.length; // each coordinate has as many lines
@@ -150,15 +138,15 @@ export class Charts {
 
   hello({ robots, system }) {
     this.robots = robots;
-    if (this.charts && system?.name === this.system?.name) {
+    if (system.name === this.system?.name) {
       return;
     }
     this.system = system;
-    this.charts = system ? systemCharts(system) : PLANE_CHARTS;
-    this.curves = system ? { time: [], ...system.rows.filter(({ role }) => role !== "robot" && role !== "constant").map(() => []) } : structuredClone(PLANE_CURVES);
+    this.charts = chartsOf(system);
+    this.curves = { time: [], ...system.rows.filter(({ role }) => role !== "robot" && role !== "constant").map(() => []) };
     this.coordinate = 0;
     const choice = document.getElementById("coordinate");
-    choice.replaceChildren(...(system ? roles(system).robot : []).map((one, index) => new Option(titled(one), index)));
+    choice.replaceChildren(...roles(system).robot.map((one, index) => new Option(titled(one), index)));
     choice.parentElement.hidden = choice.length < 2;
     const last = document.getElementById(POSITIONS);
     const made = this.charts.map(({ place, says }) => {
@@ -287,7 +275,7 @@ export class Charts {
   }
 
   resize() {
-    if (unitOf(document.getElementById(POSITIONS)) !== this.unit) {
+    if (this.system && unitOf(document.getElementById(POSITIONS)) !== this.unit) {
       this.build();
       return;
     }
@@ -303,11 +291,12 @@ export class Charts {
   }
 
   take(message) {
+    const points = { time: message.time, ...message.values };
     for (const name of Object.keys(this.curves)) {
       if (message.replace) {
-        this.curves[name] = message[name];
+        this.curves[name] = points[name];
       } else {
-        for (const value of message[name]) {
+        for (const value of points[name]) {
           this.curves[name].push(value);
         }
       }

@@ -3,7 +3,7 @@ const SILENCE = 4000; // ms; the server sends something at least once a second
 const FIRST_WAIT = 300;
 const LONGEST_WAIT = 3000;
 const WHY = { 1008: "refused", 1009: "refused", 1013: "full" }; // close codes of the server
-export const VERSION = 1;
+export const VERSION = 2;
 
 export class Connection {
   // `take` receives each message; `status` receives "open", "lost", "refused" (the server rejected a message), "full"

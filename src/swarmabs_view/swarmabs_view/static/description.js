@@ -1,11 +1,14 @@
-// What the page shows of a parent system other than the plane, by the description in the message "system".
+// What the page shows of a parent system and its robots, by the description in the hello.
 
+import { short } from "./drawing.js";
 import { KINDS } from "./kinds.js";
 
 const COLOURS = ["angle", "error", "torque", "inertia", "di", "si"];
+const [STATE, ERROR, ABSTRACT] = [0, 1, 2]; // the first colour of each group of charts
 const DASH = [8, 5];
 const MARGIN = 0.002; // around the abstract state, in scales of a row, at least
-const FIELDS = { coordinates: "", velocities: "rate of ", command: "command " };
+const FIELDS = { coordinates: "", velocities: "rate of ", command: "command " }; // before the name of a coordinate
+const ONLY = { velocities: "velocity", command: "command" }; // where there is only one coordinate
 
 const words = (name) => name.replaceAll("_", " ");
 export const united = (text, unit) => [text, unit.replaceAll("^2", "²").replaceAll("^3", "³")].filter((one) => one && one !== "1").join(", ");
@@ -26,53 +29,68 @@ export function roles({ rows }) {
   return found;
 }
 
-export function systemCharts(system) {
+// The masses of the robots: 1 if the system has none, null where unknown.
+export function massesOf({ robots, system }) {
+  const place = roles(system).constant.findIndex(({ name }) => name === "mass");
+  return robots.map(({ constants }) => (place < 0 ? 1 : constants[place] ?? null));
+}
+
+// The coordinates of a robot in words.
+export function placeOf({ system }, { robots: { coordinates } }, robot) {
+  const said = roles(system).robot.map(({ name, unit }, axis) => `${words(name)} ${short(coordinates[robot][axis], 4)}${unit ? ` ${unit}` : ""}`);
+  return said.join(", ");
+}
+
+export function chartsOf(system) {
   const { followed, others, abstract, desired } = roles(system);
   const line = ({ name, of }, index) => ({ label: words(name), colour: COLOURS[index % COLOURS.length], of });
-  const pair = (actual, wanted, label) => ({ title: titled(actual), lines: [line(actual, 0), { label, colour: "reference", dash: DASH, of: wanted.of }] });
-  const error = ([actual, wanted], index) => ({ ...line(actual, index), label: `reference − ${words(actual.name)}`, of: (curves) => minus(wanted.of(curves), actual.of(curves)) });
+  const pair = (actual, wanted, label, index) => ({ title: titled(actual), lines: [line(actual, index), { label, colour: "reference", dash: DASH, of: wanted.of }] });
+  const error = ([actual, wanted], index) => ({ ...line(actual, ERROR + index), label: `reference − ${words(actual.name)}`, of: (curves) => minus(wanted.of(curves), actual.of(curves)) });
   const units = [...new Set(others.map(({ unit }) => unit))].map((unit) => others.filter((one) => one.unit === unit));
   const charts = [
-    ...followed.map(([actual, wanted]) => pair(actual, wanted, "reference")),
+    ...followed.map(([actual, wanted]) => pair(actual, wanted, "reference", STATE)),
     ...(followed.length ? [{ title: united("tracking error", followed[0][0].unit), lines: followed.map(error) }] : []),
-    ...units.map((rows) => ({ title: united(rows.map(({ name }) => words(name)).join(", "), rows[0].unit), lines: rows.map(line) })),
-    ...abstract.map((actual, index) => pair(actual, desired[index], "desired")),
+    ...units.map((rows) => ({ title: united(rows.map(({ name }) => words(name)).join(", "), rows[0].unit), lines: rows.map((row, index) => line(row, STATE + index)) })),
+    ...abstract.map((actual, index) => pair(actual, desired[index], "desired", ABSTRACT + index)),
   ];
   return charts.map((chart, index) => ({ ...chart, place: `chart-${index}`, says: `${chart.title} over time` }));
 }
 
-// The rows of the abstract state, as `PLANE_ROWS` of the plane.
-export function systemRows(system) {
+// The rows of the abstract state to choose from: names, least margin and value shown, and where the values are.
+export function rowsOf(system) {
   const { abstract, desired } = roles(system);
-  return abstract.map(({ name, unit, scale, of }, index) => ({
-    ...{ name: words(name), title: titled({ name, unit }), unit, margin: MARGIN * scale, least: -Infinity, curve: of },
+  return abstract.map(({ name, unit, scale, low, of }, index) => ({
+    ...{ name: words(name), title: titled({ name, unit }), unit, margin: MARGIN * scale, least: low ?? -Infinity, curve: of },
     ...{ actual: (frame) => of(frame.values), wanted: (frame) => desired[index].of(frame.values) },
   }));
 }
 
-// The entries of "Now", as `PLANE_NUMBERS` of the plane.
-export function systemNumbers(system) {
-  const { parent, followed, abstract, desired } = roles(system);
-  const entry = (label, row) => [`${row.role}-${row.index}`, `${label}${titled(row)}`, ({ frame }) => row.of(frame.values)];
+// The entries of "Now": id, label and value.
+export function numbersOf(system) {
+  const { parent, followed, others, abstract, desired } = roles(system);
+  const entry = (label, row, number) => [`${row.role}-${number}`, `${label}${titled(row)}`, ({ frame }) => row.of(frame.values)];
+  const goal = (actual, what) => united(followed.length > 1 ? `${words(actual.name)} ${what}` : what, actual.unit);
   return [
-    ...parent.map((row) => entry("", row)),
-    ...followed.flatMap(([actual, wanted], index) => [
-      [`reference-${index}`, united(`${words(actual.name)} reference`, actual.unit), ({ frame }) => wanted.of(frame.values)],
-      [`error-${index}`, united(`${words(actual.name)} error`, actual.unit), ({ frame }) => difference(wanted.of(frame.values), actual.of(frame.values))],
+    ...followed.flatMap(([actual, wanted], number) => [
+      entry("", actual, parent.indexOf(actual)),
+      [`reference-${number}`, goal(actual, "reference"), ({ frame }) => wanted.of(frame.values)],
+      [`error-${number}`, goal(actual, "error"), ({ frame }) => difference(wanted.of(frame.values), actual.of(frame.values))],
     ]),
-    ...abstract.flatMap((row, index) => [entry("", row), entry("desired ", desired[index])]),
+    ...others.map((row) => entry("", row, parent.indexOf(row))),
+    ...abstract.flatMap((row, number) => [entry("", row, number), entry("desired ", desired[number], number)]),
   ];
 }
 
 // The columns of the table of robots: constants of a robot, and fields of its state.
-export function systemColumns({ robots, system }) {
+export function columnsOf({ robots, system }) {
   const { robot: coordinates, constant } = roles(system);
   const units = (unit) => [...new Set(robots.map(({ kind }) => KINDS[kind].command(unit)))].join(" or ");
+  const label = (field, name) => (coordinates.length > 1 ? undefined : ONLY[field]) ?? `${FIELDS[field]}${words(name)}`;
   const of = { coordinates: (unit) => unit, velocities: (unit) => `${unit}/s`, command: units };
   return {
-    constants: constant.map((one, index) => [titled(one), (_, robot) => system.constants[robot]?.[index] ?? null]),
+    constants: constant.map((one, index) => [titled(one), (robot) => robot.constants[index] ?? null]),
     fields: Object.keys(FIELDS).flatMap((field) =>
-      coordinates.map(({ name, unit }, index) => [`${field}-${index}`, united(`${FIELDS[field]}${words(name)}`, of[field](unit)), (states, robot) => states[field][robot][index] ?? null]),
+      coordinates.map(({ name, unit }, index) => [`${field}-${index}`, united(label(field, name), of[field](unit)), (states, robot) => states[field][robot][index] ?? null]),
     ),
   };
 }

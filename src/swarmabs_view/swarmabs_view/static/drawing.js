@@ -88,11 +88,12 @@ export function eventColour(kind, colour) {
   return { DEAD: colour.dead, SAFE_STOP: colour.stop, LEFT: colour.grey, STALLED: colour.grey }[kind] ?? colour.ink;
 }
 
-// The space inside the axes, px, with marks on the left; the labels there have at least `left` px.
+// The space inside the axes, px, with marks on the left; the labels there have at least `left` px of texts of the
+// usual size, so that they keep their room while the marks change.
 export function framed({ context, width, height, unit }, marks, left) {
   const widest = Math.ceil(Math.max(0, ...marks.map((one) => context.measureText(one).width)));
-  const x = Math.max(left, LEFT * unit, TITLE * unit + widest);
-  return { x, y: TOP, w: width - x - RIGHT, h: height - TOP - BOTTOM * unit, left: x };
+  const x = Math.max(left * unit, LEFT * unit, TITLE * unit + widest);
+  return { x, y: TOP, w: width - x - RIGHT, h: height - TOP - BOTTOM * unit, left: x / unit };
 }
 
 // From values within bounds to the screen.
@@ -134,7 +135,7 @@ export function axes({ context, colour, unit }, at, { x: begin, y: top, w, h, le
   context.fillText(titles[0], begin + w / 2, top + h + (BOTTOM - 4) * unit);
   context.save();
   context.font = font(unit * Math.min(1, (top + h) / context.measureText(titles[1]).width));
-  context.translate(begin - room + TEXT * unit, top + h / 2);
+  context.translate(begin - room * unit + TEXT * unit, top + h / 2);
   context.rotate(-Math.PI / 2);
   context.fillText(titles[1], 0, 0);
   context.restore();

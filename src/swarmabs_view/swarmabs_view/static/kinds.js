@@ -6,8 +6,6 @@ export const KINDS = {
   first_order_lag: { words: "lag", legend: "with lag", colour: "inertia", shape: "diamond", command: (unit) => unit },
 };
 
-export const PLANE_KINDS = ["single_integrator", "double_integrator"];
-
 const SHAPES = {
   circle: (path, x, y, size) => path.arc(x, y, size, 0, 2 * Math.PI),
   square: (path, x, y, size) => {

@@ -3,8 +3,8 @@ import { AbstractView } from "./abstract.js";
 import { Charts } from "./charts.js";
 import { Connection, VERSION } from "./connection.js";
 import { Controls } from "./controls.js";
-import { capital } from "./description.js";
-import { KINDS, PLANE_KINDS, legend } from "./kinds.js";
+import { capital, massesOf } from "./description.js";
+import { KINDS, legend } from "./kinds.js";
 import { Picture } from "./picture.js";
 import { SteeringPanel } from "./steering.js";
 import { Coordinators, Events, More, Numbers, Processes, Robots } from "./tables.js";
@@ -38,10 +38,7 @@ function status(robot) {
 function take(message) {
   if (message.type === "hello") {
     greet(message);
-  } else if (message.type === "system") {
-    hello.system = message;
-    describe();
-  } else if (message.type === "frame" || message.type === "systemframe") {
+  } else if (message.type === "frame") {
     frame = message;
     controls.frame(message);
     dirty = true;
@@ -50,9 +47,6 @@ function take(message) {
     dirty = true;
   } else if (message.type === "curves") {
     charts.take(message);
-    dirty = true;
-  } else if (message.type === "systemcurves") {
-    charts.take({ replace: message.replace, time: message.time, ...message.values });
     dirty = true;
   } else if (message.type === "positions") {
     charts.takePositions(message);
@@ -79,8 +73,9 @@ function take(message) {
 
 function greet(message) {
   const same = before && hello && before.place === message.place && message.playback;
-  hello = { ...message, system: same ? hello.system : null };
+  hello = message;
   frame = same ? frame : null;
+  known();
   element("title").textContent = message.title;
   element("place").textContent = message.place;
   document.title = `${message.title} – swarmabs view`;
@@ -97,27 +92,36 @@ function greet(message) {
   controls.follow();
 }
 
-// Adapt all parts to the parent system: the plane, unless the message "system" describes another one.
+// Adapt all parts to the parent system and its robots.
 function describe() {
   const { robots: all, system } = hello;
+  const scene = plane.scene(hello);
   for (const part of [events, numbers, robots, charts, abstract, plane]) {
     part.hello(hello);
   }
-  steering.describe(system);
+  steering.describe(system, scene.lever);
   fitted(plane.crowded(hello));
-  element("plane-title").textContent = `${system ? capital(system.name) : "Plane"} and robots`;
-  element("plane-panel").toggleAttribute("data-system", Boolean(system));
-  element("zoom").hidden = Boolean(system);
+  element("plane-title").textContent = `${capital(system.name)} and robots`;
+  element("plane-panel").toggleAttribute("data-axes", scene === plane.usual);
+  element("zoom").hidden = !hello.manifold;
   const crowded = plane.crowded(hello);
-  const shown = { each: !crowded, crowd: crowded, sets: !system, limited: system };
+  const shown = { each: !crowded, crowd: crowded, sets: Boolean(hello.manifold) };
+  for (const entry of ["limited", "reference"]) {
+    shown[entry] = scene.legend.includes(entry);
+  }
   for (const kind of Object.keys(KINDS)) {
-    shown[kind] = system ? all.some((robot) => robot.kind === kind) : PLANE_KINDS.includes(kind);
+    shown[kind] = all.some((robot) => robot.kind === kind);
   }
   for (const [group, visible] of Object.entries(shown)) {
     document.querySelectorAll(`.legend li.${group}`).forEach((item) => {
       item.hidden = !visible;
     });
   }
+}
+
+// What is drawn is that of another run until the first frame of this one.
+function known() {
+  document.body.classList.toggle("unknown", !frame);
 }
 
 function badge(phase, text) {
@@ -162,6 +166,7 @@ function draw(now) {
   if (!hello || !frame || (!dirty && !robots.again && !charts.stale)) {
     return;
   }
+  known();
   numbers.draw(hello, frame, state.playing ?? state.phase === "running");
   events.draw(frame);
   plane.draw(hello, frame);
@@ -186,8 +191,9 @@ function fitted(fit) {
   plane.fit = fit;
   const button = element("fit");
   button.setAttribute("aria-pressed", String(fit));
-  button.textContent = fit ? `Whole ${hello.system ? "picture" : "plane"}` : "Fit to swarm";
-  const sized = hello.robots.some(({ mass }) => mass) ? "area proportional to mass" : "";
+  button.textContent = fit ? `Whole ${plane.scene(hello).whole}` : "Fit to swarm";
+  const masses = new Set(massesOf(hello).filter((mass, robot) => mass && !hello.robots[robot].body.length));
+  const sized = masses.size > 1 ? "area proportional to mass" : "";
   element("drawn").textContent = plane.crowded(hello) ? "bars: robots per interval" : sized;
   redraw();
 }

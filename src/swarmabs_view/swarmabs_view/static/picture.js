@@ -1,9 +1,9 @@
-// The picture of the parent system with its robots: what the plane and any other parent system have in common.
+// The picture of the parent system with its robots: what all scenes have in common.
 import { prepared } from "./drawing.js";
 import { PlaneScene } from "./plane.js";
 import { SystemScene } from "./system.js";
 
-const CROWD = 60; // above this number of robots, the plane shows their density
+const CROWD = 60; // above this number of robots, a scene may show their density
 const NEAR = 5; // px around a robot within which the pointer selects it
 
 export class Picture {
@@ -15,7 +15,8 @@ export class Picture {
     this.ids = new Map(); // where the ids of the robots are
     this.described = -Infinity; // when, ms
     this.fit = false; // whether the scale follows the swarm, not the parent system
-    this.scenes = { plane: new PlaneScene(), system: new SystemScene() };
+    this.own = { plane: new PlaneScene() }; // scenes of parent systems with a picture of their own
+    this.usual = new SystemScene();
     for (const kind of ["pointermove", "pointerdown"]) {
       canvas.addEventListener(kind, (event) => this.point({ x: event.offsetX, y: event.offsetY }));
     }
@@ -23,7 +24,7 @@ export class Picture {
   }
 
   scene({ system }) {
-    return system ? this.scenes.system : this.scenes.plane;
+    return Object.hasOwn(this.own, system.name) ? this.own[system.name] : this.usual;
   }
 
   hello(hello) {
@@ -31,8 +32,8 @@ export class Picture {
     this.described = -Infinity;
   }
 
-  crowded({ robots, system }) {
-    return !system && robots.length > CROWD;
+  crowded(hello) {
+    return this.scene(hello).crowds && hello.robots.length > CROWD;
   }
 
   draw(hello, frame) {

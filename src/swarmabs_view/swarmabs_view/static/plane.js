@@ -1,8 +1,8 @@
 // The scene of the tilting plane in oblique view, with one lane per robot.
+import { roles } from "./description.js";
 import { font, short, ticks } from "./drawing.js";
 import { KINDS } from "./kinds.js";
 import { drawRobots } from "./robots.js";
-import { STATUS } from "./tables.js";
 
 export const SIDE = 0.36; // fraction of the picture's width from the axis to the end of the plane
 export const PIVOT = 0.52; // fraction of the picture's height down to the axis
@@ -24,17 +24,22 @@ function rise(angle) {
   return Math.sin(Math.min(Math.abs(angle ?? 0), Math.PI / 2));
 }
 
-// Name a robot with its status and position.
-function said({ robots }, { robots: { position, status } }, index) {
-  return `robot ${robots[index].id}: ${STATUS[status[index]] ?? "no data"}, ${short(position[index], 4)} m`;
+// The angle and its reference in a frame, rad, each null if unknown.
+function angles({ system }, { values }) {
+  return roles(system).followed[0].map((row) => row.of(values));
 }
 
 export class PlaneScene {
+  whole = "plane"; // what the picture shows
+  crowds = true; // whether many robots are shown by their density
+  lever = true; // whether a push acts by the distance from the axis
+  legend = ["reference"]; // entries that only some pictures have
+
   hello() {} // the scale outlives a change of the swarm
 
   // Half the length shown, m: of the plane, or of the swarm if chosen or if the plane is not known.
   halfLength(hello, frame, fit) {
-    const far = Math.max(0, ...frame.robots.position.map((p) => Math.abs(p ?? 0)));
+    const far = Math.max(0, ...frame.robots.position.map((place) => Math.abs(place?.[0] ?? 0)));
     if (hello.plane && !fit) {
       return hello.plane.length / 2;
     }
@@ -45,8 +50,9 @@ export class PlaneScene {
   draw(surface, hello, frame, { fit, crowded, ids }) {
     const { context, width, height, colour, unit } = surface;
     const half = this.halfLength(hello, frame, fit);
-    const angle = frame.angle ?? 0;
-    this.rise = settled(this.rise, Math.max(rise(angle), rise(frame.reference), 0.01));
+    const [measured, wanted] = angles(hello, frame);
+    const angle = measured ?? 0;
+    this.rise = settled(this.rise, Math.max(rise(angle), rise(wanted), 0.01));
     const steep = Math.min(this.rise, 1);
     // The depth axis leans away from the rising side; otherwise a steep plane would appear edge-on.
     const deep = { x: (0.1 * Math.cos(angle) - 0.15 * Math.sin(angle)) * width, y: (0.4 - 0.15 * steep) * height };
@@ -61,7 +67,7 @@ export class PlaneScene {
     };
 
     this.support(surface, at);
-    this.level(surface, at, { half, scale, wanted: frame.reference });
+    this.level(surface, at, { half, scale, wanted });
 
     const cut = half < (hello.plane?.length ?? Infinity) / 2;
     // An end of the plane from near to far; where it is cut, a break line.
@@ -113,7 +119,7 @@ export class PlaneScene {
     const notes = cut ? [section] : [];
     const spots = crowded
       ? this.density(surface, hello, frame, at, half, deep.y, notes)
-      : drawRobots(surface, hello, frame, { at: (p, index) => at(p, (index + 0.5) / count), said, lane: deep.y / count, ids });
+      : drawRobots(surface, hello, frame, { at: ([p], index) => at(p, (index + 0.5) / count), lane: deep.y / count, ids });
     context.font = font(unit);
     context.textAlign = "left";
     notes.forEach((note, index) => {
@@ -165,11 +171,11 @@ export class PlaneScene {
     const words = { si: "velocity-driven", di: "force-driven", other: "not following" };
     const bins = Array.from({ length: BINS }, () => ({ si: 0, di: 0, other: 0 }));
     hello.robots.forEach((robot, index) => {
-      const position = frame.robots.position[index];
       const status = frame.robots.status[index];
-      if (position === null || position === undefined || status === "left") {
+      if (!frame.robots.position[index] || status === "left") {
         return;
       }
+      const [position] = frame.robots.position[index];
       const bin = Math.min(Math.max(Math.floor(((position + half) / (2 * half)) * BINS), 0), BINS - 1);
       const kind = KINDS[robot.kind].colour;
       bins[bin][status === "active" ? kind : "other"] += 1;
@@ -204,8 +210,9 @@ export class PlaneScene {
     return spots;
   }
 
-  describe(_, frame) {
-    const degrees = ((frame.angle ?? 0) * 180) / Math.PI;
-    return `The plane at ${short(frame.time, 4)} s: angle ${short(frame.angle, 4)} rad, which is ${short(degrees, 3)} degrees`;
+  describe(hello, frame) {
+    const [angle] = angles(hello, frame);
+    const degrees = ((angle ?? 0) * 180) / Math.PI;
+    return `The plane at ${short(frame.time, 4)} s: angle ${short(angle, 4)} rad, which is ${short(degrees, 3)} degrees`;
   }
 }

@@ -1,6 +1,8 @@
-// Robots in the picture, on the plane and on any other parent system: symbol or body, status, and id.
+// Robots in the picture of any parent system: symbol or body, status, and id.
+import { massesOf, placeOf } from "./description.js";
 import { TEXT, font } from "./drawing.js";
 import { KINDS, outline } from "./kinds.js";
+import { STATUS } from "./tables.js";
 
 const NAMED = 24; // up to this number of robots, every robot has its id, beside it if it does not fit inside
 const [LEAST, MOST] = [9, 16]; // px, size of an id inside a robot
@@ -12,13 +14,13 @@ const PLACES = Array.from({ length: RINGS }, (_, ring) => ANGLES.map((angle) => 
 const overlaps = (one, other) => Math.abs(one.x - other.x) < one.w + other.w && Math.abs(one.y - other.y) < one.h + other.h;
 
 // Draw the robots and return their places. `at` maps a position and the number of a robot to the screen; `bodyOf`
-// returns the lines that draw a robot, px, the first one around its id, or null for the symbol of its kind; `said` is
-// the text of a robot. `ids` holds from frame to frame where the ids are.
-export function drawRobots(surface, hello, frame, { at, bodyOf = () => null, said, lane, ids }) {
+// returns the lines that draw a robot, px, the first one around its id, or null for the symbol of its kind. `ids`
+// holds from frame to frame where the ids are.
+export function drawRobots(surface, hello, frame, { at, bodyOf = () => null, lane, ids }) {
   const { context, unit } = surface;
   const { position, status } = frame.robots;
   const count = hello.robots.length;
-  const masses = hello.robots.map((robot) => robot.mass ?? (hello.system ? 1 : 0));
+  const masses = massesOf(hello).map((mass) => mass ?? 0);
   const mean = masses.reduce((sum, mass) => sum + mass, 0) / Math.max(count, 1) || 1;
   const usual = Math.min(Math.max(0.42 * lane, 4 * unit), 15 * unit);
   const spots = [];
@@ -36,6 +38,11 @@ export function drawRobots(surface, hello, frame, { at, bodyOf = () => null, sai
   }
   name(surface, hello.robots, spots, ids);
   return spots;
+}
+
+// Name a robot with its status and coordinates.
+function said(hello, frame, index) {
+  return `robot ${hello.robots[index].id}: ${STATUS[frame.robots.status[index]] ?? "no data"}, ${placeOf(hello, frame, index)}`;
 }
 
 const point = ([x, y]) => ({ x, y });

@@ -11,7 +11,7 @@ const ANY = 1e9; // a larger bound is none
 const WRONG = "The token is wrong. The terminal of the run shows it; reload the page to enter it.";
 const STARTED = "The next run has begun.";
 const WAITS = "The next run waits at its first step: resume it.";
-const SETTINGS = { reference: "rad", disturbance: "N m" }; // with their units on the plane
+const SETTINGS = ["reference", "disturbance"];
 const FULL = 0.8; // fraction of the largest disturbance that is a full push until another strength is typed
 const NEXT = 60_000; // ms after which the next run does not come any more
 const LONG = 24; // characters of a wrong number that are repeated
@@ -72,7 +72,7 @@ export class SteeringPanel {
     this.first = element("steered").textContent;
     this.limits = {};
     this.wrong = false;
-    for (const name of Object.keys(SETTINGS)) {
+    for (const name of SETTINGS) {
       element(`steer-${name}`).addEventListener("submit", (event) => {
         event.preventDefault();
         this.set(name, element(`steer-${name}-value`).value);
@@ -149,7 +149,7 @@ export class SteeringPanel {
   // The strength of a full push for drags on the picture; on the plane it has a lever.
   full() {
     const strength = this.ready() && this.message.largest_disturbance ? this.strength() ?? 0 : 0;
-    return { strength, unit: this.units.disturbance, lever: this.units === SETTINGS };
+    return { strength, unit: this.units.disturbance, lever: this.lever };
   }
 
   // The typed strength of a push, null if it is none.
@@ -285,12 +285,13 @@ export class SteeringPanel {
     this.check();
   }
 
-  // Name the settings of a parent system; the unit of its disturbances is not known.
-  describe(system) {
-    const unit = system?.rows.find(({ role }) => role === "reference")?.unit ?? "";
-    this.units = system ? { reference: unit, disturbance: "" } : SETTINGS;
+  // Name the settings of a parent system; `lever` says whether a push acts by the distance from an axis.
+  describe(system, lever) {
+    const unit = system.rows.find(({ role }) => role === "reference")?.unit ?? "";
+    this.units = { reference: unit, disturbance: system.disturbance_unit };
+    this.lever = lever;
     element("label-reference").textContent = united("Reference offset", this.units.reference);
-    element("label-disturbance").textContent = system ? "Disturbance" : "Disturbance torque, N m";
+    element("label-disturbance").textContent = united("Disturbance", this.units.disturbance);
     element("label-push").textContent = united("Push", this.units.disturbance);
   }
 

@@ -1,8 +1,7 @@
-// The scene of a parent system other than the plane: robots along a line or in a plan view, with its outline.
+// The scene of a parent system without a picture of its own: robots along a line or in a plan view, with its outline.
 import { capital, roles, titled } from "./description.js";
 import { axes, framed, mapping, marked, short } from "./drawing.js";
 import { drawRobots } from "./robots.js";
-import { STATUS } from "./tables.js";
 
 const SPACE = 0.08; // around what is drawn, of its size
 const LOOSEST = 3; // size of the part shown, over that of what is drawn, from which on the scale follows
@@ -33,6 +32,11 @@ function square([left, right, low, high], { w, h }) {
 }
 
 export class SystemScene {
+  whole = "picture"; // what the picture shows
+  crowds = false; // whether many robots are shown by their density
+  lever = false; // whether a push acts by the distance from an axis
+  legend = ["limited"]; // entries that only some pictures have
+
   hello() {
     this.across = this.up = null;
     this.left = 0;
@@ -41,7 +45,7 @@ export class SystemScene {
   draw(surface, hello, frame, { fit, ids }) {
     const { context, height, unit } = surface;
     const { position } = frame.robots;
-    const bodies = hello.system.bodies ?? [];
+    const bodies = hello.robots.map(({ body }) => body);
     const robots = position.flatMap((place, index) => (place ? around(place, bodies[index]) : []));
     const lanes = !frame.outline.length && robots.every((place) => place.length < 2);
     const points = fit && robots.length ? robots : [[0, 0], ...frame.outline.flat(), ...robots];
@@ -68,7 +72,7 @@ export class SystemScene {
     }
     const scale = box.w / (shown[1] - shown[0]);
     const bodyOf = (where, index) => body(bodies[index], where, place, scale, unit);
-    return drawRobots(surface, hello, frame, { at, bodyOf, said, lane: box.h / (lanes ? hello.robots.length : fit ? 8 : 16), ids });
+    return drawRobots(surface, hello, frame, { at, bodyOf, lane: box.h / (lanes ? hello.robots.length : fit ? 8 : 16), ids });
   }
 
   // The lines of the system, within the axes; closed ones are filled.
@@ -114,10 +118,4 @@ function body(lines, [x, y = 0, angle = 0], place, scale, unit) {
   const larger = Math.max(1, (SMALLEST * unit) / (scale * (radius(lines) || 1)));
   const [c, s] = [larger * Math.cos(angle), larger * Math.sin(angle)];
   return lines.map((line) => line.map(([dx, dy]) => place(x + c * dx - s * dy, y + s * dx + c * dy)));
-}
-
-// Name a robot with its status and coordinates.
-function said({ robots, system }, { robots: { status, coordinates } }, index) {
-  const places = roles(system).robot.map((one, axis) => `${titled(one)} ${short(coordinates[index][axis], 4)}`);
-  return `robot ${robots[index].id}: ${STATUS[status[index]] ?? "no data"}; ${places.join("; ")}`;
 }

@@ -1,5 +1,5 @@
 // Numbers, robots, events and processes as text. Data from outside is always set as text, never as markup.
-import { difference, systemColumns, systemNumbers } from "./description.js";
+import { columnsOf, numbersOf, roles } from "./description.js";
 import { short } from "./drawing.js";
 import { KINDS } from "./kinds.js";
 
@@ -61,16 +61,6 @@ const FIRST_NUMBERS = [
   ["step", "step", ({ frame }) => frame.step, String],
   ["time", "time, s", ({ frame }) => frame.time, (time) => time.toFixed(2)],
 ];
-const PLANE_NUMBERS = [
-  ["angle", "angle, rad", ({ frame }) => frame.angle],
-  ["reference", "reference, rad", ({ frame }) => frame.reference],
-  ["error", "error, rad", ({ frame }) => difference(frame.reference, frame.angle)],
-  ["angular_velocity", "angular velocity, rad/s", ({ frame }) => frame.angular_velocity],
-  ["torque", "torque, N m", ({ frame }) => frame.abstract.torque],
-  ["desired_torque", "desired torque, N m", ({ frame }) => frame.desired.torque],
-  ["inertia", "inertia, kg m²", ({ frame }) => frame.abstract.inertia],
-  ["desired_inertia", "desired inertia, kg m²", ({ frame }) => frame.desired.inertia],
-];
 const LAST_NUMBERS = [
   ["step_rate", "steps per second", ({ frame, going }) => (going ? frame.step_rate : null), (rate) => rate?.toFixed(0) ?? "–"],
   [
@@ -83,7 +73,7 @@ const LAST_NUMBERS = [
 
 export class Numbers {
   hello({ system }) {
-    this.entries = [...FIRST_NUMBERS, ...(system ? systemNumbers(system) : PLANE_NUMBERS), ...LAST_NUMBERS];
+    this.entries = [...FIRST_NUMBERS, ...numbersOf(system), ...LAST_NUMBERS];
     const list = element("numbers");
     list.replaceChildren();
     for (const [id, label] of this.entries) {
@@ -105,12 +95,6 @@ export class Numbers {
   }
 }
 
-// The columns of the table: constants of a robot, and fields of its state.
-const PLANE_COLUMNS = {
-  constants: [["mass, kg", ({ mass }) => mass]],
-  fields: [["position", "position, m"], ["velocity", "velocity, m/s"], ["command", "command, m/s or N"]].map(([name, label]) => [name, label, (states, robot) => states[name][robot]]),
-};
-
 export class Robots {
   constructor() {
     this.body = element("robots").tBodies[0];
@@ -124,21 +108,16 @@ export class Robots {
 
   hello(hello) {
     this.drawn = 0;
-    const { constants, fields } = hello.system ? systemColumns(hello) : PLANE_COLUMNS;
+    const { constants, fields } = columnsOf(hello);
     this.fields = fields;
     const head = element("robots").tHead.rows[0];
-    const labels = ["robot", "kind", ...constants.map(([label]) => label), "status", ...fields.map(([, label]) => label)];
+    const labels = ["robot", "kind", "status", ...fields.map(([, label]) => label), ...constants.map(([label]) => label)];
     head.replaceChildren(...labels.map((label) => Object.assign(document.createElement("th"), { scope: "col", textContent: label })));
     this.body.replaceChildren();
-    this.rows = hello.robots.map((robot, index) => {
+    this.rows = hello.robots.map((robot) => {
       const row = this.body.insertRow();
       cell(row, "th").textContent = String(robot.id);
       cell(row).textContent = KINDS[robot.kind].words;
-      for (const [, of] of constants) {
-        const constant = document.createElement("data");
-        show(constant, of(robot, index));
-        cell(row).append(constant);
-      }
       const status = cell(row);
       const numbers = fields.map(([name]) => {
         const node = document.createElement("data");
@@ -146,6 +125,11 @@ export class Robots {
         cell(row).append(node);
         return node;
       });
+      for (const [, of] of constants) {
+        const constant = document.createElement("data");
+        show(constant, of(robot));
+        cell(row).append(constant);
+      }
       return { row, status, numbers };
     });
     element("robots-summary").textContent = `Table of all ${hello.robots.length} robots`;
@@ -172,18 +156,9 @@ export class Robots {
   }
 }
 
-// The unit of an event's value, where it is known, with a space before it.
-function unit(event, kinds) {
-  if (!kinds) {
-    return ""; // of another parent system
-  }
-  const name = event.unit === "command" ? KINDS[kinds.get(event.agent)]?.command("m") : event.unit;
-  return name ? ` ${name}` : "";
-}
-
-// The value of an event, if it has one: 0 is a value only where a setting returns to it.
-function worth(event, kinds) {
-  return event.value || (event.kind === "STEERING" && event.value === 0) ? `, ${short(event.value)}${unit(event, kinds)}` : "";
+// The value of an event with its unit, if it has one: 0 is a value only where a setting returns to it.
+function worth({ kind, value }, unit) {
+  return value || (kind === "STEERING" && value === 0) ? `, ${short(value)}${unit ? ` ${unit}` : ""}` : "";
 }
 
 function cut(text) {
@@ -194,12 +169,14 @@ function cut(text) {
 export class Events {
   constructor() {
     this.list = element("events");
-    this.kinds = new Map();
+    this.commands = new Map(); // units, by robot
     this.leftOut = 0;
   }
 
-  hello(hello) {
-    this.kinds = hello.system ? null : new Map(hello.robots.map((robot) => [robot.id, robot.kind]));
+  hello({ robots, system }) {
+    const units = new Set(roles(system).robot.map(({ unit }) => unit));
+    const [unit] = units.size === 1 ? units : [];
+    this.commands = new Map(unit === undefined ? [] : robots.map(({ id, kind }) => [id, KINDS[kind].command(unit)]));
   }
 
   take(message) {
@@ -214,7 +191,7 @@ export class Events {
       const what = document.createElement("b");
       what.textContent = event.words;
       const whom = event.agent ? `robot ${event.agent}, ` : "";
-      item.append(`${event.time.toFixed(2)} s, step ${event.step}: ${whom}`, what, worth(event, this.kinds));
+      item.append(`${event.time.toFixed(2)} s, step ${event.step}: ${whom}`, what, worth(event, event.unit === "command" ? this.commands.get(event.agent) : event.unit));
       if (event.detail && event.detail !== event.words) {
         const detail = document.createElement("bdi"); // isolates the writing direction of the text
         detail.textContent = cut(event.detail);

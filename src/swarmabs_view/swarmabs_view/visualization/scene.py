@@ -19,7 +19,7 @@ from swarmabs_run.rendering import templates
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from swarmabs_bag.shown.swarm_state import RobotStatus, ShownRobot, SwarmState
+    from swarmabs_bag.shown.swarm_state import RobotStatus, ShownRobot, ShownVector, SwarmState
     from swarmabs_config.scenario import Scenario
 
 WORLD, PLANE = "world", "plane"
@@ -182,7 +182,10 @@ class Scene:
     def frame(self, swarm: SwarmState) -> Frame | None:
         """Return the current frame, None before the first state of the plane."""
         instant = swarm.instant()
-        if instant is None or instant.angle is None:
+        if instant is None:
+            return None
+        angle, rate = instant.parent
+        if angle is None:
             return None
         robots = {
             identity.id: shown
@@ -190,26 +193,26 @@ class Scene:
             if identity.id in self.robots
         }
         places = self._places(robots)
+        torque = _first(instant.abstract)
         shapes = (
-            *self._still(instant.angle),
-            *self._reference(instant.reference),
-            *self._bodies(instant.angle, robots, places),
-            *self._torques(instant.abstract.torque, instant.desired.torque),
+            *self._still(angle),
+            *self._reference(_first(instant.reference)),
+            *self._bodies(angle, robots, places),
+            *self._torques(torque, _first(instant.desired)),
         )
         drawn = {(shape.group, shape.number) for shape in shapes}
         gone, self._drawn = tuple(sorted(self._drawn - drawn)), drawn
-        torque = instant.abstract.torque
-        effort = None if torque is None else -cos(instant.angle) * torque
-        rate = nan if instant.angular_velocity is None else instant.angular_velocity
-        return Frame(instant.step, instant.stamp, instant.angle, rate, effort, shapes, gone, places)
+        effort = None if torque is None else -cos(angle) * torque
+        return Frame(instant.step, instant.stamp, angle, nan if rate is None else rate, effort, shapes, gone, places)
 
     def _places(self, robots: Mapping[int, ShownRobot]) -> dict[int, Vector]:
         """Return the centres of the robots on the plane, in its frame."""
         found = {}
         for agent_id, shown in robots.items():
-            if shown.position is not None:
+            position = _first(shown.coordinates)
+            if position is not None:
                 robot = self.robots[agent_id]
-                found[agent_id] = Vector(shown.position, robot.lane, (self.thickness + robot.size) / 2.0)
+                found[agent_id] = Vector(position, robot.lane, (self.thickness + robot.size) / 2.0)
         return found
 
     def _lane_ends(self, lane: float) -> tuple[Vector, Vector]:
@@ -300,6 +303,11 @@ def plane_urdf(scene: Scene, inertia: float) -> str:
             izz=_numbers(mass * (length**2 + width**2) / 12.0),
         )
     )
+
+
+def _first(vector: ShownVector) -> float | None:
+    """Return the first number of a vector of the plane, None if it is unknown."""
+    return vector[0] if vector else None
 
 
 def _numbers(*values: float) -> str:
