@@ -21,7 +21,7 @@ CASES = frozen("digests")
 FLEETS = frozen("fleets")
 """By name: scenario, overrides, what happens to the fleet as [time in s, what, ...], and digest of all messages."""
 
-MEASURED = {"wall_time", "setup_time", "startup_time", "start_time", "run_time", "real_time_factor", "rerun_of"}
+MEASURED = {"wall_time", "setup_time", "startup_time", "run_time", "real_time_factor", "rerun_of"}
 """Fields of a summary that are no result."""
 
 

@@ -1,4 +1,3 @@
-import sys
 from fractions import Fraction
 from itertools import combinations, product
 from math import inf, isnan, nan
@@ -128,20 +127,16 @@ def test_no_sum_is_nan(terms: list[float]) -> None:
 
 
 @given(st.lists(st.floats(-1e300, 1e300) | st.floats(-1.0, 1.0), max_size=8))
-def test_compensated_sums_are_those_of_any_python_since_3_12(terms: list[float]) -> None:
-    rounded = correction = 0.0
-    for term in terms:  # the error of an addition is exact, and the errors are added as doubles
-        after = rounded + term
-        correction, rounded = correction + float(Fraction(rounded) + Fraction(term) - Fraction(after)), after
-    assert added(terms) == rounded + correction
-    if sys.version_info >= (3, 12):
-        assert added(terms).hex() == float(sum(terms)).hex()
+def test_few_terms_are_added_one_after_the_other(terms: list[float]) -> None:
+    """By exact arithmetic, rounded after each term; the built-in sum differs since Python 3.12."""
+    rounded = 0.0
+    for term in terms:
+        rounded = float(Fraction(rounded) + Fraction(term))
+    assert added(terms) == rounded
+    assert added([np.array([term, 1.0]) for term in terms] or [np.zeros(2)]).tolist() == [rounded, float(len(terms))]
 
 
-def test_compensated_sums_by_hand() -> None:
-    assert added([0.1] * 10) == 1.0, "0.9999999999999999 without the errors"
-    assert added([1.0, 1e100, 1.0, -1e100]) == 2.0
+def test_few_terms_by_hand() -> None:
+    assert added([0.1] * 10) == 0.9999999999999999
     assert added([1e308, 1e308]) == inf
     assert added(iter(())) == 0.0
-    columns = [np.array([0.1, 1.0])] * 10
-    assert added(columns).tolist() == [1.0, 10.0]

@@ -11,7 +11,7 @@ from functools import reduce
 from itertools import chain, starmap
 from math import fsum, nan
 from operator import add
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,6 +28,8 @@ Sums: TypeAlias = Callable[[Iterable[Any], Terms, Reduction], list[float]]
 
 _PLACES = 1074
 """Bits after the point of the least double."""
+
+_Term = TypeVar("_Term")
 
 
 def exact_sum(terms: Iterable[float]) -> float:
@@ -64,12 +66,13 @@ def rounded(units: int, factors: int = 1) -> float:
         return nan
 
 
-def added(terms: Iterable[Any]) -> Any:
+def added(terms: Iterable[_Term]) -> _Term:
     """Return the sum of a few terms, numbers or columns, added one after the other; 0 without terms.
 
     The built-in `sum` of numbers rounds differently since Python 3.12.
     """
-    return reduce(add, terms, 0.0)
+    total: Any = reduce(add, terms, 0.0)
+    return total  # type: ignore[no-any-return]
 
 
 def exact_total(*columns: Iterable[float]) -> float:

@@ -130,7 +130,7 @@ class Comparison:
     scenario : tuple of SettingDifference
         Fields in which the resolved scenarios differ; also empty if one of them is missing.
     provenance : tuple of SettingDifference
-        Differences of the provenance: versions, machine, fingerprint.
+        Differences of the provenance: versions, machine, arithmetic.
     system : SystemTables or None
         Names and units of the quantities of bags on another parent system than the plane, if those of both are equal.
     """

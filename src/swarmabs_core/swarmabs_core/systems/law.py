@@ -148,8 +148,7 @@ class Remainder:
         }
 
         def left(i: int, j: int) -> float:
-            shared: float = added(c * at(j, one) for c, one in zip(self._common[i], self._first, strict=True))
-            return at(i, j) - shared
+            return at(i, j) - added(c * at(j, one) for c, one in zip(self._common[i], self._first, strict=True))
 
         self._gram = of(free, left)
 
