@@ -98,7 +98,7 @@ def test_how_chunks_are_cut_changes_no_message_and_the_same_run_gives_the_same_f
 
 def test_an_empty_bag_is_a_bag_and_messages_keep_their_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its library need not have been built."""
-    monkeypatch.setattr("swarmabs_bag.run.writer.version", Mock(side_effect=PackageNotFoundError))
+    monkeypatch.setattr("swarmabs_config.installation.version", Mock(side_effect=PackageNotFoundError))
     (tmp_path / "bag").mkdir()
     with bag_writer(tmp_path / "bag", {"scenario.yaml": b""}):
         pass

@@ -24,7 +24,7 @@ GIVEN = """
 FILLED = """
     {schema: 1, name: "on", duration: 2.0, step: 1.0e-05, seed: 7,
      plane: {inertia: 0.5, length: 1.0, gravity: 9.81, friction: [0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0],
-             substep: 0.001, angle: 0.1, angular_velocity: 0.0, disturbance: {amplitude: 0.0, angular_frequency: 0.5},
+             substep: null, angle: 0.1, angular_velocity: 0.0, disturbance: {amplitude: 0.0, angular_frequency: 0.5},
              robot_gravity: false, end_stop: null, sensor: {noise: [0.0, 0.0], resolution: [0.0, 0.0]}},
      manifold: {curvature: 0.0125, offset: 0.025, torque_max: 5.0},
      controller: {type: arise, ks: 1.0, alpha1: 1.0, alpha2: 2.0, beta: 0.5, gamma: [10.0, 1.0, 1.0, 10.0],
