@@ -75,7 +75,7 @@ UNASKED = {"v": 2, "type": "steer", "token": "", "request": "r", "action": "kill
 
 def whole(found: Received) -> Received:
     """Return the frames with all of a step: the view joins within one, and until all has come there is a part."""
-    return [f for f in kinds(found, "frame") if None not in (f["abstract"]["torque"], f["desired"]["inertia"])]
+    return [f for f in kinds(found, "frame") if None not in (f["values"][3], f["values"][6])]
 
 
 def seen_enough(found: Received) -> bool:
@@ -110,9 +110,9 @@ def test_what_is_shown_of_a_run_is_what_is_recorded_and_it_does_not_need_its_vie
         assert frame["values"][6] in (None, recorded.desired.inertia[step])
         for shown, positions in zip(frame["robots"]["position"], recorded.agents.position.T, strict=True):
             # Best effort: of a robot the last state that came up to then, as a rule that of the step.
-            assert shown is None or shown in positions[: step + 1]
+            assert shown is None or shown[0] in positions[: step + 1]
     for curves in kinds(found, "curves"):
-        for time, value, sent in zip(curves["time"], curves["angle"], curves["torque"], strict=True):
+        for time, value, sent in zip(curves["time"], curves["values"][0], curves["values"][3], strict=True):
             step = round(time * 100)
             assert (value, sent) == (recorded.angle[step], recorded.abstract.torque[step])
     shown = {event["kind"] for message in kinds(found, "events") for event in message["events"]}
