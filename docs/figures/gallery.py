@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.shown.colours import KINDS, PLANE, REFERENCE, TORQUE
-from swarmabs_core.messages import Kind
+from swarmabs_bag.shown.colours import PLANE, REFERENCE, TORQUE
+from swarmabs_core.systems.kinds import KINDS
 
 
 def draw(folder: Path, picture: Path) -> None:
@@ -27,8 +27,8 @@ def draw(folder: Path, picture: Path) -> None:
     torque.plot(run.time, run.abstract.torque, color=TORQUE, label="swarm")
     for column in range(len(run.agents.ids)):
         kinds = run.agents.kind[:, column]
-        kind = Kind(int(kinds[np.flatnonzero(kinds)[0]]))
-        position.plot(run.time, run.agents.position[:, column], color=KINDS[kind], linewidth=1.0)
+        kind = KINDS[kinds[np.flatnonzero(kinds)[0]]]
+        position.plot(run.time, run.agents.position[:, column], color=kind.colour, linewidth=1.0)
     for axes, name in ((angle, "angle [rad]"), (torque, "torque [N m]"), (position, "robots [m]")):
         axes.set_ylabel(name)
         axes.grid(color="#dddddd", linewidth=0.5)

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from swarmabs_bag.arrays import load_arrays
-from swarmabs_bag.shown.colours import INERTIA, KINDS as COLOURS, PLANE, REFERENCE, TORQUE
-from swarmabs_core.messages import Kind
+from swarmabs_bag.shown.colours import INERTIA, PLANE, REFERENCE, TORQUE
+from swarmabs_core.systems.kinds import KINDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,12 +25,11 @@ SHOWN = 8.0
 """Duration plotted, s."""
 DASHES = ("-", (0, (6, 1.5)), (0, (3, 1.5)), (0, (1, 1)))
 """Of the lines of the robots."""
-KINDS = {Kind.SINGLE_INTEGRATOR: "SI", Kind.DOUBLE_INTEGRATOR: "DI"}
 
 
 def _colour(run: RunArrays, column: int) -> str:
     """Return the colour of a robot's kind."""
-    return COLOURS[Kind(run.agents.kind[0, column])]
+    return KINDS[run.agents.kind[0, column]].colour
 
 
 def sketch(axes: Axes, run: RunArrays, time: float) -> None:
@@ -77,7 +76,7 @@ def draw(run: RunArrays) -> Figure:
     angle.legend(loc="upper right", frameon=False)
 
     for column, dashes in enumerate(DASHES):
-        label = f"robot {run.agents.ids[column]} ({KINDS[Kind(run.agents.kind[0, column])]})"
+        label = f"robot {run.agents.ids[column]} ({KINDS[run.agents.kind[0, column]].short})"
         positions.plot(
             time, run.agents.position[shown, column], color=_colour(run, column), linestyle=dashes, label=label
         )

@@ -9,6 +9,8 @@ import pytest
 from tests.processes import ROOT
 
 from swarmabs_bag.shown import colours
+from swarmabs_core.messages import Kind
+from swarmabs_core.systems.kinds import KINDS
 
 
 def test_the_layout_of_foxglove_has_the_colours() -> None:
@@ -38,7 +40,7 @@ def test_the_layout_of_foxglove_has_the_colours() -> None:
 def test_the_light_theme_of_a_page_has_the_colours(file: str, names: str) -> None:
     found = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", (ROOT / "src" / file).read_text().partition("}")[0]))
     quantities = (colours.PLANE, colours.REFERENCE, colours.ERROR, colours.TORQUE, colours.INERTIA)
-    kinds = (colours.SINGLE_INTEGRATOR, colours.DOUBLE_INTEGRATOR)
+    kinds = (KINDS[Kind.SINGLE_INTEGRATOR].colour, KINDS[Kind.DOUBLE_INTEGRATOR].colour)
     statuses = (colours.FAILED, colours.SAFE_STOP, colours.ABSENT)
     expected = dict(zip(names.split(), (*quantities, *kinds, *statuses), strict=True))
     assert {name: found.get(name) for name in expected if name != "-"} == {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeAlias
 
 from swarmabs_core.elementary import exp, expm1
 from swarmabs_core.messages import Kind
@@ -88,13 +88,8 @@ class DoubleIntegratorDrive(NamedTuple):
         )
 
 
-def ideal_drive(
-    kind: Kind, period: float, mass: float, damping: float
-) -> SingleIntegratorDrive | DoubleIntegratorDrive:
-    """Return the drive that a robot's law expects; period in s, mass in kg, damping in N s/m."""
-    if not kind.by_force:
-        return SingleIntegratorDrive(period)
-    return DoubleIntegratorDrive.of(period, mass, damping)
+IdealDrive: TypeAlias = SingleIntegratorDrive | DoubleIntegratorDrive
+"""The drive that the law of a robot on the plane expects."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.abstraction import conditioned
 from swarmabs_core.declaration import setting
-from swarmabs_core.drive import SingleIntegratorDrive, ideal_drive
+from swarmabs_core.drive import SingleIntegratorDrive
 from swarmabs_core.events import EventCode
 from swarmabs_core.swarm_law import LAWS
+from swarmabs_core.systems.kinds import KINDS
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Broadcast
@@ -74,7 +75,7 @@ class RobotController:
 
     def __init__(self, robot: Robot, law: str, settings: Settings, limits: Limits, plane_length: float) -> None:
         self.follow = LAWS.make(law, settings, robot)
-        self.ideal = ideal_drive(robot.kind, robot.period, robot.mass, robot.damping)
+        self.ideal = KINDS[robot.kind].drive(robot.period, robot.mass, robot.damping)
         self.mass = robot.mass
         self.braking_time = max(BRAKING_TIME, robot.period)
         self._kind = robot.kind

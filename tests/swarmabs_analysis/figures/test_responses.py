@@ -28,11 +28,11 @@ from swarmabs_analysis.figures.style import COLUMN, FORMATS, PAGE, styled
 from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_bag.shown.colours import DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
 from swarmabs_core.messages import MAIN_TOPICS, Kind
+from swarmabs_core.systems.kinds import DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR
 from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 
@@ -147,7 +147,7 @@ def dashes(line: Line2D) -> str:
 @pytest.mark.parametrize("name", ["PD_res", "ARISE_res"])
 def test_four_robots_have_the_colours_of_their_kinds_and_dashes_of_their_own(name: str, short_runs: Path) -> None:
     rows, _ = grid(draw(name, short_runs), 3)
-    single, double = SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR
+    single, double = SINGLE_INTEGRATOR.colour, DOUBLE_INTEGRATOR.colour
     expected = ([single] * 4, [double] * 4, [single, single, double, double])
     for (_, robots, _), colours in zip(rows, expected, strict=True):
         lines = [line for line in robots.lines if str(line.get_label()).startswith("p")]
@@ -168,11 +168,11 @@ def test_kinds_have_the_colours_of_all_views(short_runs: Path) -> None:
     robots_by_kind(axes, run, run.arrays.agents.position)
     drawn = [line.get_color() for line in axes.lines]
     assert drawn == [
-        SINGLE_INTEGRATOR if kind == Kind.SINGLE_INTEGRATOR else DOUBLE_INTEGRATOR
+        (SINGLE_INTEGRATOR if kind == Kind.SINGLE_INTEGRATOR else DOUBLE_INTEGRATOR).colour
         for kind in run.arrays.agents.kind[0].tolist()
     ]
     named = {str(line.get_label()): line.get_color() for line in kinds(run)}
-    assert named == {"SI": SINGLE_INTEGRATOR, "DI": DOUBLE_INTEGRATOR}
+    assert named == {"SI": SINGLE_INTEGRATOR.colour, "DI": DOUBLE_INTEGRATOR.colour}
 
 
 def test_start_of_a_long_run_is_stretched_and_shaded(tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ from swarmabs_config.scenarios import find_scenario
 from swarmabs_core import messages as msg
 from swarmabs_core.steering import OffsetReference, StepSchedule
 from swarmabs_view.visualization.scene import (
+    COLOURS,
     DEAD,
     GREY,
-    KINDS,
     LINES,
     SAFE_STOP,
     Frame,
@@ -95,7 +95,7 @@ def test_the_plate_is_tilted_and_robots_stand_on_it_in_lanes_of_their_own() -> N
     assert SCENE.lane_width > first.size.y  # the heaviest is the widest
     assert (first.size.x / second.size.x) ** 3 == pytest.approx(4.0 / 0.5)  # volumes as masses
     assert (first.kind, second.kind) == ("cylinder", "cube")
-    assert (first.colour, second.colour) == (KINDS[msg.Kind.SINGLE_INTEGRATOR], KINDS[msg.Kind.DOUBLE_INTEGRATOR])
+    assert (first.colour, second.colour) == (COLOURS[msg.Kind.SINGLE_INTEGRATOR], COLOURS[msg.Kind.DOUBLE_INTEGRATOR])
     assert shapes["labels", 3].text == "3"
     _, shapes = drawn(plane(30, 0.2))
     plate = shapes["plane", 0]
@@ -119,7 +119,7 @@ def test_torques_point_to_the_end_that_they_push_down() -> None:
 def test_states_of_robots_are_seen() -> None:
     states = [plane(0, 0.0), robot(0, 1, 0.1, msg.Status.SAFE_STOP), robot(0, 3, 0.2)]
     dead = msg.SwarmEvent(0, 0, 3, msg.EventKind.DEAD, 0.0, "kill")
-    own = KINDS[msg.Kind.DOUBLE_INTEGRATOR]
+    own = COLOURS[msg.Kind.DOUBLE_INTEGRATOR]
     for more, colour in (
         ([], own),
         ([dead], DEAD),

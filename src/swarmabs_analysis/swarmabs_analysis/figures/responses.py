@@ -12,9 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from swarmabs_analysis.figures.style import BLACK, BLUE, DASHED, DOTTED, GREY, LIGHT, PAGE, ROBOT_DASHES, VERMILION
-from swarmabs_bag.shown.colours import KINDS as KIND_COLOURS
 from swarmabs_config import configure
-from swarmabs_core.messages import Kind
+from swarmabs_core.systems.kinds import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 
 STRETCHED = 5.0
 """The first seconds of a run, where most changes occur, take half of the time axis."""
-KINDS = {Kind.SINGLE_INTEGRATOR: "SI", Kind.DOUBLE_INTEGRATOR: "DI"}
 SWARMS = ("single integrators", "double integrators", "heterogeneous")
 _POSITION = "position p, m"
 _MILLI = 1e3
@@ -110,7 +108,7 @@ def robots_by_kind(axes: Axes, run: RecordedRun, values: Floats) -> list[Line2D]
     agents = run.arrays.agents
     lines = []
     for column in range(len(agents.ids)):
-        colour = KIND_COLOURS[Kind(max(agents.kind[:, column].tolist()))]
+        colour = KINDS[max(agents.kind[:, column].tolist())].colour
         lines += axes.plot(run.arrays.time, values[:, column], color=colour, linewidth=0.4)
     return lines
 
@@ -183,7 +181,7 @@ def _named(*panel: Axes) -> list[Line2D]:
 def kinds(run: RecordedRun) -> list[Line2D]:
     """Return legend entries for the kinds of robots in a run."""
     there = set(np.unique(run.arrays.agents.kind).tolist())
-    return [Line2D([], [], color=KIND_COLOURS[kind], label=name) for kind, name in KINDS.items() if kind in there]
+    return [Line2D([], [], color=kind.colour, label=kind.short) for kind in KINDS.values() if kind.kind in there]
 
 
 def _label_pair(axes: Axes, other: Axes, left: str, right: str, colours: tuple[str, str] = (BLUE, VERMILION)) -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Literal
 import matplotlib.style
 
 from swarmabs_bag.shown import colours
+from swarmabs_core.systems.kinds import DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +29,7 @@ COLUMN, PAGE = 3.5, 7.16
 """Width of a column and of a page of two, inches."""
 
 BLACK, GREY, LIGHT = "#000000", "#767676", "#f0f0f0"
-ORANGE, SKY, GREEN, YELLOW = colours.DOUBLE_INTEGRATOR, colours.SINGLE_INTEGRATOR, colours.TORQUE, colours.SAFE_STOP
+ORANGE, SKY, GREEN, YELLOW = DOUBLE_INTEGRATOR.colour, SINGLE_INTEGRATOR.colour, colours.TORQUE, colours.SAFE_STOP
 BLUE, VERMILION, PURPLE = colours.PLANE, colours.ERROR, colours.INERTIA
 
 SOLID, DASHED, DOTTED = "-", (0, (4, 1.5)), (0, (1, 1.5))

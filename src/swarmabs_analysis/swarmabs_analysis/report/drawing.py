@@ -13,9 +13,10 @@ from matplotlib.patches import Patch
 from swarmabs_analysis.figures.responses import SUBSCRIPTS, same_limits
 from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, ROBOT_DASHES, SOLID
 from swarmabs_analysis.report.percentile_bands import density, draw_bands
-from swarmabs_bag.shown.colours import ABSENT, ERROR, FAILED, KINDS, PLANE, REFERENCE, SAFE_STOP, TORQUE
-from swarmabs_core.messages import EventKind, Kind, said
+from swarmabs_bag.shown.colours import ABSENT, ERROR, FAILED, PLANE, REFERENCE, SAFE_STOP, TORQUE
+from swarmabs_core.messages import EventKind, said
 from swarmabs_core.steering import REFERENCE as REFERENCE_OFFSET
+from swarmabs_core.systems.kinds import KINDS
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 if TYPE_CHECKING:
@@ -162,20 +163,20 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
         return draw_bands(axes, recorded, values)
     agents, drawn = recorded.arrays.agents, set()
     for column, number in enumerate(agents.ids.tolist()):
-        kind = Kind(max(agents.kind[:, column].tolist()))
+        kind = max(agents.kind[:, column].tolist())
         if np.isfinite(values[:, column]).any():
             drawn.add(kind)
         axes.plot(
             recorded.arrays.time,
             values[:, column],
-            color=KINDS[kind],
+            color=KINDS[kind].colour,
             linestyle=ROBOT_DASHES[column % len(ROBOT_DASHES)] if count <= NAMED else SOLID,
             linewidth=1.1 if count <= NAMED else 0.4,
             label=f"{symbol}{str(number).translate(SUBSCRIPTS)}",
         )
     if count <= NAMED:
         return axes.lines
-    return [Line2D([], [], color=colour, label=said(Kind(kind))) for kind, colour in KINDS.items() if kind in drawn]
+    return [Line2D([], [], color=kind.colour, label=said(kind.kind)) for kind in KINDS.values() if kind.kind in drawn]
 
 
 def zoom(recorded: Recorded, begin: float, end: float) -> Draw:
@@ -214,7 +215,7 @@ def paths(recorded: Recorded, labels: Sequence[str]) -> Draw:
         agents = recorded.arrays.agents
         for column in range(len(agents.ids)):
             x, y = recorded.coordinates[:, column].T
-            colour = KINDS[Kind(max(agents.kind[:, column].tolist()))]
+            colour = KINDS[max(agents.kind[:, column].tolist())].colour
             axes.plot(x, y, color=colour, linewidth=0.9)
             last = np.flatnonzero(np.isfinite(x))[-1:]
             axes.plot(x[last], y[last], "o", color=colour, markersize=3.5)

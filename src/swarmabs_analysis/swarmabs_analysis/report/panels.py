@@ -32,7 +32,6 @@ from swarmabs_bag.shown.colours import (
     ERROR,
     FAILED,
     INERTIA,
-    KINDS,
     PLANE,
     REFERENCE,
     SAFE_STOP,
@@ -41,7 +40,7 @@ from swarmabs_bag.shown.colours import (
 from swarmabs_core.abstraction import least_s3
 from swarmabs_core.events import EventCode, code_of, said_event
 from swarmabs_core.messages import EventKind, Kind, said
-from swarmabs_core.systems.kinds import MODELS
+from swarmabs_core.systems.kinds import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -84,8 +83,9 @@ RANK = (
     "The smallest eigenvalue of the Gram matrix in units of the scales, by its largest diagonal entry: at 0 the robots "
     "cannot control all rows of the abstract state, and stop."
 )
-PALETTE = (PLANE, ERROR, TORQUE, INERTIA, *KINDS.values())
-_ABSTRACT = (TORQUE, INERTIA, PLANE, ERROR, *KINDS.values())
+_OF_KINDS = tuple(kind.colour for kind in KINDS.values())
+PALETTE = (PLANE, ERROR, TORQUE, INERTIA, *_OF_KINDS)
+_ABSTRACT = (TORQUE, INERTIA, PLANE, ERROR, *_OF_KINDS)
 """Colours of the rows of the abstract state."""
 NORM = "Below 0, the state also admits positions off the plane. The norm adds N m and kg m², as the paper does."
 
@@ -275,7 +275,7 @@ def _commands(recorded: Recorded, place: int, along: str, note: str) -> Iterator
     for kind in Kind:
         of_kind = (recorded.arrays.agents.kind == kind).any(axis=0)
         if of_kind.any():
-            values, own = np.where(of_kind, command, np.nan), MODELS[kind].command_unit(row.unit)
+            values, own = np.where(of_kind, command, np.nan), KINDS[kind].command_unit(row.unit)
             draw = of_all_robots(recorded, values, "u", f"command u{along}, {own}".removesuffix(", "))
             about = span(f"commands of {counted(int(of_kind.sum()), said(kind))}", values, own, over_time=False)
             heading = f"Commands of the {said(kind)}s{along}"
@@ -390,7 +390,11 @@ def _membership(recorded: Recorded) -> Panel:
     follows = swarm.on_plane & ~stopped & ~dead & ~silent
     kinds = agents.kind.max(axis=0, initial=0)
     looks = {
-        **{f"{said(kind)} follows": (follows & (kinds == kind), KINDS[kind]) for kind in Kind if (kinds == kind).any()},
+        **{
+            f"{said(one.kind)} follows": (follows & (kinds == kind), one.colour)
+            for kind, one in KINDS.items()
+            if (kinds == kind).any()
+        },
         **({"at a limit": (limited, ERROR)} if limited.any() else {}),
         "safe stop": (stopped, SAFE_STOP),
         "dead": (dead, FAILED),

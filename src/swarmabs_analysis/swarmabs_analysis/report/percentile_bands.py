@@ -11,9 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, SOLID
-from swarmabs_bag.shown.colours import KINDS
 from swarmabs_bag.shown.percentiles import SIDES, percentiles, starts_above
-from swarmabs_core.messages import Kind
+from swarmabs_core.systems.kinds import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -47,7 +46,7 @@ def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | 
             legend.append(Patch(color=colour, alpha=0.5, label=f"initially {symbol} {named_side}"))
     named = _named(recorded, values, there).items() if there.any() else ()
     for (name, column), dashes in zip(named, (SOLID, DASHED, DOTTED), strict=False):
-        colour = KINDS[Kind(int(recorded.arrays.agents.kind[:, column].max()))]
+        colour = KINDS[int(recorded.arrays.agents.kind[:, column].max())].colour
         legend += axes.plot(
             recorded.arrays.time, values[:, column], color=colour, linestyle=dashes, linewidth=1.0, label=name
         )

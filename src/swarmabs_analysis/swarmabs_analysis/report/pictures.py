@@ -16,6 +16,7 @@ from swarmabs_analysis.figures import style
 from swarmabs_analysis.report.formatting import quantity, shown
 from swarmabs_bag.shown import colours
 from swarmabs_bag.shown.recorded_swarm import column_points
+from swarmabs_core.systems.kinds import DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -50,8 +51,8 @@ COLOURS = {
     colours.ERROR: "error",
     colours.TORQUE: "torque",
     colours.INERTIA: "inertia",
-    colours.SINGLE_INTEGRATOR: "single",
-    colours.DOUBLE_INTEGRATOR: "double",
+    SINGLE_INTEGRATOR.colour: "single",
+    DOUBLE_INTEGRATOR.colour: "double",
     colours.FAILED: "failed",
     colours.SAFE_STOP: "safe-stop",
     colours.ABSENT: "absent",

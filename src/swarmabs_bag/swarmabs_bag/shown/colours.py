@@ -1,4 +1,4 @@
-"""The colour of each quantity and status in all views of a swarm.
+"""The colour of each quantity and status in all views of a swarm; those of robots are in `swarmabs_core.systems.kinds`.
 
 Reports, the figures of the paper, pictures of sweeps, RViz markers and models use these values; the style sheet of the
 page, the Foxglove layout and the model in `swarmabs_bringup` repeat them. Six of the colours are those of Okabe and
@@ -7,12 +7,7 @@ Ito, distinct with any colour vision.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from swarmabs_core.messages import Kind
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from swarmabs_core.systems.kinds import DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR
 
 PLANE = "#0072b2"
 """The plane: its angle and rate."""
@@ -21,8 +16,6 @@ REFERENCE = "#000000"
 ERROR = "#d55e00"
 TORQUE = "#009e73"
 INERTIA = "#cc79a7"
-SINGLE_INTEGRATOR = "#56b4e9"
-DOUBLE_INTEGRATOR = "#e69f00"
 FAILED = "#b00020"
 """A dead robot, a stalled node, a failed run."""
 SAFE_STOP = "#f0e442"
@@ -30,13 +23,8 @@ SAFE_STOP = "#f0e442"
 ABSENT = "#888888"
 """A robot that is silent or has left."""
 
-ROBOTS = (DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR, TORQUE, INERTIA)
+ROBOTS = (DOUBLE_INTEGRATOR.colour, SINGLE_INTEGRATOR.colour, TORQUE, INERTIA)
 """The first four robots in Foxglove's layout, which cannot tell the kinds of robots."""
-KINDS: Mapping[int, str] = {
-    Kind.SINGLE_INTEGRATOR: SINGLE_INTEGRATOR,
-    Kind.DOUBLE_INTEGRATOR: DOUBLE_INTEGRATOR,
-    Kind.FIRST_ORDER_LAG: INERTIA,
-}
 
 
 def parts(colour: str) -> tuple[float, float, float]:

@@ -10,7 +10,6 @@ from swarmabs_core.abstraction import Weight, divided_load, observed, summed
 from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
-from swarmabs_core.drive import ideal_drive
 from swarmabs_core.events import EventCode
 from swarmabs_core.faults import Falsification
 from swarmabs_core.manifold import Manifold
@@ -45,6 +44,7 @@ from swarmabs_core.settings import Run
 from swarmabs_core.steering import StepChange
 from swarmabs_core.summation import column_sums
 from swarmabs_core.swarm_law import SwarmGains
+from swarmabs_core.systems.kinds import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -276,7 +276,7 @@ class PlaneMotion:
     def coasted(self, state: AnyRobotState) -> AgentState:
         """Return the state of a robot one period later, without a command."""
         state = cast("AgentState", state)
-        drive = ideal_drive(Kind(state.kind), self._period, state.mass, state.damping)
+        drive = KINDS[state.kind].drive(self._period, state.mass, state.damping)
         position, velocity = drive.advance(state.position, state.velocity, 0.0)
         return state._replace(position=position, velocity=velocity, command=0.0)
 

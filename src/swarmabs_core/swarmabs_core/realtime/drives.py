@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 from swarmabs_core.declaration import made_of, parameters_of
-from swarmabs_core.drive import ideal_drive
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Kind
 from swarmabs_core.parameters import Settings
@@ -17,6 +16,7 @@ from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.instruments import TopicSettings
 from swarmabs_core.registry import Part, Registry
 from swarmabs_core.robot_controller import Limits
+from swarmabs_core.systems.kinds import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -84,7 +84,7 @@ class SimulatedDrive:
     """A body that moves exactly as the law assumes."""
 
     def __init__(self, body: Body) -> None:
-        self._model = ideal_drive(body.kind, body.schedule.period, body.mass, body.damping)
+        self._model = KINDS[body.kind].drive(body.schedule.period, body.mass, body.damping)
         self._schedule = body.schedule
         self._position, self._velocity = body.position, body.velocity
         self._command = 0.0

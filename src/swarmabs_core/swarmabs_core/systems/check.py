@@ -15,7 +15,7 @@ from swarmabs_core.sensing import ParentSensor
 from swarmabs_core.summation import added
 from swarmabs_core.systems.desired import Requests
 from swarmabs_core.systems.interface import TABLES, Constant, Need, Quantity, Tracked
-from swarmabs_core.systems.kinds import MODELS
+from swarmabs_core.systems.kinds import KINDS
 from swarmabs_core.systems.law import Gram, by_row, motion
 from swarmabs_core.systems.swarm import observed, total
 
@@ -246,7 +246,7 @@ def _of_lists(made: Any, requests: Requests, sensor: ParentSensor) -> Iterator[P
 def _of_robot(system: NamedSystem, index: int, robot: Any) -> Iterator[Problem]:
     """Yield what is wrong with a robot of the scenario."""
     made, where, kind = system.made, ("swarm", "agents", index), robot.kind
-    names, size, needed = [row.name for row in made.constants], len(made.robot), MODELS[Kind.of(robot.kind)].constant
+    names, size, needed = [row.name for row in made.constants], len(made.robot), KINDS[Kind.of(robot.kind)].constant
     for name in robot.constants.keys() - set(names):
         near = get_close_matches(name, names, n=1)
         remedy = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"

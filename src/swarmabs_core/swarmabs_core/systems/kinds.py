@@ -1,18 +1,19 @@
-"""The kinds of robots on any parent system: how each moves under a command, and what its command is.
+"""The kinds of robots: how each moves under a command, what its command is, and how it is named and drawn.
 
-A further kind is a class here and a constant `Kind`; laws, motion, checks and units follow.
+A further kind is an object here and a constant `Kind`; laws, motion, checks, units and views follow.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-from swarmabs_core.drive import DoubleIntegratorDrive
+from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.elementary import exp, expm1
 from swarmabs_core.messages import Kind
 from swarmabs_core.systems.components import derived
 
 if TYPE_CHECKING:
+    from swarmabs_core.drive import IdealDrive
     from swarmabs_core.messages import RobotState
     from swarmabs_core.systems.interface import NamedSystem, Vector
 
@@ -46,11 +47,33 @@ class RobotDynamics(NamedTuple):
     drive: DoubleIntegratorDrive = DoubleIntegratorDrive(1.0, 0.0, 0.0, 0.0)
 
 
-class RobotModel:
-    """The motion of robots of a kind, without state: this one is the single integrator, q' = u."""
+class RobotKind:
+    """A kind of robot, without state: this one is the single integrator, q' = u.
 
-    constant = ""
-    """The constant of a robot that must be positive."""
+    Attributes
+    ----------
+    kind : Kind
+        The constant that messages contain.
+    short, words, legend : str
+        Abbreviation, phrase in a table of robots, and entry of a legend.
+    colour, shape : str
+        Colour and shape of its symbol: circle, square or diamond.
+    constant : str
+        The constant of a robot that must be positive; empty if there is none.
+    """
+
+    kind: ClassVar[Kind] = Kind.SINGLE_INTEGRATOR
+    short: ClassVar[str] = "SI"
+    words: ClassVar[str] = "velocity (SI)"
+    legend: ClassVar[str] = "velocity-driven (SI)"
+    colour: ClassVar[str] = "#56b4e9"
+    shape: ClassVar[str] = "circle"
+    constant: ClassVar[str] = ""
+
+    def drive(self, period: float, mass: float, damping: float) -> IdealDrive:
+        """Return the motion on the plane that the law expects; period in s, mass in kg, damping in N s/m."""
+        del mass, damping
+        return SingleIntegratorDrive(period)
 
     def dynamics(self, system: NamedSystem, constants: Vector, period: float) -> RobotDynamics:
         """Return the numbers of a robot for a control period, s."""
@@ -85,10 +108,16 @@ class RobotModel:
         return derived(unit)
 
 
-class DoubleIntegrator(RobotModel):
+class DoubleIntegrator(RobotKind):
     """m q'' = u - c q': the command is a force."""
 
-    constant = "mass"
+    kind, constant = Kind.DOUBLE_INTEGRATOR, "mass"
+    short, words, legend = "DI", "force (DI)", "force-driven (DI)"
+    colour, shape = "#e69f00", "square"
+
+    def drive(self, period: float, mass: float, damping: float) -> IdealDrive:
+        """Return the motion on the plane that the law expects; period in s, mass in kg, damping in N s/m."""
+        return DoubleIntegratorDrive.of(period, mass, damping)
 
     def dynamics(self, system: NamedSystem, constants: Vector, period: float) -> RobotDynamics:
         """Return the numbers of a robot for a control period, s."""
@@ -126,10 +155,12 @@ class DoubleIntegrator(RobotModel):
         return "N" if unit == "m" else f"kg {derived(unit, 2)}"
 
 
-class FirstOrderLag(RobotModel):
+class FirstOrderLag(RobotKind):
     """T q' = u - q: the command is the value that the coordinates approach."""
 
-    constant = "time_constant"
+    kind, constant = Kind.FIRST_ORDER_LAG, "time_constant"
+    short, words, legend = "lag", "lag", "with lag"
+    colour, shape = "#cc79a7", "diamond"
 
     def dynamics(self, system: NamedSystem, constants: Vector, period: float) -> RobotDynamics:
         """Return the numbers of a robot for a control period, s."""
@@ -170,11 +201,11 @@ class FirstOrderLag(RobotModel):
         return unit
 
 
-STRAIGHT = RobotModel()
-"""That of single integrators, and of robots of which a recording tells an unknown kind."""
-MODELS: dict[int, RobotModel] = {
-    Kind.SINGLE_INTEGRATOR: STRAIGHT,
-    Kind.DOUBLE_INTEGRATOR: DoubleIntegrator(),
-    Kind.FIRST_ORDER_LAG: FirstOrderLag(),
-}
-"""The model of each kind."""
+SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR, FIRST_ORDER_LAG = RobotKind(), DoubleIntegrator(), FirstOrderLag()
+KINDS: dict[int, RobotKind] = {one.kind: one for one in (SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR, FIRST_ORDER_LAG)}
+"""Every kind of robot by the constant in messages."""
+
+
+def kind_of(number: int) -> RobotKind:
+    """Return the kind that a message names; robots of which a recording tells an unknown kind move straight."""
+    return KINDS.get(number, SINGLE_INTEGRATOR)

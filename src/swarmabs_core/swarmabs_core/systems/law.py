@@ -26,7 +26,7 @@ from swarmabs_core.abstraction import damped
 from swarmabs_core.declaration import setting
 from swarmabs_core.messages import Kind, word
 from swarmabs_core.summation import added
-from swarmabs_core.systems.kinds import MODELS, RobotDynamics
+from swarmabs_core.systems.kinds import KINDS, RobotDynamics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -199,7 +199,7 @@ class RobotLaw:
         size = len(self.system.abstract)
         self._k, self._kp, self._kd = (by_row(gain, size) for gain in (gains.k, gains.kp, gains.kd))
         self._sigma, self._second_order, self._effort = gains.sigma, second_order, effort
-        self._model = MODELS[kind]
+        self._model = KINDS[kind]
         self.dynamics = self._model.dynamics(system, constants, period)
 
     def on(self, system: ParentSystem, dynamics: RobotDynamics) -> RobotLaw:

@@ -9,7 +9,7 @@ from swarmabs_core.errors import RunError, one_line
 from swarmabs_core.messages import Kind
 from swarmabs_core.plant import bends, substeps
 from swarmabs_core.summation import exact_sum
-from swarmabs_core.systems.kinds import MODELS, STRAIGHT
+from swarmabs_core.systems.kinds import kind_of
 from swarmabs_core.systems.swarm import along, total
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class ParentMotion:
         pairs = tuple(robots)
         start = total((made.contribution(a.coordinates, a.constants) for a, _ in pairs), size, add)
         end = total((made.contribution(b.coordinates, b.constants) for _, b in pairs), size, add)
-        slopes = [MODELS.get(b.kind, STRAIGHT).slopes(self._named, a, b, self._period) for a, b in pairs]
+        slopes = [kind_of(b.kind).slopes(self._named, a, b, self._period) for a, b in pairs]
         moving = list(zip(pairs, slopes, strict=True))
         d0 = total((along(made.jacobian(a.coordinates, a.constants), v) for (a, _), (v, _) in moving), size, add)
         d1 = total((along(made.jacobian(b.coordinates, b.constants), v) for (_, b), (_, v) in moving), size, add)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmabs_bag.shown import colours
 from swarmabs_core.messages import Kind
 from swarmabs_core.plant import STEEPEST
+from swarmabs_core.systems.kinds import KINDS
 from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ RAIL = Colour(0.35, 0.35, 0.35, 1.0)
 REFERENCE = DESIRED = _solid(colours.REFERENCE)
 ACTUAL = _solid(colours.TORQUE)
 INK = Colour(0.10, 0.10, 0.10, 1.0)
-KINDS = {kind: _solid(colour) for kind, colour in colours.KINDS.items()}
+COLOURS = {kind: _solid(one.colour) for kind, one in KINDS.items()}
 """Colours of the kinds, which also differ in shape."""
 _STATUS_COLOURS: dict[RobotStatus | None, Colour] = {"dead": DEAD, "silent": GREY, "safe_stop": SAFE_STOP}
 """Colours of a status, which replace that of the kind."""
@@ -250,10 +251,10 @@ class Scene:
         for agent_id, place in places.items():
             robot = self.robots[agent_id]
             pose = Pose(tilted(place, angle), turn)
-            body = CYLINDER if robot.kind == Kind.SINGLE_INTEGRATOR else CUBE
+            body = CYLINDER if KINDS[robot.kind].shape == "circle" else CUBE
             size = Vector(robot.size, robot.size, robot.size)
             status = robots[agent_id].status
-            colour = _STATUS_COLOURS.get(status) or KINDS[Kind(robot.kind)]
+            colour = _STATUS_COLOURS.get(status) or COLOURS[robot.kind]
             shapes.append(Shape("robots", agent_id, body, pose, size, colour))
             if status == "safe_stop":
                 base = Vector(_OUTLINE * robot.size, _OUTLINE * robot.size, 0.1 * robot.size)
