@@ -7,6 +7,7 @@ import tempfile
 import time
 import uuid
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -155,20 +156,29 @@ def ros(ros_network: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyP
     rclpy.try_shutdown()
 
 
+@contextmanager
+def temporary_packages(*folders: Path) -> Iterator[None]:
+    """Restore the search path at the end, and forget what was loaded from packages in these folders."""
+    path = [*sys.path]
+    for registry in (CONTROLLERS, LAWS, DRIVES, SYSTEMS):
+        registry.forget()
+    yield
+    sys.path[:] = path
+    for registry in (CONTROLLERS, LAWS, DRIVES, SYSTEMS):
+        registry.forget()
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", "")).startswith(tuple(map(str, folders))):
+            del sys.modules[name]
+
+
 @pytest.fixture
 def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Give a folder in which packages can be installed; what is imported from it is forgotten after the test."""
     folder = tmp_path / "packages"
     folder.mkdir()
-    monkeypatch.syspath_prepend(folder)
-    for registry in (CONTROLLERS, LAWS, DRIVES, SYSTEMS):
-        registry.forget()
-    yield folder
-    for registry in (CONTROLLERS, LAWS, DRIVES, SYSTEMS):
-        registry.forget()
-    for name, module in list(sys.modules.items()):
-        if str(getattr(module, "__file__", "")).startswith(str(folder)):
-            del sys.modules[name]
+    with temporary_packages(folder):
+        monkeypatch.syspath_prepend(folder)
+        yield folder
 
 
 @pytest.fixture

@@ -1,17 +1,22 @@
 """The digests of the page are those of the scenarios."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.conftest import temporary_packages
 from tests.docs.pages import script
 
 DIGESTS: Any = script("docs/digests.py")
 
 
 @pytest.fixture(scope="module", autouse=True)
-def installed(tmp_path_factory: pytest.TempPathFactory) -> None:
-    DIGESTS.install(tmp_path_factory.mktemp("packages"))
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Install the packages of the examples for the tests of this module alone."""
+    with temporary_packages(DIGESTS.EXAMPLES):
+        DIGESTS.install(tmp_path_factory.mktemp("packages"))
+        yield
 
 
 def test_every_scenario_is_on_the_page() -> None:
