@@ -264,7 +264,7 @@ def recorded(told: Told, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ros: N
         **values: str,
     ) -> int:
         heard = Heard(told, arriving, at)
-        monkeypatch.setattr(realtime, "WaitSetReceiver", lambda *_, **__: heard)
+        monkeypatch.setattr(realtime, "Receiver", lambda *_, **__: heard)
         usual = {**parameters(fleet.scenario, tmp_path), "period_ns": str(fleet.scenario.step_ns)}
         words = given(**{**usual, "epoch_ns": str(EPOCH), **values})
         return realtime.main(["--ros-args", "--disable-external-lib-logs", *words])

@@ -1,4 +1,4 @@
-"""Publishers, both ways of receiving over real DDS in one process, and the contract's qualities of service."""
+"""Publishers, receiving over real DDS in one process, and the contract's qualities of service."""
 
 import _ctypes
 import time
@@ -28,7 +28,7 @@ from swarmabs_core.messages import (
     Topic,
 )
 from swarmabs_core.realtime.base import Schedule
-from swarmabs_ros.endpoints import ExecutorReceiver, LoopGroup, Receiver, WaitSetReceiver, advertise, profile, receiver
+from swarmabs_ros.endpoints import LoopGroup, Receiver, advertise, profile
 from swarmabs_ros.start import SwarmNode
 
 SUBSCRIPTIONS = {topic: requested(topic, depth=100, reliable=True) for topic in (PLANE_STATE, EVENTS)}
@@ -40,11 +40,6 @@ BOTH = (PLANE_STATE, EVENTS)
 def node(ros: None) -> Iterator[SwarmNode]:
     with started_node() as node:
         yield node
-
-
-@pytest.fixture(params=["wait_set", "executor"])
-def inbox(request: pytest.FixtureRequest, node: SwarmNode) -> Receiver:
-    return receiver(node, SUBSCRIPTIONS, request.param)
 
 
 def matched(publishers: dict[Topic, Publisher], *inboxes: Receiver) -> None:
@@ -68,7 +63,7 @@ def receive(inbox: Receiver, topic: Topic, count: int) -> list[bytes]:
 
 def test_writers_of_messages_are_those_of_the_graph(node: SwarmNode, capfd: pytest.CaptureFixture[str]) -> None:
     qos = {AGENT_STATE: Qos("best_effort", 100), PLANE_STATE: SUBSCRIPTIONS[PLANE_STATE]}
-    inbox = WaitSetReceiver(node, qos, identified=(AGENT_STATE,))
+    inbox = Receiver(node, qos, identified=(AGENT_STATE,))
     senders = [advertise(node, AGENT_STATE) for _ in range(2)]
     until(lambda: all(s.get_subscription_count() for s in senders) and inbox.publisher_count(AGENT_STATE) == 2, "meet")
     sent = [[encode(AgentState(k, k, 0, n + 1, 1, 1, 0.5, 0.0, 0.1, 0.0, 0.0)) for k in range(3)] for n in range(2)]
@@ -92,7 +87,7 @@ def test_writers_of_messages_are_those_of_the_graph(node: SwarmNode, capfd: pyte
 def test_messages_of_any_length_arrive_whole_with_their_writer_and_a_destroyed_subscription_is_refused(
     node: SwarmNode,
 ) -> None:
-    inbox = WaitSetReceiver(node, {EVENTS: SUBSCRIPTIONS[EVENTS]}, identified=(EVENTS,))
+    inbox = Receiver(node, {EVENTS: SUBSCRIPTIONS[EVENTS]}, identified=(EVENTS,))
     publisher = advertise(node, EVENTS)
     matched({EVENTS: publisher}, inbox)
     for length in (10, 5000, 10, 20_000, 7000):
@@ -113,7 +108,7 @@ def test_without_access_to_rcl_messages_are_taken_and_their_writers_unknown(
         monkeypatch.setattr("swarmabs_ros.endpoints.rclpy_implementation.__file__", _ctypes.__file__)
     else:
         monkeypatch.delattr("swarmabs_ros.endpoints.rclpy_implementation.Subscription.pointer")
-    inbox = WaitSetReceiver(node, {PLANE_STATE: SUBSCRIPTIONS[PLANE_STATE]}, identified=(PLANE_STATE,))
+    inbox = Receiver(node, {PLANE_STATE: SUBSCRIPTIONS[PLANE_STATE]}, identified=(PLANE_STATE,))
     assert "a second sender cannot be told from the first" in capfd.readouterr().err
     publisher = advertise(node, PLANE_STATE)
     matched({PLANE_STATE: publisher}, inbox)
@@ -122,23 +117,8 @@ def test_without_access_to_rcl_messages_are_taken_and_their_writers_unknown(
     assert inbox.writer(PLANE_STATE) == b""
 
 
-def test_both_ways_deliver_the_same_bytes_in_order(node: SwarmNode) -> None:
-    publisher = advertise(node, PLANE_STATE)
-    plane_only = {PLANE_STATE: SUBSCRIPTIONS[PLANE_STATE]}
-    direct = receiver(node, plane_only, "wait_set")
-    other = SwarmNode("other")  # an executor takes whatever comes for its node
-    with_callbacks = receiver(other, plane_only, "executor")
-    assert isinstance(direct, WaitSetReceiver)
-    assert isinstance(with_callbacks, ExecutorReceiver)
-    matched({PLANE_STATE: publisher}, direct, with_callbacks)
-    for data in MESSAGES:
-        publisher.publish(data)
-    assert receive(direct, PLANE_STATE, len(MESSAGES)) == MESSAGES
-    assert receive(with_callbacks, PLANE_STATE, len(MESSAGES)) == MESSAGES
-    other.destroy_node()  # type: ignore[no-untyped-call]
-
-
-def test_topics_are_kept_apart_and_nothing_there_is_none_and_a_wait_that_ends(node: SwarmNode, inbox: Receiver) -> None:
+def test_topics_are_kept_apart_and_nothing_there_is_none_and_a_wait_that_ends(node: SwarmNode) -> None:
+    inbox = Receiver(node, SUBSCRIPTIONS)
     began = time.monotonic()
     assert inbox.wait(BOTH, 0.01) is False
     assert time.monotonic() - began > 0.005
@@ -158,7 +138,7 @@ def test_topics_are_kept_apart_and_nothing_there_is_none_and_a_wait_that_ends(no
 
 def test_an_executor_leaves_alone_what_a_loop_takes(node: SwarmNode) -> None:
     publisher = advertise(node, PLANE_STATE)
-    inbox = WaitSetReceiver(node, {PLANE_STATE: SUBSCRIPTIONS[PLANE_STATE]}, LoopGroup())
+    inbox = Receiver(node, {PLANE_STATE: SUBSCRIPTIONS[PLANE_STATE]}, LoopGroup())
     matched({PLANE_STATE: publisher}, inbox)
     served = []
     node.create_timer(0.01, lambda: served.append(1))
@@ -174,8 +154,8 @@ def test_an_executor_leaves_alone_what_a_loop_takes(node: SwarmNode) -> None:
 
 def test_an_rclpy_that_has_changed_is_named_with_the_way_out(node: SwarmNode, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr("swarmabs_ros.endpoints.rclpy_implementation.WaitSet")
-    with pytest.raises(ImportError, match="receive:=executor"):
-        receiver(node, SUBSCRIPTIONS, "wait_set")
+    with pytest.raises(ImportError, match="use that of ROS 2 Jazzy"):
+        Receiver(node, SUBSCRIPTIONS)
 
 
 @pytest.mark.parametrize(("driver", "topic"), [(driver, topic) for driver in OFFERED for topic in OFFERED[driver]])

@@ -46,7 +46,6 @@ MAINS = {
         ("recorder", {}, "scenario_file"),
         ("recorder", {"scenario_file": "/nowhere/scenario.yaml"}, "/nowhere/scenario.yaml"),
         *((name, {"period_ns": "0"}, "period_ns") for name in MAINS),
-        *((name, {"receive": "pigeon"}, "receive") for name in MAINS),
     ],
 )
 def test_a_wrong_parameter_is_refused_with_exit_code_2_and_one_line(

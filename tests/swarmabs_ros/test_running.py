@@ -228,7 +228,6 @@ class Stepping:
         return 0, ()
 
 
-@pytest.mark.parametrize("receive", ["wait_set", "executor"])
 @pytest.mark.parametrize(
     ("behaviour", "code", "why", "said"),
     [
@@ -240,12 +239,12 @@ class Stepping:
     ids=["finished", "terminated", "interrupted", "failed"],
 )
 def test_a_node_in_lockstep_is_told_how_it_ends(
-    behaviour: Stepping, code: int, why: str | None, said: list[str], receive: str, told: Told
+    behaviour: Stepping, code: int, why: str | None, said: list[str], told: Told
 ) -> None:
     exits: list[str | None] = []
     spec = NodeSpec(behaviour, on_exit=exits.append, lingers=False)
     # Its own events are heard by itself, so it has met the counterpart for which it waits.
-    words = given(receive=receive, match="['swarm/events 1']")
+    words = given(match="['swarm/events 1']")
     assert run_node(PLANE, (), lambda *_: spec, [*COMMAND_LINE, *words]) == code
     assert (exits, told.events()) == ([why], said)
 

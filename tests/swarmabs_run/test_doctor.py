@@ -46,7 +46,7 @@ NO_WAIT_SET = types.SimpleNamespace(rclpy_implementation=types.SimpleNamespace()
     ("where", "what", "instead", "check", "verdict", "remedy"),
     [
         (doctor.importlib, "import_module", broken_import("rclpy"), "rclpy", "bad", "swarm again"),
-        (doctor.importlib, "import_module", lambda _: NO_WAIT_SET, "rclpy", "note", "receive:=executor"),
+        (doctor.importlib, "import_module", lambda _: NO_WAIT_SET, "rclpy", "bad", "source ROS 2 Jazzy"),
         (doctor.importlib, "import_module", broken_import("swarmabs_msgs"), "messages", "bad", "build"),
         (doctor.importlib, "import_module", lambda _: NO_WAIT_SET, "messages", "bad", "too old: .*build"),
         (doctor, "builtin_scenarios", dict, "scenarios", "bad", "missing; build"),

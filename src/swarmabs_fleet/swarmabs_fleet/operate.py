@@ -44,7 +44,7 @@ from swarmabs_fleet.check import expiring
 from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.node_files import profile, tool_environment
 from swarmabs_fleet.own_address import problem_of
-from swarmabs_ros.endpoints import LoopGroup, WaitSetReceiver, advertise
+from swarmabs_ros.endpoints import LoopGroup, Receiver, advertise
 from swarmabs_run.orchestration.network import dds_environment
 from swarmabs_run.orchestration.run_files import environment_of_run, epoch_of, is_realtime, is_running
 from swarmabs_run.tracing_files import tracing_files_removed
@@ -377,7 +377,7 @@ class RobotWatch:
         depth = max(100, 4 * len(target.robots))
         states = {topic: requested(topic, REALTIME, depth=depth) for topic in topics}
         self._depths = dict.fromkeys(topics, depth)
-        self._receiver = WaitSetReceiver(node, states, LoopGroup())
+        self._receiver = Receiver(node, states, LoopGroup())
 
     def ask(self) -> None:
         """Tell the monitor that the robots are about to be told to stop."""

@@ -1,8 +1,7 @@
 """Publishers and subscriptions of serialized messages, and waiting for messages.
 
 Only this module uses non-public parts of rclpy: waiting on a wait set and taking messages directly has a quarter of the
-cost of an executor with callbacks, which makes hundreds of processes on two cores possible. `ExecutorReceiver` does the
-same with rclpy's public interface, as a fallback if a future rclpy changes its internals.
+cost of an executor with callbacks, which makes hundreds of processes on two cores possible.
 
 rclpy of Jazzy does not tell who wrote a message. `IdentifyingTake` asks rcl, to which rclpy passes the call on.
 """
@@ -13,12 +12,10 @@ import ctypes
 import importlib
 import struct
 import weakref
-from collections import deque
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import (
     QoSDurabilityPolicy,
@@ -39,8 +36,6 @@ if TYPE_CHECKING:
     from rclpy.subscription import Subscription
 
     from swarmabs_core.messages import Topic
-
-Waiting = Literal["wait_set", "executor"]
 
 _RELIABILITY = {"reliable": QoSReliabilityPolicy.RELIABLE, "best_effort": QoSReliabilityPolicy.BEST_EFFORT}
 _DURABILITY = {"volatile": QoSDurabilityPolicy.VOLATILE, "transient_local": QoSDurabilityPolicy.TRANSIENT_LOCAL}
@@ -69,26 +64,6 @@ def profile(qos: Qos) -> QoSProfile:
 def advertise(node: Node, topic: Topic, driver: Driver = LOCKSTEP) -> Publisher:
     """Create the publisher of a topic, which accepts serialized messages."""
     return node.create_publisher(ros_type(topic), topic.name, profile(OFFERED[driver][usual_topic(topic)]))
-
-
-class Receiver(Protocol):
-    """Access to the messages that have arrived."""
-
-    def take(self, topic: Topic) -> bytes | None:
-        """Return the oldest message of a topic that has not been taken yet, None if there is none."""
-        ...
-
-    def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
-        """Wait until a message of one of the topics arrives; return False after `timeout` (s)."""
-        ...
-
-    def writer(self, topic: Topic) -> bytes:
-        """Return the GID of the writer of the message taken last from a topic; empty if unknown."""
-        ...
-
-    def publisher_count(self, topic: Topic) -> int:
-        """Return the number of matched publishers of a topic."""
-        ...
 
 
 class _Allocator(ctypes.Structure):
@@ -182,12 +157,12 @@ class IdentifyingTake:
             self._note = None
 
 
-class WaitSetReceiver:
+class Receiver:
     """Waits on a wait set of only the given topics and takes serialized messages directly.
 
     If an executor also serves the node, `group` keeps it from taking the messages. The writers of the `identified`
     topics are known, unless this rclpy does not give access to rcl; then the node's log says so. Raises `ImportError`
-    if this rclpy has no such interface; the text names the alternative.
+    if this rclpy has no such interface.
     """
 
     def __init__(
@@ -211,7 +186,7 @@ class WaitSetReceiver:
             self._take: dict[Topic, Any] = {topic: s.handle.take_message for topic, s in self._subscriptions.items()}
         except AttributeError as error:
             raise ImportError(
-                f"this rclpy does not support direct waiting ({error}); start with the parameter receive:=executor"
+                f"this rclpy does not support direct waiting ({error}); use that of ROS 2 Jazzy"
             ) from error
         self._identifying: dict[Topic, IdentifyingTake] = {}
         self._warn = node.get_logger().warning
@@ -270,65 +245,6 @@ class LoopGroup(CallbackGroup):
 
     def ending_execution(self, entity: object) -> None:
         """Do nothing, because no execution starts."""
-
-
-_IDLE_SPINS = 2
-"""Spins without a message after which none is left: one ends a round in which each subscription had its turn."""
-
-
-class ExecutorReceiver:
-    """A receiver that uses rclpy's public executor; several times slower."""
-
-    def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos]) -> None:
-        self._arrived: dict[Topic, deque[bytes]] = {topic: deque() for topic in subscriptions}
-        self._subscriptions: dict[Topic, Subscription] = {
-            topic: node.create_subscription(ros_type(topic), topic.name, self._keeping(topic), profile(qos), raw=True)
-            for topic, qos in subscriptions.items()
-        }
-        self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(node)
-
-    def _keeping(self, topic: Topic) -> Callable[[bytes], None]:
-        """Return the callback of a topic; rclpy requires one with a Python signature."""
-        arrived = self._arrived[topic]
-
-        def keep(data: bytes) -> None:
-            arrived.append(data)
-
-        return keep
-
-    def take(self, topic: Topic) -> bytes | None:
-        """Return the oldest message of a topic that has not been taken yet, None if there is none."""
-        arrived = self._arrived[topic]
-        return arrived.popleft() if arrived else None
-
-    def writer(self, topic: Topic) -> bytes:  # noqa: ARG002 - the interface of receivers
-        """Return nothing, because rclpy does not tell."""
-        return b""
-
-    def wait(self, topics: tuple[Topic, ...], timeout: float) -> bool:
-        """Wait until a message arrives, and store all that have arrived; return False after `timeout` (s)."""
-        try:
-            before, idle = sum(map(len, self._arrived.values())), 0
-            while idle < _IDLE_SPINS:
-                self._executor.spin_once(timeout_sec=timeout)
-                kept = sum(map(len, self._arrived.values()))
-                idle = idle + 1 if kept == before else 0
-                before, timeout = kept, 0.0
-        except ExternalShutdownException:
-            return False
-        return any(self._arrived[topic] for topic in topics)
-
-    def publisher_count(self, topic: Topic) -> int:
-        """Return the number of matched publishers of a topic."""
-        return self._subscriptions[topic].get_publisher_count()
-
-
-def receiver(node: Node, subscriptions: Mapping[Topic, Qos], waiting: Waiting) -> Receiver:
-    """Subscribe to topics and return the selected kind of receiver."""
-    if waiting == "executor":
-        return ExecutorReceiver(node, subscriptions)
-    return WaitSetReceiver(node, subscriptions)
 
 
 def unheard(_: object) -> None:

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 from swarmabs_config.graph import DIAGNOSTICS, REALTIME, usual_topic
 from swarmabs_core.errors import RunError, SwarmabsError
 from swarmabs_core.realtime.base import Health, Level, Schedule
-from swarmabs_ros.endpoints import LoopGroup, WaitSetReceiver, advertise
+from swarmabs_ros.endpoints import LoopGroup, Receiver, advertise
 from swarmabs_ros.realtime import IDENTIFIED, Engine, RealtimeLoop, read_clocks
 from swarmabs_ros.status import notify
 from swarmabs_ros.timing import StepClock
@@ -225,7 +225,7 @@ class RealtimeNode(LifecycleNode):
         spec = self._make()
         ends = spec.endpoints or self._endpoints
         publishers = {usual_topic(topic): advertise(self, topic, REALTIME) for topic in ends.publications}
-        receiver = WaitSetReceiver(self, ends.subscriptions, self.loop_group, IDENTIFIED)
+        receiver = Receiver(self, ends.subscriptions, self.loop_group, IDENTIFIED)
         depths = {topic: qos.depth for topic, qos in ends.subscriptions.items()}
         self._clock_of_steps = StepClock(self._schedule, spec.phase)
         self._loop.attach(Engine(spec.behaviour, self._clock_of_steps, receiver, depths, publishers, spec.wakes))

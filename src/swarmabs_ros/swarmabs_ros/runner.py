@@ -12,7 +12,7 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import TOPICS
 from swarmabs_core.parameters import Parameter, SettingError
 from swarmabs_core.settings import Run
-from swarmabs_ros.endpoints import advertise, receiver
+from swarmabs_ros.endpoints import Receiver, advertise
 from swarmabs_ros.lockstep import FIRST, INTERRUPTED, SLICE, Lockstep
 from swarmabs_ros.parameters import BySystem, declare, given_values, refuse_sim_time, table_of
 from swarmabs_ros.start import SwarmNode, run_program
@@ -26,13 +26,11 @@ if TYPE_CHECKING:
     from swarmabs_config.graph import Driver, Option
     from swarmabs_core.messages import Topic
     from swarmabs_core.parameters import Value
-    from swarmabs_ros.endpoints import Receiver, Waiting
     from swarmabs_ros.lockstep import NodeSpec
     from swarmabs_ros.status import StatusChannel
 
 COMMON = (
     *(parameter for parameter in parameters_of(Run) if parameter.name in {"period_ns", "last_step"}),
-    Parameter("receive", "wait_set", "how the node waits for messages", choices=("wait_set", "executor")),
     Parameter(
         "stall_timeout",
         5.0,
@@ -168,7 +166,7 @@ def run_node(
 def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) -> None:
     ends = spec.endpoints or settings.endpoints(role, LOCKSTEP)
     publishers = {topic: advertise(node, topic) for topic in ends.publications}
-    inbox = receiver(node, ends.subscriptions, cast("Waiting", settings.text("receive")))
+    inbox = Receiver(node, ends.subscriptions)
     loop = Lockstep(
         spec,
         inbox,

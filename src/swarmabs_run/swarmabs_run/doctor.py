@@ -65,7 +65,7 @@ def _ros() -> Verdict:
     except ImportError as error:
         return "bad", f"cannot be imported ({error}); run ./scripts/swarm again, or source ROS 2 Jazzy"
     if not direct:
-        return "note", "does not support direct waiting; start nodes with the parameter receive:=executor"
+        return "bad", "does not support direct waiting; run ./scripts/swarm again, or source ROS 2 Jazzy"
     return "ok", f"imported; middleware {os.environ.get('RMW_IMPLEMENTATION', 'default')}"
 
 

@@ -28,13 +28,12 @@ from swarmabs_core.cdr import decode, misplaced
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import BASIS, EVENTS, FAMILIES, SwarmEvent, Topic
 from swarmabs_core.pair_role import ROLE
-from swarmabs_ros.endpoints import receiver
+from swarmabs_ros.endpoints import Receiver
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
 
     from swarmabs_core.messages import Family, Message
-    from swarmabs_ros.endpoints import Receiver
     from swarmabs_ros.start import SwarmNode
 
 DEPTH = 256
@@ -60,7 +59,7 @@ class DiagnosticsListener:
     """Listens to the diagnostics of the nodes of a swarm in real time that are one of a pair."""
 
     def __init__(self, node: SwarmNode) -> None:
-        self._take = receiver(node, {_DIAGNOSTICS: Qos("best_effort", DEPTH)}, "wait_set").take
+        self._take = Receiver(node, {_DIAGNOSTICS: Qos("best_effort", DEPTH)}).take
 
     def poll(self) -> Iterator[tuple[str, dict[str, str]]]:
         """Yield the name and the values of each node whose diagnostics have arrived; skip malformed ones."""
@@ -146,5 +145,5 @@ class Listener:
             )
             for topic, most in topics.items()
         }
-        self._receivers |= dict.fromkeys(asked, receiver(self._node, asked, "wait_set"))
+        self._receivers |= dict.fromkeys(asked, Receiver(self._node, asked))
         self._most = {**self._most, **topics}

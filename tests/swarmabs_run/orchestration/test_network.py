@@ -22,7 +22,7 @@ from swarmabs_config import ports
 from swarmabs_config.graph import COORDINATORS, Qos
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import AGENT_STATE
-from swarmabs_ros.endpoints import WaitSetReceiver, profile, ros_type
+from swarmabs_ros.endpoints import Receiver, profile, ros_type
 from swarmabs_run.orchestration.network import (
     FIRST_FREE,
     FROM_ENVIRONMENT,
@@ -143,7 +143,7 @@ def test_as_many_messages_wait_for_a_reader_as_it_asks_for() -> None:
     rclpy.init()
     node = Node("patient", enable_rosout=False)
     publisher = node.create_publisher(ros_type(AGENT_STATE), AGENT_STATE.name, profile(Qos("reliable", block)))
-    reader = WaitSetReceiver(node, {AGENT_STATE: Qos("reliable", messages)})
+    reader = Receiver(node, {AGENT_STATE: Qos("reliable", messages)})
     until(lambda: reader.publisher_count(AGENT_STATE), "the reader has met the publisher")
     data = serialize_message(ros_type(AGENT_STATE)())
     for _ in range(messages // block):

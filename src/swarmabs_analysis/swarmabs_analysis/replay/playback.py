@@ -27,7 +27,7 @@ from swarmabs_config.graph import requested
 from swarmabs_config.model.errors import printable, shorten, show
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_ros.endpoints import receiver
+from swarmabs_ros.endpoints import Receiver
 from swarmabs_ros.start import SwarmNode, initialise
 
 if TYPE_CHECKING:
@@ -272,7 +272,7 @@ class _NodesUnderTest:
         self._bag = bag
         self._answers = answers
         subscriptions = {topic: requested(topic, depth=_DEPTH, reliable=True) for topic in answers.topics}
-        self._receiver = receiver(node, subscriptions, "wait_set")
+        self._receiver = Receiver(node, subscriptions)
         self._recent: deque[tuple[int, Publisher, bytes]] = deque()
         self._times: deque[int] = deque(maxlen=2)
         self._answered = False

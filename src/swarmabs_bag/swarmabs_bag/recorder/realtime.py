@@ -24,7 +24,7 @@ from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import Health, Schedule
 from swarmabs_core.realtime.leadership import SINGLE, Pair
 from swarmabs_core.record import Record
-from swarmabs_ros.endpoints import WaitSetReceiver
+from swarmabs_ros.endpoints import Receiver
 from swarmabs_ros.lockstep import INTERRUPTED
 from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
 from swarmabs_ros.parameters import choose, declare, refuse_sim_time
@@ -75,7 +75,7 @@ class RealtimeRecorder:
 
     def __init__(self, node: Node, subscriptions: Mapping[Topic, Qos], status: StatusChannel, rank: str) -> None:
         self._depths = {topic: qos.depth for topic, qos in subscriptions.items()}
-        self._receiver = WaitSetReceiver(node, subscriptions, identified=tuple(subscriptions))
+        self._receiver = Receiver(node, subscriptions, identified=tuple(subscriptions))
         self._status = status
         self._name, self._rank = node.get_name(), rank
         self._begun = time.monotonic()
