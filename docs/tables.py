@@ -139,7 +139,7 @@ def bounds(parameter: Parameter) -> str:
     return "; ".join(found)
 
 
-def parameters(declared: Iterable[Parameter | type | BySystem], without: Iterable[Parameter] = ()) -> str:
+def parameters(declared: Iterable[Parameter | type | BySystem[object]], without: Iterable[Parameter] = ()) -> str:
     """Return the table of a node's parameters on the plane, `without` the common ones."""
     names = {each.name for each in without}
     parts = (each.plane if isinstance(each, BySystem) else each for each in declared)

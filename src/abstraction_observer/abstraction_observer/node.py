@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from swarmabs_config.graph import OBSERVER
+from swarmabs_core import model
 from swarmabs_core.behaviours import Observer, Steered
 from swarmabs_core.declaration import parameters_of
 from swarmabs_core.membership import SILENT
@@ -22,8 +23,10 @@ if TYPE_CHECKING:
 
     from swarmabs_core.messages import Topic
 
+    HearAll = Callable[[Topic, list[bytes]], Messages]
+
 (ON_STALL,) = choose(parameters_of(Lockstep), "on_stall")
-CONFIG = BySystem(ObserverConfig, SystemObserverConfig)
+CONFIG: BySystem[model.ObserverConfig] = BySystem(ObserverConfig, SystemObserverConfig)
 PARAMETERS = (CONFIG, ON_STALL, PACKED, STEERED)
 
 
@@ -43,7 +46,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     return NodeSpec(gate or observer, on_stall=on_stall, hear_all=None if gate else hear_all)
 
 
-def _observer(settings: Settings, config: Any) -> tuple[Observer, Callable[[Topic, list[bytes]], Messages] | None]:
+def _observer(settings: Settings, config: model.ObserverConfig) -> tuple[Observer, HearAll | None]:
     """Return the behaviour, and what takes its serialized messages, if it does so itself."""
     if not settings.flag(PACKED.name):
         return Observer(config), None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from swarmabs_config.graph import ROBOT
+from swarmabs_core import model
 from swarmabs_core.behaviours import Agent
 from swarmabs_core.models import AgentConfig, SystemAgentConfig
 from swarmabs_ros.lockstep import NodeSpec
@@ -12,7 +13,7 @@ from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
-CONFIG = BySystem(AgentConfig, SystemAgentConfig)
+CONFIG: BySystem[model.AgentConfig] = BySystem(AgentConfig, SystemAgentConfig)
 PARAMETERS = (CONFIG, PACKED, STEERED)
 
 

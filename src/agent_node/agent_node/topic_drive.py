@@ -8,7 +8,7 @@ plane's angle th is positive if the side of positive positions is up. The body's
 from __future__ import annotations
 
 from math import copysign, cos, sin
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias
 
 from geometry_msgs.msg import TwistStamped
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
@@ -49,7 +49,9 @@ TURN_TIME = 500_000_000
 COMMAND = QoSProfile(depth=1, history=QoSHistoryPolicy.KEEP_LAST, reliability=QoSReliabilityPolicy.RELIABLE)
 """QoS of the command: a reliable writer matches both kinds of readers, and only the newest command is relevant."""
 
-_TYPES: dict[str, Any] = {"twist": TwistStamped, "force": Float64, "joint": JointState}
+Command: TypeAlias = TwistStamped | Float64 | JointState
+
+_TYPES: dict[str, type[Command]] = {"twist": TwistStamped, "force": Float64, "joint": JointState}
 
 
 class TopicLink:
@@ -73,7 +75,7 @@ class TopicLink:
         """Send a command to the base."""
         self._publisher.publish(self._message(value))
 
-    def _message(self, value: float) -> Any:
+    def _message(self, value: float) -> Command:
         settings = self._settings
         if settings.command == "force":
             return Float64(data=value)

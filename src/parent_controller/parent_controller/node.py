@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from swarmabs_config.graph import CONTROLLER
+from swarmabs_core import model
 from swarmabs_core.behaviours import Controller, Steered
 from swarmabs_core.models import ControllerConfig, SystemControllerConfig
 from swarmabs_ros.lockstep import NodeSpec
@@ -12,7 +13,7 @@ from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
-CONFIG = BySystem(ControllerConfig, SystemControllerConfig)
+CONFIG: BySystem[model.ControllerConfig] = BySystem(ControllerConfig, SystemControllerConfig)
 PARAMETERS = (CONFIG, PACKED, STEERED)
 
 

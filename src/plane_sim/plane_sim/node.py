@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 
 from swarmabs_config.graph import PLANE
+from swarmabs_core import model
 from swarmabs_core.behaviours import Parent, Steered
 from swarmabs_core.models import PlaneConfig, SystemParentConfig
 from swarmabs_ros.lockstep import NodeSpec
@@ -15,7 +16,7 @@ from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
 from swarmabs_ros.status import StatusChannel
 
-CONFIG = BySystem(PlaneConfig, SystemParentConfig)
+CONFIG: BySystem[model.ParentConfig] = BySystem(PlaneConfig, SystemParentConfig)
 PARAMETERS = (CONFIG, PACKED, STEERED)
 
 

@@ -299,6 +299,10 @@ class AgentConfig(NodeConfig, Protocol):
         """Seed of random faults and noise."""
         ...
 
+    def refuse_contradictions(self) -> None:
+        """Raise `InputError` if settings contradict each other."""
+        ...
+
     def body(self) -> Body:
         """Return the robot at its initial state."""
         ...

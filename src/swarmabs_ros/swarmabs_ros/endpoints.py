@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
     from swarmabs_core.messages import Topic
 
+    Take = Callable[[type, bool], tuple[bytes, object] | tuple[bytes] | None]
+
 _RELIABILITY = {"reliable": QoSReliabilityPolicy.RELIABLE, "best_effort": QoSReliabilityPolicy.BEST_EFFORT}
 _DURABILITY = {"volatile": QoSDurabilityPolicy.VOLATILE, "transient_local": QoSDurabilityPolicy.TRANSIENT_LOCAL}
 
@@ -104,7 +106,7 @@ class IdentifyingTake:
     """
 
     def __init__(self, subscription: Subscription, note: Callable[[str], object]) -> None:
-        self._handle: Any = subscription.handle
+        self._handle = subscription.handle
         self._note: Callable[[str], object] | None = note
         self.writer = b""
         message, self._info = _Bytes(), ctypes.create_string_buffer(_INFO_SIZE)
@@ -174,7 +176,7 @@ class Receiver:
     ) -> None:
         self._context = node.context.handle
         self._types = {topic: ros_type(topic) for topic in subscriptions}
-        self._subscriptions: dict[Topic, Any] = {
+        self._subscriptions: dict[Topic, Subscription] = {
             topic: node.create_subscription(
                 self._types[topic], topic.name, unheard, profile(qos), callback_group=group, raw=True
             )
@@ -182,8 +184,8 @@ class Receiver:
         }
         self._wait_sets: dict[tuple[Topic, ...], Any] = {}
         try:
-            self._make_wait_set: Any = rclpy_implementation.WaitSet
-            self._take: dict[Topic, Any] = {topic: s.handle.take_message for topic, s in self._subscriptions.items()}
+            self._make_wait_set = rclpy_implementation.WaitSet
+            self._take: dict[Topic, Take] = {topic: s.handle.take_message for topic, s in self._subscriptions.items()}
         except AttributeError as error:
             raise ImportError(
                 f"this rclpy does not support direct waiting ({error}); use that of ROS 2 Jazzy"

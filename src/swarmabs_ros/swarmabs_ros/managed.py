@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.publisher import Publisher
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
@@ -30,6 +31,7 @@ from swarmabs_ros.timing import StepClock
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from lifecycle_msgs.srv import ChangeState
     from rclpy.executors import Executor
     from rclpy.impl.rcutils_logger import RcutilsLogger
     from rclpy.lifecycle import LifecycleState
@@ -39,6 +41,9 @@ if TYPE_CHECKING:
     from swarmabs_core.realtime.base import RealtimeBehaviour
     from swarmabs_ros.status import StatusChannel
     from swarmabs_ros.tuning import Tune, Tuning
+
+    ChangeStateCallback = Callable[[ChangeState.Request, ChangeState.Response], ChangeState.Response]
+    TriggerCallback = Callable[[Trigger.Request, Trigger.Response], Trigger.Response]
 
 DIAGNOSTICS_PERIOD = 1.0
 """Time between two diagnostics messages, s."""
@@ -102,7 +107,7 @@ class RealtimeNode(LifecycleNode):
         self._settled: Callable[[], bool]
         self._is_ready = False
         self._clock_of_steps: StepClock | None = None
-        self._before: tuple[Any, ...] | None = None
+        self._before: tuple[object, ...] | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=steady)
@@ -217,7 +222,7 @@ class RealtimeNode(LifecycleNode):
         """Lifecycle state: unconfigured, inactive, active, finalized, or that of a transition."""
         return str(self._state_machine.current_state[1])
 
-    def _entities(self) -> tuple[Any, ...]:
+    def _entities(self) -> tuple[Service | Subscription | Publisher, ...]:
         return (*self.services, *self.subscriptions, *self.publishers)
 
     def _configure(self) -> None:
@@ -264,10 +269,10 @@ class RealtimeNode(LifecycleNode):
             self._release()
         return FAILURE
 
-    def _operating(self, command: Callable[[int], Messages]) -> Callable[[Any, Any], Any]:
+    def _operating(self, command: Callable[[int], Messages]) -> TriggerCallback:
         """Return the callback of an operator's service."""
 
-        def operate(_: Any, response: Any) -> Any:
+        def operate(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
                 self._loop.command(command)
                 response.success = True
@@ -277,10 +282,10 @@ class RealtimeNode(LifecycleNode):
 
         return operate
 
-    def _guarded(self, callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def _guarded(self, callback: ChangeStateCallback) -> ChangeStateCallback:
         """Return a callback that answers with a failure instead of raising an error."""
 
-        def guarded(request: Any, response: Any) -> Any:
+        def guarded(request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
             try:
                 return callback(request, response)
             except Exception as error:  # noqa: BLE001 - rclpy's class is not public

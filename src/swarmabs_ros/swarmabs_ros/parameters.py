@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter as RosParameter
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from swarmabs_core.parameters import Value
 
 
+ConfigT_co = TypeVar("ConfigT_co", covariant=True)
+
 SIM_TIME = "use_sim_time"
 NO_SIM_TIME = f"parameter {SIM_TIME}: no ROS clock determines the steps of a swarm; omit it"
 _OF_RCLPY = (SIM_TIME, "start_type_description_service", "qos_overrides.")
@@ -32,15 +35,20 @@ def choose(table: tuple[Parameter, ...], *names: str) -> tuple[Parameter, ...]:
     return tuple(by_name[name] for name in names)
 
 
-class BySystem(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class BySystem(Generic[ConfigT_co]):
     """The declaration of a node's parameters on the plane, and on the parent system that ``system.type`` names."""
 
-    plane: type
-    system: type
+    plane: type[ConfigT_co]
+    system: type[ConfigT_co]
 
-    def chosen(self, given: Mapping[str, object]) -> type:
+    def chosen(self, given: Mapping[str, object]) -> type[ConfigT_co]:
         """Return the declaration that given values select."""
         return self.system if "system.type" in given else self.plane
+
+
+Table: TypeAlias = tuple["Parameter | type | BySystem[object]", ...]
+"""Parameters of a node, and declarations from which further ones follow."""
 
 
 def given_values(node: Node) -> dict[str, object]:
@@ -48,9 +56,7 @@ def given_values(node: Node) -> dict[str, object]:
     return {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
 
 
-def table_of(
-    given: Mapping[str, object], common: tuple[Parameter, ...], own: tuple[Parameter | type | BySystem, ...]
-) -> tuple[Parameter, ...]:
+def table_of(given: Mapping[str, object], common: tuple[Parameter, ...], own: Table) -> tuple[Parameter, ...]:
     """Return the parameters of a node: those common to all nodes, its own, and those from declarations.
 
     Given values may select parts that add parameters. Raises `InputError` if there is no such part.

@@ -13,7 +13,7 @@ import threading
 import time
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar, cast
 
 from swarmabs_config.graph import OFFERED, REALTIME, USUAL_TOPICS
 from swarmabs_core.cdr import decode, encode, misplaced
@@ -261,7 +261,7 @@ class RealtimeLoop:
         self._read = read
         self._sleep = sleep
         self._activity: Activity | None = None
-        self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._thread: int | None = None
         self._stopping = False
 
@@ -281,8 +281,8 @@ class RealtimeLoop:
         if threading.get_ident() == self._thread:
             return work()
         answer: Future[T] = Future()
-        self._jobs.put((work, answer))
-        either: tuple[Future[Any], ...] = (answer, self._hung)
+        self._jobs.put(lambda: _answer(work, answer))
+        either = answer, cast("Future[T]", self._hung)
         wait(either, timeout, FIRST_COMPLETED)
         if not answer.done() and not self._hung.done():
             if answer.cancel():
@@ -353,12 +353,7 @@ class RealtimeLoop:
     def _do_jobs(self, *, wait: bool) -> None:
         try:
             while True:
-                work, answer = self._jobs.get(wait, SLICE)
-                if answer.set_running_or_notify_cancel():
-                    try:
-                        answer.set_result(work())
-                    except Exception as error:  # noqa: BLE001 - it is raised in the calling thread
-                        answer.set_exception(error)
+                self._jobs.get(wait, SLICE)()
                 wait = False
         except queue.Empty:
             return
@@ -416,6 +411,15 @@ class RealtimeLoop:
 
     def _health(self) -> Health:
         return Health(Level.WARN, "nothing is configured") if self._activity is None else self._activity.health()
+
+
+def _answer(work: Callable[[], T], answer: Future[T]) -> None:
+    """Execute work unless it is cancelled, and set its result or its error."""
+    if answer.set_running_or_notify_cancel():
+        try:
+            answer.set_result(work())
+        except Exception as error:  # noqa: BLE001 - it is raised in the calling thread
+            answer.set_exception(error)
 
 
 def _text(error: Exception) -> str:

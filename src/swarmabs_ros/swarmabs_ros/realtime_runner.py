@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_ros.managed import RealtimeSpec
+    from swarmabs_ros.parameters import Table
     from swarmabs_ros.status import StatusChannel
 
 SCHEDULING = Parameter(
@@ -72,8 +73,6 @@ _ENDS_WITHIN = 5.0
 _CLASSES = {"fifo": os.SCHED_FIFO, "rr": os.SCHED_RR}
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h on Linux, x86-64 and ARM
 
-Table = tuple[Parameter | type, ...]
-
 
 def run_realtime(
     name: str,
@@ -89,8 +88,8 @@ def run_realtime(
     ----------
     name : str
         Its name in the graph, and its node name unless remapped.
-    table : tuple of Parameter or type
-        Its parameters beyond the common ones, and declarations from which further ones follow.
+    table : Table
+        Its parameters beyond the common ones.
     make : callable
         Creates behaviour and endpoints from the parameters each time the node is configured.
     gains : tuple of str

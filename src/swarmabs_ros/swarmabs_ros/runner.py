@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from swarmabs_config.graph import KEPT_STEPS, LOCKSTEP, Endpoints, endpoints, options_of
 from swarmabs_core.declaration import DeclarationT, made_of, parameters_of
@@ -14,7 +14,7 @@ from swarmabs_core.parameters import Parameter, SettingError
 from swarmabs_core.settings import Run
 from swarmabs_ros.endpoints import Receiver, advertise
 from swarmabs_ros.lockstep import FIRST, INTERRUPTED, SLICE, Lockstep
-from swarmabs_ros.parameters import BySystem, declare, given_values, refuse_sim_time, table_of
+from swarmabs_ros.parameters import declare, given_values, refuse_sim_time, table_of
 from swarmabs_ros.start import SwarmNode, run_program
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Topic
     from swarmabs_core.parameters import Value
     from swarmabs_ros.lockstep import NodeSpec
+    from swarmabs_ros.parameters import BySystem, Table
     from swarmabs_ros.status import StatusChannel
 
 COMMON = (
@@ -106,7 +107,7 @@ class Settings:
         step = self.integer("last_step")
         return None if step < 0 else step
 
-    def chosen(self, declarations: BySystem) -> Any:
+    def chosen(self, declarations: BySystem[DeclarationT]) -> DeclarationT:
         """Return the declaration for the parent system with these values; errors as for `made`."""
         return self.made(declarations.chosen(self._values))
 
@@ -139,7 +140,7 @@ class Settings:
 
 def run_node(
     name: str,
-    table: tuple[Parameter | type | BySystem, ...],
+    table: Table,
     make: Callable[[Settings, StatusChannel], NodeSpec],
     args: list[str] | None = None,
 ) -> int:
@@ -149,8 +150,8 @@ def run_node(
     ----------
     name : str
         Its name in the graph, and its node name unless remapped.
-    table : tuple of Parameter or type
-        Its parameters beyond the common ones, and declarations from which further ones follow.
+    table : Table
+        Its parameters beyond the common ones.
     make : callable
         Creates behaviour and endpoints from the parameters.
     """
@@ -179,7 +180,7 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
     )
     stopped = interrupted = False
 
-    def stop(number: int, *_: Any) -> None:
+    def stop(number: int, *_: object) -> None:
         nonlocal stopped, interrupted
         stopped, interrupted = True, number == signal.SIGINT
         loop.stop()

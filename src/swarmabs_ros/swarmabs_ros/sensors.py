@@ -6,7 +6,7 @@ for them but take what has arrived in each step, so no executor is needed.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias
 
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
@@ -14,9 +14,10 @@ from sensor_msgs.msg import Imu as ImuMessage, JointState
 
 from swarmabs_core.cdr import SECOND
 from swarmabs_ros.endpoints import unheard
-from swarmabs_ros.readings import Imu, Joints, Odometry, Reading
+from swarmabs_ros.readings import Imu, Joints, Odometry, Quaternion, Reading, Vector
 
 if TYPE_CHECKING:
+    from geometry_msgs.msg import Point, Quaternion as QuaternionMessage, Vector3
     from rclpy.callback_groups import CallbackGroup
     from rclpy.node import Node
 
@@ -26,7 +27,9 @@ DEPTH = 50
 SENSOR = QoSProfile(depth=DEPTH, history=QoSHistoryPolicy.KEEP_LAST, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 """QoS for sensors; best effort matches both kinds of publishers, like the sensor data profile of ROS."""
 
-TYPES: dict[str, Any] = {"odometry": OdometryMessage, "joint_state": JointState, "imu": ImuMessage}
+SensorMessage: TypeAlias = OdometryMessage | JointState | ImuMessage
+
+TYPES: dict[str, type[SensorMessage]] = {"odometry": OdometryMessage, "joint_state": JointState, "imu": ImuMessage}
 """Message by kind of source."""
 
 
@@ -56,7 +59,7 @@ class SensorSubscription:
         return readings
 
 
-def reading(message: Any, stamp: int | None = None) -> Reading:
+def reading(message: SensorMessage, stamp: int | None = None) -> Reading:
     """Convert a message of one of `TYPES`; `stamp` (ns since 1970) replaces that of its header."""
     if stamp is None:
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
@@ -73,9 +76,9 @@ def reading(message: Any, stamp: int | None = None) -> Reading:
     return Odometry(stamp, frame, _vector(pose.position), _quaternion(pose.orientation), velocity)
 
 
-def _vector(given: Any) -> tuple[float, float, float]:
+def _vector(given: Point | Vector3) -> Vector:
     return given.x, given.y, given.z
 
 
-def _quaternion(given: Any) -> tuple[float, float, float, float]:
+def _quaternion(given: QuaternionMessage) -> Quaternion:
     return given.x, given.y, given.z, given.w
