@@ -31,8 +31,8 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     return RealtimeSpec(
         observer,
         OBSERVER_PHASE,
-        services={} if config.pair.single else {RELEASE: observer.release},
-        settled=lambda: observer.settled,
+        services={} if config.pair.single else {RELEASE: observer.voice.release},
+        settled=lambda: observer.voice.settled,
         tune=lambda changed: observer.tuned(changed.made(RealtimeObserverConfig)),
     )
 

@@ -31,7 +31,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG00
     """Return the behaviour."""
     config = settings.made(RealtimeControllerConfig)
     controller = RealtimeController(config, law_of(config))
-    commands = (controller.stop, controller.reset, controller.release)
+    commands = (controller.stop, controller.reset, controller.voice.release)
     offered = dict(zip(services(CONTROLLER, options_of({"pair": config.pair.rank})), commands, strict=True))
     if config.pair.single:
         del offered[RELEASE]
@@ -40,7 +40,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG00
         CONTROLLER_PHASE,
         wakes=(PLANE_STATE,),
         services=offered,
-        settled=lambda: controller.settled,
+        settled=lambda: controller.voice.settled,
         tune=lambda changed: controller.tuned(law_of(changed.made(RealtimeControllerConfig))),
     )
 

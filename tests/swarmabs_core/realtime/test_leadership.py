@@ -290,30 +290,36 @@ def test_a_message_that_is_two_steps_old_was_heard_without_delay() -> None:
         assert standby.leading == (late > 2)
 
 
+def voice_of(rank: str, rules: Leadership) -> Voice:
+    voice = Voice(EventCode.OBSERVER_LEADS, Pair(rank), CLOCK, 0.0)
+    voice.leadership = rules
+    return voice
+
+
 def test_events_from_the_time_in_which_neither_spoke_are_published_by_the_next_leader() -> None:
     def event(step: int) -> msg.SwarmEvent:
         return msg.SwarmEvent(0, step, 1, msg.EventKind.DEAD, 0.0, "")
 
-    voice = Voice(EventCode.OBSERVER_LEADS, following(step=100), STANDBY)
+    voice = voice_of(STANDBY, following(step=100))
     for k in range(101, 115):
         if k == 108:  # until step 111 the peer spoke
             voice.leadership.hear(107, 108)
-        assert voice.say((event(k),), at(k), k, able=k > 110) == ()
+        assert voice.say((event(k),), at(k), able=k > 110) == ()
     leads = msg.SwarmEvent(at(115), 115, 0, msg.EventKind.LEADING, 0.0, "abstraction_observer_standby: peer silent")
-    assert voice.say((event(115),), at(115), 115) == (leads, *map(event, range(112, 116)))
-    assert voice.say((event(116),), at(116), 116) == (event(116),)
+    assert voice.say((event(115),), at(115)) == (leads, *map(event, range(112, 116)))
+    assert voice.say((event(116),), at(116)) == (event(116),)
 
 
 def spoke(voice: Voice, step: int, *, able: bool) -> bool:
     """Execute a step; return whether something was published."""
-    return bool(voice.say((msg.SwarmEvent(0, step, 1, msg.EventKind.DEAD, 0.0, ""),), at(step), step, able=able))
+    return bool(voice.say((msg.SwarmEvent(0, step, 1, msg.EventKind.DEAD, 0.0, ""),), at(step), able=able))
 
 
 @pytest.mark.parametrize("rank", [PRIMARY, STANDBY])
 def test_once_one_has_settled_the_other_may_stop(rank: str) -> None:
     draw = Random(f"settles {rank}")
     for _ in range(300):
-        voice = Voice(EventCode.OBSERVER_LEADS, leadership(rank), rank)
+        voice = voice_of(rank, leadership(rank))
         peer, source = (100 + draw.choice((draw.randrange(5), draw.randrange(80))) for _ in range(2))
         k = 100
         while not voice.settled:
@@ -328,8 +334,8 @@ def test_once_one_has_settled_the_other_may_stop(rank: str) -> None:
 
 
 def test_one_that_hears_nothing_is_not_awaited_for_ever() -> None:
-    assert Voice(EventCode.OBSERVER_LEADS, leadership(SINGLE), SINGLE).settled
-    voice, steps = Voice(EventCode.OBSERVER_LEADS, leadership(PRIMARY), PRIMARY), 0
+    assert voice_of(SINGLE, leadership(SINGLE)).settled
+    voice, steps = voice_of(PRIMARY, leadership(PRIMARY)), 0
     while not voice.settled:
         spoke(voice, 100 + steps + 10**6 * (steps > 30), able=False)  # the clock of the host is set meanwhile
         steps += 1
@@ -341,7 +347,7 @@ def test_two_controllers_that_start_in_stop_do_not_wait_for_each_other() -> None
     last = SETTLES * 2 * CLOCK.steps(1.0) + 1
     for k in range(last + 1):
         assert all(one.tick(at(k)) == () for one in pair)
-    assert all(one.settled for one in pair)
+    assert all(one.voice.settled for one in pair)
 
 
 def test_a_single_controller_obeys_no_other_one() -> None:

@@ -99,17 +99,17 @@ class BroadcastInbox:
         if topic not in BROADCASTS:
             return Problem("not a broadcast")
         step, origin = self._schedule.step(now), Origin(topic.name, standby=sender.standby)
+        untimely = self._heard.untimely(message, step)
         if self._heard.from_future(message, step):
-            return Problem("from the future; the clocks differ, or it is of another swarm").of(origin)
+            return untimely and untimely.of(origin)
         if isinstance(message, DesiredAbstractState) and message.mode == Mode.STOP:
             self._latch.stop(message.step)  # even if it is otherwise invalid
-        problem, outdated = self._bounds.problem(message), message.step < step - self._age
-        if not problem and not outdated:
+        problem = self._bounds.problem(message)
+        if not problem and not untimely:
             problem = self._contradiction(topic, message, step, origin, sender.writer)
         if isinstance(message, DesiredAbstractState) and message.mode == Mode.RESET and not problem:
             self._reset(message.step, step)
-        if outdated:
-            return Problem("outdated").of(origin)
+        problem = untimely or problem
         if problem:
             return problem.of(origin)
         self._complete(message.step)

@@ -83,6 +83,11 @@ class RealtimeController:
     The controller and its reference start when the observer publishes the swarm's abstract state. Without a fresh state
     of the plane it publishes nothing, and the robots stop by themselves. `make_law` creates the control law at the
     start and after each reset.
+
+    Attributes
+    ----------
+    voice : Voice
+        Whether it is this one of a pair that speaks.
     """
 
     def __init__(self, config: RealtimeControllerConfig, make_law: Callable[[], ParentController]) -> None:
@@ -102,8 +107,7 @@ class RealtimeController:
         self._asked: DesiredAbstractState | None = None
         self._last_published = -1
         self._blind = False
-        leadership = config.pair.leadership(config.schedule, config.clock_tolerance)
-        self._voice = Voice(EventCode.CONTROLLER_LEADS, leadership, config.pair.rank)
+        self.voice = Voice(EventCode.CONTROLLER_LEADS, config.pair, config.schedule, config.clock_tolerance)
         self._restart()
 
     def _restart(self) -> None:
@@ -131,10 +135,11 @@ class RealtimeController:
             return self._learn_division(message, step, now, sender)
         if isinstance(message, (DesiredAbstractState, Basis)) and not self._config.pair.single:
             return self._hear_peer(message, step, now, sender)
+        if not isinstance(message, PlaneState):
+            return self._refusals.add(Problem("not a state of the plane"), step, now)
         problem = self._problem(message, step, sender.writer)
         if problem:
-            return self._refusals.add(problem, step, now)
-        assert isinstance(message, PlaneState)  # noqa: S101 - `_problem` has checked it
+            return self._refusals.add(problem.of(_PLANE), step, now)
         if self._plane is not None and message.step <= self._plane.step:
             return ()
         self._plane = message
@@ -144,13 +149,8 @@ class RealtimeController:
     def _learn_division(self, message: StandingState, step: int, now: int, sender: Sender) -> Messages:
         """Keep the newest message on how the abstract state divides, unless it is not credible."""
         origin = Origin(STANDING.name, standby=sender.standby)
-        problem = self._bounds.problem(message)
-        if message.step > step + self._config.schedule.ahead(self._config.clock_tolerance):
-            problem = Problem("from the future; the clocks differ, or it is of another swarm")
-        elif message.step < step - self._age:
-            problem = Problem("outdated")
-        elif not problem:
-            problem = self._writers.second(origin, sender.writer, step)
+        problem = self._heard.untimely(message, step) or self._bounds.problem(message)
+        problem = problem or self._writers.second(origin, sender.writer, step)
         if problem:
             return self._refusals.add(problem.of(origin), step, now)
         if self._divided is None or message.step > self._divided[0].step:
@@ -159,14 +159,14 @@ class RealtimeController:
 
     def _division(self, step: int) -> tuple[StandingState, bool] | None:
         """Return how the abstract state divides, if that is known and recent at a step."""
-        found = self._divided
-        return found if found is not None and abs(step - found[0].step) <= self._age else None
+        division = self._divided
+        return division if division is not None and abs(step - division[0].step) <= self._age else None
 
     def tick(self, now: int) -> Messages:
         """Repeat STOP and RESET even without states of the plane, and report if those are missing."""
         step = self._config.schedule.step(now)
         self._writers.advance(step)
-        events = self._voice.say(self._end_reset(now, step), now, step, able=self._keeps_still)
+        events = self.voice.say(self._end_reset(now, step), now, able=self._keeps_still)
         if self._plane is not None and self._plane.step > step + self._age:  # the clock was set back
             self._plane, self._last_published, self._fast, self._divided = None, -1, 0, None
             self._heard.forget()
@@ -177,7 +177,7 @@ class RealtimeController:
         self._blind = bool(doubt)
         if doubt and not was_blind and self._plane is not None:
             stalled = self._event(now, EventCode.STALLED, 0.0, doubt)
-            return (*events, *self._voice.say((stalled,), now, step, able=False))
+            return (*events, *self.voice.say((stalled,), now, able=False))
         return events
 
     def stop(self, now: int) -> Messages:
@@ -192,17 +192,7 @@ class RealtimeController:
         step = self._config.schedule.step(now)
         self._mode.reset(step)
         self._restart()
-        return self._voice.say(self._announced(now, step), now, step)
-
-    @property
-    def settled(self) -> bool:
-        """Whether the other one of the pair may stop; always for one without a peer."""
-        return self._voice.settled
-
-    def release(self, now: int) -> Messages:
-        """Hand over to the other one of the pair."""
-        self._voice.leadership.release(self._config.schedule.step(now))
-        return ()
+        return self.voice.say(self._announced(now, step), now)
 
     def halt(self) -> None:
         """Discard the plane's state; the robots then stop when the last desired state is outdated."""
@@ -214,14 +204,14 @@ class RealtimeController:
         return self._writers.warned(self._health(now))
 
     def _health(self, now: int) -> Health:
-        asked, plane, schedule = self._asked, self._plane, self._config.schedule
+        asked, plane = self._asked, self._plane
         values = (
             ("mode", self._mode.now.name),
             ("desired torque, N m", "none" if asked is None else f"{asked.torque:.4f}"),
             ("desired inertia, kg m^2", "none" if asked is None else f"{asked.inertia:.5f}"),
             ("angle, rad", "none" if plane is None else f"{plane.angle:.4f}"),
             *self._refusals.values(),
-            *self._voice.leadership.values(schedule.step(now), schedule.period),
+            *self.voice.values(now),
         )
         if self._mode.now is not Mode.RUN:
             return Health(Level.WARN, f"{self._mode.now.name}: {self._mode.why}", values)
@@ -232,19 +222,14 @@ class RealtimeController:
             return Health(Level.WARN, "waiting for the observer", values)
         return Health(Level.OK, "running", values)
 
-    def _problem(self, message: Message, step: int, writer: bytes) -> Problem | None:
-        if not isinstance(message, PlaneState):
-            return Problem("not a state of the plane")
-        problem = self._bounds.problem(message)
-        if self._heard.from_future(message, step):
-            problem = Problem("from the future; the clocks differ, or it is of another swarm")
-        elif message.step < step - self._age:
-            problem = Problem("outdated")
-        elif not problem:
-            problem = self._writers.second(_PLANE, writer, step)
-            if self._heard.add(None, message, step, refused=problem is not None) and not problem:
-                problem = Problem("two different ones of a step; a second plane, or an intruder")
-        return problem and problem.of(_PLANE)
+    def _problem(self, message: PlaneState, step: int, writer: bytes) -> Problem | None:
+        problem = self._heard.untimely(message, step) or self._bounds.problem(message)
+        if problem:
+            return problem
+        problem = self._writers.second(_PLANE, writer, step)
+        if self._heard.add(None, message, step, refused=problem is not None) and not problem:
+            problem = Problem("two different ones of a step; a second plane, or an intruder")
+        return problem
 
     def _second(self, message: DesiredAbstractState | Basis, step: int, sender: Sender) -> Problem | None:
         """Return a problem if a message is not of the other controller, but of a second writer."""
@@ -286,9 +271,9 @@ class RealtimeController:
                 events.extend(event._replace(stamp=now) for event in news)
         except RunError as error:
             self._mode.publish_stop(str(error))
-            return self._voice.say(self._announced(now, step), now, step)
+            return self.voice.say(self._announced(now, step), now)
         self._asked, self._last_published = desired._replace(stamp=now), plane.step
-        return self._voice.say((*events, provenance, self._asked), now, step)
+        return self.voice.say((*events, provenance, self._asked), now)
 
     def _hear_peer(self, message: DesiredAbstractState | Basis, step: int, now: int, sender: Sender) -> Messages:
         """Note that the other controller speaks, and take over its mode and the time of its law unless this one leads.
@@ -296,17 +281,14 @@ class RealtimeController:
         A STOP counts whatever it is, as for a robot.
         """
         stops = isinstance(message, DesiredAbstractState) and message.mode == Mode.STOP
-        if message.step > step + self._config.schedule.ahead(self._config.clock_tolerance):
-            problem = Problem("from the future")
-        elif message.step < step - self._age and not stops:
-            problem = Problem("outdated")
-        elif stops:
+        problem = self._heard.untimely(message, step)
+        if stops and not self._heard.from_future(message, step):
             problem = None
-        else:
+        elif not problem:
             problem = self._bounds.problem(message) or self._second(message, step, sender)
         if problem:
             return self._refusals.add(problem.of(_PEER), step, now)
-        leadership = self._voice.leadership
+        leadership = self.voice.leadership
         if isinstance(message, Basis):
             if message.source == Source.CONTROLLER and not leadership.leading:
                 self._adopt(message.step, message.begun)
@@ -317,7 +299,7 @@ class RealtimeController:
         if self._mode.now is Mode.RESET and before is not Mode.RESET:
             self._restart()
         if stops and self._mode.now is not before:
-            return self._voice.say(self._announced(now, step), now, step)
+            return self.voice.say(self._announced(now, step), now)
         if message.mode == self._mode.now == Mode.RUN and message.step == self._law_step and not leadership.leading:
             self._asked = message
             self._generator.follow(message)  # the command filter continues from what was asked
@@ -344,7 +326,7 @@ class RealtimeController:
         if not self._keeps_still:
             return ()
         still = self._keep_still(now, step)
-        said = self._voice.say((still,), now, self._config.schedule.step(now))
+        said = self.voice.say((still,), now)
         return said or ((still,) if self._mode.told_to_stop else ())
 
     def _keep_still(self, now: int, step: int) -> DesiredAbstractState:
@@ -362,7 +344,7 @@ class RealtimeController:
         return self._event(now, EventCode.MODE_CHANGED, float(self._mode.now), self._mode.why)
 
     def _end_reset(self, now: int, step: int) -> Messages:
-        leadership = self._voice.leadership
+        leadership = self.voice.leadership
         follows = not leadership.leading and leadership.hears_peer(step)
         if follows or not self._mode.is_over(step):
             return ()

@@ -205,26 +205,40 @@ class Voice:
 
     Attributes
     ----------
+    leadership : Leadership
+        The rules that decide whether it speaks.
     settled : bool
         Whether the other one may stop: this one has led or stood by, and could have spoken, for as long as it listens
-        at its start. It is also set after `SETTLES` times as many steps, for then perhaps there is nothing to hear.
+        at its start. It is also set after `SETTLES` times as many steps, for then perhaps there is nothing to hear, and
+        always for one without a peer.
     """
 
-    def __init__(self, begun: EventCode, leadership: Leadership, rank: str) -> None:
-        self.leadership = leadership
-        self._single = rank == SINGLE
+    def __init__(self, begun: EventCode, pair: Pair, schedule: Schedule, clock_tolerance: float) -> None:
+        self.leadership = pair.leadership(schedule, clock_tolerance)
+        self._schedule = schedule
+        self._single = pair.single
         self._begun = begun
-        self._suffix = STANDBY_SUFFIX if rank == STANDBY else ""
+        self._suffix = STANDBY_SUFFIX if pair.rank == STANDBY else ""
         self._kept: deque[Message] = deque(maxlen=_MOST_KEPT)
         self._leads = False
-        self.settled = self._single
+        self.settled = pair.single
         self._counted = 0
         self._step = _NEVER
 
-    def say(self, messages: Messages, now: int, step: int, *, able: bool = True) -> Messages:
-        """Return what is published of the messages of a step at a time (ns); arguments as for `Leadership.tick`."""
+    def release(self, now: int) -> Messages:
+        """Hand over to the other one of the pair at a time (ns); say nothing."""
+        self.leadership.release(self._schedule.step(now))
+        return ()
+
+    def values(self, now: int) -> tuple[tuple[str, str], ...]:
+        """Return the values for a health status at a time (ns); none for a coordinator without a peer."""
+        return self.leadership.values(self._schedule.step(now), self._schedule.period)
+
+    def say(self, messages: Messages, now: int, *, able: bool = True) -> Messages:
+        """Return what is published of the messages of a time (ns); `able` as for `Leadership.tick`."""
         if self._single:
             return messages
+        step = self._schedule.step(now)
         speaks, led = self.leadership.tick(step, able=able), self._leads
         self._leads = speaks
         self._settle(step)

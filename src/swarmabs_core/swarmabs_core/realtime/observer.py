@@ -144,6 +144,8 @@ class RealtimeObserver:
     ----------
     roles : dict
         Role of every member.
+    voice : Voice
+        Whether it is this one of a pair that speaks.
     """
 
     def __init__(self, config: RealtimeObserverConfig, memory: MutableMapping[int, AgentState] | None = None) -> None:
@@ -161,8 +163,7 @@ class RealtimeObserver:
         self._counter = StepCounter(config.schedule)
         self._started = False
         self._under_way_since: int | None = None
-        leadership = config.pair.leadership(config.schedule, config.clock_tolerance)
-        self._voice = Voice(EventCode.OBSERVER_LEADS, leadership, config.pair.rank)
+        self.voice = Voice(EventCode.OBSERVER_LEADS, config.pair, config.schedule, config.clock_tolerance)
 
     def tuned(self, config: RealtimeObserverConfig) -> Callable[[], None]:
         """Return a callable that installs the gain of a configuration between two steps."""
@@ -183,12 +184,13 @@ class RealtimeObserver:
             return ()
         if isinstance(message, AbstractState) and not self._config.pair.single:
             return self._hear_peer(message, step, now, sender)
+        if not isinstance(message, AgentState):
+            return self._refusals.add(Problem("not a robot's state"), step, now)
         problem = self._problem(message, step, sender)
         if problem:
             return self._refusals.add(problem, step, now)
-        assert isinstance(message, AgentState)  # noqa: S101 - `_problem` has checked it
-        known = self._states.get(message.agent_id)
-        if known is None or message.step > known.step:
+        newest = self._states.get(message.agent_id)
+        if newest is None or message.step > newest.step:
             self._states[message.agent_id] = message
             self._steps[message.agent_id] = message.step
         return ()
@@ -203,22 +205,12 @@ class RealtimeObserver:
         self._heard.writers.advance(step)
         events = self._update_roles(step, now)
         if not self._started and not self._may_start(step):
-            return self._voice.say(events, now, step, able=False)
+            return self.voice.say(events, now, able=False)
         self._started = True
         standing = [i for i, role in self.roles.items() if role is Role.SILENT]
-        found = self._states, standing, step, now
-        answer = (self._provenance(standing, step, now), *self._sums.sum_up(*found), self._sums.divide(*found))
-        return self._voice.say((*events, *answer), now, step, able=self._hears_robots)
-
-    @property
-    def settled(self) -> bool:
-        """Whether the other one of the pair may stop; always for one without a peer."""
-        return self._voice.settled
-
-    def release(self, now: int) -> Messages:
-        """Hand over to the other one of the pair."""
-        self._voice.leadership.release(self._config.schedule.step(now))
-        return ()
+        swarm = self._states, standing, step, now
+        answer = (self._provenance(standing, step, now), *self._sums.sum_up(*swarm), self._sums.divide(*swarm))
+        return self.voice.say((*events, *answer), now, able=self._hears_robots)
 
     def halt(self) -> None:
         """Assume that all robots rest in their last known positions until they are heard again."""
@@ -233,9 +225,7 @@ class RealtimeObserver:
         count = {role: sum(r is role for r in self.roles.values()) for role in Role}
         ids = {role: [i for i, r in self.roles.items() if r is role][:20] for role in Role}
         values = tuple((role.value, " ".join(map(str, ids[role]))) for role in Role)
-        schedule = self._config.schedule
-        leadership = self._voice.leadership.values(schedule.step(now), schedule.period)
-        values = (*values, *self._refusals.values(), *leadership)
+        values = (*values, *self._refusals.values(), *self.voice.values(now))
         if not self._started:
             heard = self._known()
             return Health(Level.WARN, f"waiting for robots: {heard} heard, {self._needed} needed", values)
@@ -258,12 +248,10 @@ class RealtimeObserver:
             problem = self._heard.writers.second(origin, sender.writer, step)
         if problem:
             return self._refusals.add(problem.of("the other observer"), step, now)
-        self._voice.leadership.hear(message.step, step)
+        self.voice.leadership.hear(message.step, step)
         return ()
 
-    def _problem(self, message: Message, step: int, sender: Sender) -> Problem | None:
-        if not isinstance(message, AgentState):
-            return Problem("not a robot's state")
+    def _problem(self, message: AgentState, step: int, sender: Sender) -> Problem | None:
         if message.agent_id not in self.roles:
             return Problem(NO_MEMBER, f"robot {message.agent_id}")
         impossible = self._bounds.problem(message) or self._overweight(message)
@@ -271,8 +259,8 @@ class RealtimeObserver:
 
     def _overweight(self, state: AgentState) -> Problem | None:
         """Return a problem if the robot's mass and those of the others on the plane exceed the mass of the swarm."""
-        known = self._states.get(state.agent_id)
-        if known is not None and (known.mass, known.status) == (state.mass, state.status):
+        before = self._states.get(state.agent_id)
+        if before is not None and (before.mass, before.status) == (state.mass, state.status):
             return None
         others = [s.mass for i, s in self._states.items() if i != state.agent_id and s.status != Status.LEFT]
         if state.status != Status.LEFT and self._bounds.exceeds(exact_sum([*others, state.mass])):

@@ -44,6 +44,8 @@ SHOWN_AGES = 100
 """For how many age limits a health status shows that there was a second sender."""
 SECOND_SENDER = "a second sender, refused while the first is heard"
 """Reason for which the messages of a second writer are rejected."""
+FROM_FUTURE = "from the future; the clocks differ, or it is of another swarm"
+"""Reason for which messages are rejected that are newer than the clock tolerance allows."""
 NO_MEMBER = "a state of a robot that is not a member of this swarm"
 """Reason for which the states of unknown robots are rejected."""
 _ROUNDING = 1e-6
@@ -249,6 +251,12 @@ class Heard(Generic[Place]):
         """Return whether a message is newer than the clock tolerance allows in a step."""
         return message.step > step + self._ahead
 
+    def untimely(self, message: Message, step: int) -> Problem | None:
+        """Return a problem if a message that arrives in a step is of too late or of too early a step."""
+        if self.from_future(message, step):
+            return Problem(FROM_FUTURE)
+        return Problem("outdated") if message.step < step - self._age else None
+
     def add(self, place: Place, message: Message, step: int, *, refused: bool = False) -> bool:
         """Keep a message if it is the first in its place; return whether it differs from another one.
 
@@ -422,7 +430,7 @@ class HeardStates(Heard[int]):
         if self.writers.refuses(origin, writer):
             problem = Problem(SECOND_SENDER)
         elif self.from_future(state, step):
-            problem = Problem("a state from the future; the clocks differ, or it is of another swarm")
+            problem = Problem(f"a state {FROM_FUTURE}")
         elif not impossible:
             if step - self._age <= state.step and self.writers.hear(origin, writer):
                 self._forget_place(state.agent_id)
