@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import select
 import signal
 import time
 from contextlib import ExitStack, suppress
@@ -15,7 +14,7 @@ from layers import FOLDER, UPPER, lower
 from swarmabs_config.graph import CONTROLLER, PLANE, RECORDER
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import AGENT_STATE, PLANE_STATE
-from swarmabs_run.orchestration.launcher_client import LauncherClient
+from swarmabs_run.orchestration.machine import Machine
 from swarmabs_run.orchestration.network import claimed_domain, dds_environment, profile_xml
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 from swarmabs_run.orchestration.supervision import how_it_ended
@@ -138,8 +137,8 @@ class CascadeRun:
             profile.write_text(profile_xml(domain, peers=range(len(self._processes))), encoding="utf-8")
             environment = dds_environment(domain, str(profile.resolve()))
             environment["PYTHONPATH"] = os.pathsep.join((str(FOLDER), os.environ.get("PYTHONPATH", "")))
-            client = LauncherClient(environment, logs / "launcher.log", processes=len(self._processes))
-            launcher = stack.enter_context(client)
+            machine = Machine(environment, logs / "launcher.log", processes=len(self._processes))
+            launcher = stack.enter_context(machine)
             for layer in self._processes.values():
                 log = self._folders[layer.namespace].logs / f"{layer.node}.log"
                 launcher.spawn(layer.process, layer.arguments, log)
@@ -154,12 +153,12 @@ class CascadeRun:
     def _complete(self) -> bool:
         return len(self._done) == len(self._folders)
 
-    def _listen(self, launcher: LauncherClient, enough: Callable[[], bool]) -> None:
+    def _listen(self, launcher: Machine, enough: Callable[[], bool]) -> None:
         """Process reports until `enough` returns True."""
         news = time.monotonic()
         while not enough():
-            if select.select([launcher.reports], [], [], 1.0)[0]:
-                for report in launcher.read():
+            if reports := launcher.listen(1.0):
+                for report in reports:
                     self._take(report)
                 news = time.monotonic()
             elif not launcher.alive():
@@ -190,14 +189,13 @@ class CascadeRun:
             log = self._folders[self._processes[name].namespace].logs / f"{self._processes[name].node}.log"
             raise RunError(f"{name} {how_it_ended(report['code'])}; see {log}")
 
-    def _end_recorders(self, launcher: LauncherClient) -> None:
+    def _end_recorders(self, launcher: Machine) -> None:
         """Let the recorders complete the bags of a failed run."""
         recorders = {name for name, layer in self._processes.items() if layer.node == RECORDER}
         for name in recorders - self._done.keys():
             launcher.signal(name, signal.SIGTERM)
         deadline = time.monotonic() + CLOSING_SECONDS
         while not recorders <= self._done.keys() and launcher.alive() and time.monotonic() < deadline:
-            select.select([launcher.reports], [], [], 0.1)
-            for report in launcher.read():
+            for report in launcher.listen():
                 with suppress(RunError):  # only the first failure is reported
                     self._take(report)

@@ -35,7 +35,7 @@ main({arguments})
 stop()
 """
 AT_LAUNCHER = "from swarmabs_run.orchestration import launcher_process as at; at.LauncherProcess = stop"
-AT_NODES = "from swarmabs_run.orchestration.launcher_client import LauncherClient as at; at.spawn = stop"
+AT_NODES = "from swarmabs_run.orchestration.machine import Machine as at; at.spawn = stop"
 
 
 def loaded(arguments: list[str], before: str = "") -> set[str]:

@@ -13,7 +13,7 @@ import json
 import os
 import select
 import socket
-from typing import Literal
+from typing import Any, Literal, TypedDict
 
 from swarmabs_core.errors import InputError, RunError
 
@@ -23,24 +23,59 @@ START_FD = "SWARMABS_START_FD"
 EPOCH_RECORD = 20
 """Length, in bytes, of the decimal number that sends the epoch to a process."""
 
-Report = Literal[
+Event = Literal[
     "ready",
     "stalled",
     "recovered",
     "failed",
     "progress",
-    "written",
     "done",
     "timing",
     "steered",
     "paused",
     "restart",
-    "leads",
-    "yields",
-    "behind",
     "publishes",
     "recorded",
+    "spawned",
+    "exited",
 ]
+
+
+class _Report(TypedDict):
+    node: str
+    pid: int
+    event: Event
+
+
+class Report(_Report, total=False):
+    """A report of a node, or of the launcher on its children; which of these entries it has depends on its event."""
+
+    name: str
+    """``spawned``, ``exited``: the child."""
+    child: int
+    code: int
+    step: int
+    missing: list[str]
+    """``stalled``: what is waited for."""
+    silence: float
+    reason: str
+    angle: float | None
+    error: float | None
+    robots: dict[str, Any] | None
+    complete: bool
+    problem: str | None
+    figures: dict[str, Any]
+    steps: int
+    missed: int
+    longest_us: int
+    lateness_us: dict[str, int]
+    clock_jumps: int
+    text: str
+    change: str
+    paused: bool
+    action: str
+    events: list[tuple[str, int, int, int]]
+    """``publishes``, ``recorded``: digest, step, robot and kind of each."""
 
 
 class StatusChannel:
@@ -51,7 +86,7 @@ class StatusChannel:
         self._report = _descriptor(REPORT_FD, os.O_WRONLY)
         self._start = _descriptor(START_FD, os.O_RDONLY)
 
-    def send(self, event: Report, **details: object) -> None:
+    def send(self, event: Event, **details: object) -> None:
         """Send a report; lines below 4 KiB do not interleave with those of other nodes."""
         if self._report is None:
             return

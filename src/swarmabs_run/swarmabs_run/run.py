@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_core.ranges import reason_of, texts_of
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 
 Phase = Literal["starting", "running", "paused", "closing"]
+Figures: TypeAlias = dict[str, Any]
+"""Digest and figures of a recording, a JSON document."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +110,7 @@ class Outcome:
     ----------
     reason : str, optional
         What went wrong; further lines show the ends of logs.
-    figures : dict
+    figures : Figures
         Digest and figures, as far as they are known.
     start_seconds, stepping_seconds : float, optional
         Wall time to the first step, and from the first to the last step, s.
@@ -122,7 +124,7 @@ class Outcome:
 
     status: Literal["ok", "failed", "interrupted"]
     reason: str | None
-    figures: dict[str, Any]
+    figures: Figures
     start_seconds: float | None = None
     stepping_seconds: float | None = None
     warnings: tuple[str, ...] = ()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rich.text import Text
 
@@ -11,8 +12,6 @@ from swarmabs_bag.run.figures import PLANE_TRACKING
 from swarmabs_core.ranges import texts_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from swarmabs_bag.run.figures import Tracking
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import AnyScenario
@@ -21,6 +20,10 @@ if TYPE_CHECKING:
 AGES_SHOWN = 3
 """Number of broadcast ages that the table lists individually."""
 FIGURES = ("settled_at", "final_error", "rms_error", "max_abs_position", "messages", "digest")
+
+
+Summary: TypeAlias = Mapping[str, Any]
+"""The content of ``summary.json``, or of an object in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +60,7 @@ def summarise(scenario: AnyScenario, outcome: Outcome, times: Times) -> dict[str
     }
 
 
-def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Tracking = PLANE_TRACKING) -> Text:
+def summary_table(summary: Summary, folder: RunFolder, tracking: Tracking = PLANE_TRACKING) -> Text:
     """Return the summary as lines for the terminal; `tracking` is what the parent tracks.
 
     Print it without wrapping, which would tear the digest, so that it could not be copied.
@@ -105,7 +108,7 @@ def summary_table(summary: Mapping[str, Any], folder: RunFolder, tracking: Track
     return Text("\n").join(lines)
 
 
-def _wall_time(summary: Mapping[str, Any]) -> str:
+def _wall_time(summary: Summary) -> str:
     """Return the duration of the command without the set-up of the checkout, and of its parts as far as known."""
     parts = {"start": summary["startup_time"], "run": summary["run_time"]}
     durations = [f"{name} {seconds:.1f} s" for name, seconds in parts.items() if seconds is not None]
@@ -114,7 +117,7 @@ def _wall_time(summary: Mapping[str, Any]) -> str:
     return f"{summary['wall_time'] - summary['setup_time']:.1f} s" + (f": {', '.join(durations)}" if durations else "")
 
 
-def _realtime_rows(realtime: Mapping[str, Any]) -> dict[str, str]:
+def _realtime_rows(realtime: Summary) -> dict[str, str]:
     """Return the rows that apply only to a run in real time."""
     missed, longest = realtime.get("missed_periods", {}), realtime.get("longest_us", {})
     losses, ages = realtime.get("losses", {}), realtime.get("broadcast_ages", {})
@@ -140,7 +143,7 @@ def _ages(ages: Mapping[str, int]) -> str:
     return ", ".join(shown) or "none"
 
 
-def _rerun(rerun: Mapping[str, Any]) -> str:
+def _rerun(rerun: Summary) -> str:
     result = {True: "same digest", False: "different digest", None: "digests not comparable"}[rerun["same"]]
     if rerun["same"] and rerun["compared"] == "prefix":
         result = f"same digest up to its last step, {rerun['last_step']}"

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from swarmabs_ros.status import START_FD
-from swarmabs_run.orchestration.launcher_client import LauncherClient
+from swarmabs_run.orchestration.machine import Machine
 from swarmabs_run.orchestration.network import PARTICIPANT_VARIABLE
 from swarmabs_run.orchestration.plan import ProcessPlan
 
@@ -42,7 +42,7 @@ def main(arguments: list[str]) -> int:
 
 if __name__ == "__main__":
     logs = Path(sys.argv[1])
-    client = LauncherClient({}, logs / "launcher.log", processes=2)
+    client = Machine({}, logs / "launcher.log", processes=2)
     for each in ("one", "two"):
         client.spawn(child(each), ["ignore-sigterm"], logs / f"{each}.log")
     signal.pause()

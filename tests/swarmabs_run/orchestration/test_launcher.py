@@ -16,9 +16,9 @@ from tests.swarmabs_run.orchestration.children import child
 
 from swarmabs_config.graph import Driver
 from swarmabs_run.ending import GRACE
-from swarmabs_run.orchestration import launcher_client
+from swarmabs_run.orchestration import machine
 from swarmabs_run.orchestration.launcher import CROWD
-from swarmabs_run.orchestration.launcher_client import LauncherClient
+from swarmabs_run.orchestration.machine import Machine
 
 pytestmark = [pytest.mark.smoke, pytest.mark.timeout(300)]
 
@@ -37,13 +37,13 @@ def at_once(nothing_survives: str, monkeypatch: pytest.MonkeyPatch) -> None:
 class Launched:
     """A launcher, and what it and its children have reported."""
 
-    def __init__(self, client: LauncherClient, logs: Path) -> None:
+    def __init__(self, client: Machine, logs: Path) -> None:
         self.client = client
         self.logs = logs
         self._reports: list[dict[str, Any]] = []
 
     def reported(self, event: str, name: str) -> list[dict[str, Any]]:
-        self._reports += self.client.read()
+        self._reports += self.client.listen(0.0)
         return [report for report in self._reports if (report["event"], report.get("name")) == (event, name)]
 
     def start(self, name: str, *arguments: str) -> int:
@@ -69,9 +69,9 @@ class Launched:
 def launched(logs: Path, **options: Any) -> Iterator[Launched]:
     with (
         pytest.MonkeyPatch.context() as patch,
-        LauncherClient(ENVIRONMENT, logs / "launcher.log", **{"processes": 2, **options}) as client,
+        Machine(ENVIRONMENT, logs / "launcher.log", **{"processes": 2, **options}) as client,
     ):
-        patch.setattr(launcher_client, "END_SECONDS", 1000.0)  # it ends by itself, not when the client loses patience
+        patch.setattr(machine, "END_SECONDS", 1000.0)  # it ends by itself, not when the client loses patience
         yield Launched(client, logs)
 
 
@@ -90,7 +90,7 @@ def test_children_are_named_logged_and_heard_and_a_signal_reaches_the_one_it_is_
         assert [descriptors.pop(number) for number in "012"] == [os.devnull, *[str(tmp_path / "plane_sim.log")] * 2]
         assert len(descriptors) == 2, "the pipes of reports and of the start"
         assert Path(f"/proc/{plane}/comm").read_text(encoding="utf-8").strip() == "plane_sim"
-        assert os.getsid(plane) == launcher.client.pid != os.getsid(0), "Ctrl-C in a terminal must not reach it"
+        assert os.getsid(plane) == launcher.client.launcher != os.getsid(0), "Ctrl-C in a terminal must not reach it"
         assert os.sched_getscheduler(plane) == os.SCHED_OTHER
         for name, arguments, code, logged in (
             ("none", ("exit", "0"), 0, "exit begins"),
@@ -136,7 +136,7 @@ def test_nodes_in_real_time_start_at_one_signal_and_take_turns(tmp_path: Path, m
 def test_children_die_with_a_launcher_that_is_killed(tmp_path: Path) -> None:
     with launched(tmp_path) as launcher:
         pids = [launcher.waiting("one", "ignore-sigterm"), launcher.waiting("two", "wait")]
-        os.kill(launcher.client.pid, signal.SIGKILL)
+        os.kill(launcher.client.launcher, signal.SIGKILL)
         until(lambda: all(map(ended, pids)) and not launcher.client.alive(), "all are dead")
         launcher.client.spawn(child("three"), ["wait"], tmp_path / "three.log")  # nobody is there to hear it
     assert not launcher.log("three")

@@ -127,8 +127,8 @@ class FakeMachine:
         assert set(own) == set(self.pids.values())
         return next((f"{port} of process 4711 (daemon)" for port in self.taken if port in udp), "")
 
-    def listen(self) -> list[Report]:
-        self.clock = min([self.clock + POLL, *(max(time, self.clock) for time, _ in self.due)]) + 1e-6
+    def listen(self, seconds: float = POLL) -> list[Report]:
+        self.clock = min([self.clock + seconds, *(max(time, self.clock) for time, _ in self.due)]) + 1e-6
         come = sorted((item for item in self.due if item[0] <= self.clock), key=lambda item: item[0])
         self.due = [item for item in self.due if item[0] > self.clock]
         for _, what in come:
@@ -178,7 +178,9 @@ def drive(
     write_network(folder.logs, 5, len(NAMES), realtime=kind is RealtimeRun)
     for name in (*NAMES, "launcher"):
         (folder.logs / f"{name}.log").write_text(f"{name} says so\n")
-    return kind(scenario, folder, RunOptions(namespace="/north", **options)).drive(machine, 5, CALLED)
+    return kind(scenario, folder, RunOptions(namespace="/north", **options)).drive(
+        machine, machine.end_asked, 5, CALLED
+    )
 
 
 def noted(path: Path) -> str:

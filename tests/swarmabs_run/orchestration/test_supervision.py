@@ -3,6 +3,7 @@
 import os
 import select
 import signal
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,7 +11,7 @@ import pytest
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER
 from swarmabs_core.messages import SYSTEM_FAMILY, EventKind
-from swarmabs_run.orchestration.machine import ThisMachine, woken_by_signals
+from swarmabs_run.orchestration.machine import Machine, woken_by_signals
 from swarmabs_run.orchestration.supervision import Failure, Supervision, how_it_ended, last_lines
 
 ROBOTS = ("agent_001", "agent_002", "agent_003", "agent_017")
@@ -126,20 +127,21 @@ def test_a_few_robots_that_hang_are_named_but_not_half_of_them() -> None:
     assert state.hanging() == state.not_ready() == ("agent_017",)
 
 
-def test_listening_ends_with_a_report_or_a_signal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_listening_ends_with_a_report_or_a_signal() -> None:
     before = signal.signal(signal.SIGUSR1, lambda *_: None)
     reports, write = os.pipe()
-    others = dict.fromkeys(("alive", "spawn", "signal", "start_all"))
-    launcher = SimpleNamespace(**others, pid=7, reports=reports, read=lambda: [os.read(reports, 9)])
+    os.set_blocking(reports, False)
+    started = SimpleNamespace(reports=reports, start=-1, process=SimpleNamespace(pid=7, stdin=None), taken=False)
     try:
         with woken_by_signals() as wake:
-            machine = ThisMachine(cast("Any", launcher), wake, lambda: True)
-            assert (machine.launcher, machine.end_asked(), machine.listen()) == (7, True, [])
-            os.write(write, b"report")
-            monkeypatch.setattr("swarmabs_run.orchestration.machine.POLL", 1000.0)
-            assert machine.listen() == [b"report"]
+            machine = Machine({}, Path("log"), processes=1, started=cast("Any", started), wake=wake)
+            assert (machine.launcher, started.taken, machine.listen()) == (7, True, [])
+            os.write(write, b'{"event": "ready"}\n{"event": ')
+            assert machine.listen(1000.0) == [{"event": "ready"}]
+            os.write(write, b'"done"}\n')
+            assert machine.listen(1000.0) == [{"event": "done"}]
             signal.raise_signal(signal.SIGUSR1)
-            assert machine.listen() == []
+            assert machine.listen(1000.0) == []
             assert not select.select([wake], [], [], 0.0)[0], "the signal is taken note of once"
             assert machine.state_of(os.getpid()) in {"running", "sleeping"} and machine.state_of(2**22 + 1) == "dead"
         assert signal.set_wakeup_fd(-1) == -1

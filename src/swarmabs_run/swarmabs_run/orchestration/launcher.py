@@ -20,7 +20,7 @@ import sys
 import time
 import traceback
 import warnings
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from swarmabs_config.graph import CONTROLLER, NODES, OBSERVER, PLANE, ROBOT, Driver
 from swarmabs_core.controllers import CONTROLLERS
@@ -31,6 +31,9 @@ from swarmabs_ros.endpoints import ros_type
 from swarmabs_ros.status import REPORT_FD
 from swarmabs_run.ending import die_with_parent, end_grace
 from swarmabs_run.tracing_files import tracing_files_removed
+
+if TYPE_CHECKING:
+    from swarmabs_run.orchestration.launcher_process import Order
 
 LOADED_BY_SERVICES = ("numpy", "service_msgs.msg", "type_description_interfaces.msg")
 """Modules that rclpy loads when a node offers services, as real-time nodes do; loaded here, all nodes share them."""
@@ -70,43 +73,43 @@ class Launcher:
                     self._obey(json.loads(line))
         self._end()
 
-    def _obey(self, command: dict[str, Any]) -> None:
-        if command["command"] == "begin":
-            _begin(command)
-        elif command["command"] == "spawn":
-            self._spawn(command)
+    def _obey(self, order: Order) -> None:
+        if order["command"] == "begin":
+            _begin(order)
+        elif order["command"] == "spawn":
+            self._spawn(order)
         else:
-            pid = self._pids.get(command["name"])
+            pid = self._pids.get(order["name"])
             if pid is not None:  # not reaped yet, so the id still belongs to the child
-                os.kill(pid, command["signal"])
+                os.kill(pid, order["signal"])
 
-    def _spawn(self, command: dict[str, Any]) -> None:
+    def _spawn(self, order: Order) -> None:
         launcher = os.getpid()
         pid = os.fork()
         if pid == 0:
-            self._become(command, launcher)
-        self._children[pid] = command["name"]
-        self._pids[command["name"]] = pid
-        self._report("spawned", name=command["name"], child=pid)
+            self._become(order, launcher)
+        self._children[pid] = order["name"]
+        self._pids[order["name"]] = pid
+        self._report("spawned", name=order["name"], child=pid)
 
-    def _become(self, command: dict[str, Any], launcher: int) -> NoReturn:
+    def _become(self, order: Order, launcher: int) -> NoReturn:
         """Turn the forked process into a node; it never returns to the launcher's loop."""
         code = 1
         try:
             die_with_parent(launcher)
-            ctypes.CDLL(None).prctl(_PR_SET_NAME, command["name"].encode(), 0, 0, 0)
+            ctypes.CDLL(None).prctl(_PR_SET_NAME, order["name"].encode(), 0, 0, 0)
             signal.set_wakeup_fd(-1)
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
             for descriptor in self._wake:
                 os.close(descriptor)
-            log = os.open(command["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+            log = os.open(order["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
             null = os.open(os.devnull, os.O_RDONLY)
             for source, target in ((null, 0), (log, 1), (log, 2)):
                 os.dup2(source, target)
             os.close(log)
             os.close(null)
-            os.environ.update(command["environment"])
-            code = importlib.import_module(command["module"]).main(command["arguments"])
+            os.environ.update(order["environment"])
+            code = importlib.import_module(order["module"]).main(order["arguments"])
         except BaseException:  # noqa: BLE001 - every exception goes to the node's log and ends the child
             traceback.print_exc()
         finally:
@@ -161,19 +164,19 @@ def main() -> int:
     return 0
 
 
-def _begin(command: dict[str, Any]) -> None:
+def _begin(order: Order) -> None:
     """Prepare for a run: environment, log, parts from packages, memory and scheduling."""
-    os.environ.update(command["environment"])
-    log = os.open(command["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    os.environ.update(order["environment"])
+    log = os.open(order["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     for target in (1, 2):
         os.dup2(log, target)
     os.close(log)
     registries = {registry.group: registry for registry in (CONTROLLERS, LAWS, SYSTEMS)}
-    for group, _, name in (plugin.partition(":") for plugin in command["plugins"]):
+    for group, _, name in (plugin.partition(":") for plugin in order["plugins"]):
         registries[group].find(name)  # entry points are resolved once, not in every node
     gc.collect()
     gc.freeze()  # memory that the garbage collector does not touch stays shared with the children
-    if command["processes"] > CROWD * len(os.sched_getaffinity(0)):
+    if order["processes"] > CROWD * len(os.sched_getaffinity(0)):
         # An arriving message does not preempt the running process: the receiver runs when that process waits, and
         # handles all messages that have arrived meanwhile. This halves the number of context switches.
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 from swarmabs_ros.status import REPORT_FD, START_FD
 
@@ -19,10 +19,26 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
+class Order(TypedDict, total=False):
+    """A line for the launcher; which of these entries it has depends on its command."""
+
+    command: Literal["begin", "spawn", "signal"]
+    environment: dict[str, str]
+    """Variables to add, for all nodes (``begin``) or for this one."""
+    log: str
+    """File for the output of the launcher (``begin``) or the node."""
+    processes: int
+    plugins: list[str]
+    name: str
+    module: str
+    arguments: list[str]
+    signal: int
+
+
 class LauncherProcess:
     """A launcher that loads the modules of the nodes and waits for the order to begin.
 
-    Used with `with`, it is killed at the end of the block unless a `LauncherClient` has taken it over.
+    Used with `with`, it is killed at the end of the block unless a `Machine` has taken it over.
 
     Parameters
     ----------
@@ -38,7 +54,7 @@ class LauncherProcess:
     start : int
         File descriptor whose end is the start signal of the nodes.
     taken : bool
-        Whether it belongs to a `LauncherClient`, which ends it and closes the descriptors.
+        Whether it belongs to a `Machine`, which ends it and closes the descriptors.
     """
 
     def __init__(self, driver: str, environment: Mapping[str, str] | None = None) -> None:

@@ -14,6 +14,8 @@ from swarmabs_run.run import DEFAULTS, RunOptions
 from swarmabs_run.steering.client import SOCKET
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_run.orchestration.machine import Machine
@@ -44,10 +46,10 @@ class LockstepRun(ProcessRun):
         self._stalled_at = -1
         self._recovery = 0.0
 
-    def drive(self, machine: Machine, domain: int, begun: float) -> Outcome:
+    def drive(self, machine: Machine, end_asked: Callable[[], bool], domain: int, begun: float) -> Outcome:
         """Drive the processes to their end; afterwards the run can no longer be steered."""
         try:
-            outcome = super().drive(machine, domain, begun)
+            outcome = super().drive(machine, end_asked, domain, begun)
             packed = any(process.parameters.get("packed") for process in self._plan)
             return replace(outcome, packed=packed)
         finally:
@@ -64,10 +66,10 @@ class LockstepRun(ProcessRun):
 
     def _apply_steering(self) -> None:
         """Log the steering that was applied, and schedule the ends of processes that follow from it."""
-        for report in self._supervision.steered:
-            self._note(f"steered: {report['text']}")
-            if report["change"]:
-                change = Change.parse(report["change"])
+        for text, of_robot in self._supervision.steered:
+            self._note(f"steered: {text}")
+            if of_robot:
+                change = Change.parse(of_robot)
                 later = (fault for fault in self._faults if fault.agent_id != change.agent_id)
                 self._faults = sorted((change, *later))
         self._supervision.steered.clear()

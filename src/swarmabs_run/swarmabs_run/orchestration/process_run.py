@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Mapping
 from contextlib import ExitStack, suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_config.configure import plugins
 from swarmabs_config.graph import COORDINATORS, LOCKSTEP, REALTIME, RECORDER, Driver
 from swarmabs_run.ending import end_asked, end_grace
-from swarmabs_run.orchestration.launcher_client import LauncherClient
-from swarmabs_run.orchestration.machine import ThisMachine, woken_by_signals
+from swarmabs_run.orchestration.machine import Machine, woken_by_signals
 from swarmabs_run.orchestration.network import (
     claimed_domain,
     dds_environment,
@@ -34,15 +32,12 @@ if TYPE_CHECKING:
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_run.orchestration.launcher_process import LauncherProcess
-    from swarmabs_run.orchestration.machine import Machine
-    from swarmabs_run.run import Phase
+    from swarmabs_run.run import Figures, Phase
 
 START_SILENCE = 30.0
 """Time, s, within which at least one more process must be forked or become ready."""
 CLOSING_SECONDS = 20.0
 """Longest time, s, for the recorder to complete the bag."""
-_NOT_DONE: Mapping[str, Any] = {"complete": False, "figures": {}}
-"""The result of a recorder that has reported none."""
 STARTED_AGAIN = "did not come up: again"
 """Entry in the orchestrator's log for a process that it starts again."""
 
@@ -72,6 +67,7 @@ class ProcessRun:
             hosts=hosts,
         )
         self._machine: Machine
+        self._end_asked: Callable[[], bool]
         self._begun: float
         self._domain: int
         self._started: float | None = None
@@ -98,23 +94,24 @@ class ProcessRun:
             write_network(self._folder.logs, domain, participants, realtime=realtime)
             stack.callback(self._progress_file.over)
             wake = stack.enter_context(woken_by_signals())
-            client = LauncherClient(
+            machine = Machine(
                 dds_environment(domain, str(profile.resolve())),
                 self._folder.logs / "launcher.log",
                 processes=len(self._plan),
                 plugins=[f"{registry.group}:{name}" for registry, name in plugins(self._scenario)],
                 driver=self._driver,
                 started=launcher,
+                wake=wake,
             )
-            return self.drive(ThisMachine(stack.enter_context(client), wake, asked), domain, begun)
+            return self.drive(stack.enter_context(machine), asked, domain, begun)
 
-    def drive(self, machine: Machine, domain: int, begun: float) -> Outcome:
-        """Start the processes on a machine, in a ROS domain, and drive them to their end.
+    def drive(self, machine: Machine, end_asked: Callable[[], bool], domain: int, begun: float) -> Outcome:
+        """Start the processes on a machine, in a ROS domain, and drive them to their end, or until it is asked for.
 
         The run's folder already holds the input files; `begun` is the time of the request, s on the steady clock, from
         which the log counts.
         """
-        self._machine, self._begun, self._domain = machine, begun, domain
+        self._machine, self._end_asked, self._begun, self._domain = machine, end_asked, begun, domain
         self._note(f"{self._scenario.name}: {len(self._plan)} processes in ROS domain {domain}")
         return self._conclude(self._supervise())
 
@@ -124,7 +121,7 @@ class ProcessRun:
         self._spawn(self._plan)
         news = self._machine.now()
         counted = 0
-        while not (self._machine.end_asked() or state.restart):
+        while not (self._end_asked() or state.restart):
             self._listen()
             now = self._machine.now()
             failure = self._failure(now)
@@ -214,7 +211,7 @@ class ProcessRun:
     def _conclude(self, failure: Failure | None) -> Outcome:
         """Let the recorder complete the bag if the run did not finish, and return the outcome."""
         state = self._supervision
-        interrupted = failure is None and (self._machine.end_asked() or state.restart is not None)
+        interrupted = failure is None and (self._end_asked() or state.restart is not None)
         reason = self._describe(failure)
         if interrupted:
             reason = "interrupted" if state.restart is None else "ended to start again"
@@ -229,24 +226,23 @@ class ProcessRun:
         if failure is None and ended_badly is not None:
             failure, reason = ended_badly, self._describe(ended_badly)
             self._note(ended_badly.reason)
-        done = state.done or _NOT_DONE
-        complete = done["complete"] and failure is None
+        complete = failure is None and state.done is not None and state.done["complete"]
         if not complete and reason is None:
             reason = "the recorder could not complete the recording"
             self._note(reason)
         return Outcome(
             "ok" if complete else "interrupted" if interrupted and failure is None else "failed",
             None if complete else reason,
-            self._figures(done["figures"]),
+            self._figures({} if state.done is None else state.done["figures"]),
             None if self._started is None else self._started - self._begun,
             None if self._started is None else (self._finished or self._machine.now()) - self._started,
             self._warnings(),
-            restart=None if self._machine.end_asked() else state.restart,
+            restart=None if self._end_asked() else state.restart,
         )
 
-    def _figures(self, recorded: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the digest and the figures."""
-        return dict(recorded)
+    def _figures(self, recorded: Figures) -> Figures:
+        """Return the digest and the figures, given what the recorder has reported."""
+        return recorded
 
     def _warnings(self) -> tuple[str, ...]:
         """Return the warnings of a run that did not fail."""
@@ -269,8 +265,9 @@ class ProcessRun:
 
     def _report_progress(self, phase: Phase) -> None:
         state = self._supervision
-        progress = state.progress or {}
-        step, seen = progress.get("step", 0), progress.get("robots")
+        step, angle, error, seen = 0, None, None, None
+        if (latest := state.progress) is not None:
+            step, angle, error, seen = latest["step"], latest["angle"], latest["error"], latest["robots"]
         self._progress_file.update(phase, step, self._scenario.steps, self._machine.now())
         if self._options.on_progress is None:
             return
@@ -283,8 +280,8 @@ class ProcessRun:
                 step,
                 self._scenario.steps,
                 step / elapsed if elapsed > 0.0 else 0.0,
-                progress.get("angle"),
-                progress.get("error"),
+                angle,
+                error,
                 None if seen is None else SwarmSummary(**seen),
             )
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from swarmabs_config.graph import REALTIME, RECORDER
 from swarmabs_config.realtime import check_realtime
@@ -14,10 +14,9 @@ from swarmabs_run.orchestration.supervision import Failure, how_it_ended
 from swarmabs_run.run import DEFAULTS, RunOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import Scenario
+    from swarmabs_run.run import Figures
 
 LEAD, LEAD_PER_PROCESS = 1.0, 0.02
 """Time, s, from the start signal to step 0, for the nodes to create their endpoints and discover each other."""
@@ -90,7 +89,7 @@ class RealtimeRun(ProcessRun):
         shown = ", ".join(f"{name} (process {state.pids[name]} is {hung[name]})" for name in culprits)
         return Failure(f"{shown} did not exit on SIGTERM and sent no timing report", culprits[:2])
 
-    def _figures(self, recorded: Mapping[str, Any]) -> dict[str, Any]:
+    def _figures(self, recorded: Figures) -> Figures:
         timing = self._supervision.timing
         realtime = {
             "missed_periods": {name: report["missed"] for name, report in sorted(timing.items())},

@@ -5,13 +5,15 @@ from __future__ import annotations
 import signal
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from swarmabs_config.graph import RECORDER, agent_name, writers
 from swarmabs_core.messages import EVENTS, FAMILIES, EventKind, word_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+
+    from swarmabs_ros.status import Report
 
 RESTARTS = 2
 """Largest number of restarts of a robot's process that fails to start."""
@@ -55,6 +57,8 @@ class Supervision:
         Whether the steering node holds the run back, so that silence is none.
     restart : str, optional
         The request that ends the run, so that another one starts.
+    steered : list of tuple of str
+        What was steered and is not noted yet: what to note, and the change of a robot's process that follows, if any.
     """
 
     names: tuple[str, ...]
@@ -68,16 +72,16 @@ class Supervision:
     started: bool = False
     lost: list[str] = field(default_factory=list)
     restarts: Counter[str] = field(default_factory=Counter)
-    progress: Mapping[str, Any] | None = None
-    done: Mapping[str, Any] | None = None
+    progress: Report | None = None
+    done: Report | None = None
     failure: Failure | None = None
-    timing: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    steered: list[Mapping[str, Any]] = field(default_factory=list)
+    timing: dict[str, Report] = field(default_factory=dict)
+    steered: list[tuple[str, str]] = field(default_factory=list)
     paused: bool = False
     restart: str | None = None
     published: set[str] = field(default_factory=set)
 
-    def take(self, report: Mapping[str, Any]) -> None:
+    def take(self, report: Report) -> None:
         """Process a report of a node or of the launcher."""
         event, node = report["event"], report["node"]
         if event == "spawned":
@@ -95,13 +99,13 @@ class Supervision:
         elif event == "progress":
             self.progress = report
         elif event == "timing":
-            self.timing[node] = {name: value for name, value in report.items() if name not in {"node", "pid", "event"}}
+            self.timing[node] = report
         elif event == "steered":
-            self.steered.append(report)
+            self.steered.append((report["text"], report["change"]))
         elif event == "paused":
             self.paused = report["paused"]
             done = "paused" if self.paused else "resumed"
-            self.steered.append({"text": f"{done} at step {report['step']}", "change": ""})
+            self.steered.append((f"{done} at step {report['step']}", ""))
         elif event == "restart":
             self.restart = report["action"]
         elif event == "publishes":
