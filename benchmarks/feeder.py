@@ -12,7 +12,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, NEVER, RECORDING_PROGRESS, RecordingProgress
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.lockstep import NodeSpec
-from swarmabs_ros.runner import Settings, run_node
+from swarmabs_ros.runner import LockstepProgram, Settings
 from swarmabs_run.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -86,9 +86,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     return NodeSpec(Feeder(steps), Endpoints((*MAIN_TOPICS, EVENTS), subscriptions))
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node("feeder", PARAMETERS, make, args)
+main = LockstepProgram("feeder", PARAMETERS, make)
 
 
 if __name__ == "__main__":

@@ -6,12 +6,9 @@ import sys
 
 from coupled_node import PARAMETERS, make_robot
 
-from swarmabs_ros.runner import run_node
+from swarmabs_ros.runner import LockstepProgram
 
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node("carried_robot", PARAMETERS, make_robot, args)
+main = LockstepProgram("carried_robot", PARAMETERS, make_robot)
 
 
 if __name__ == "__main__":

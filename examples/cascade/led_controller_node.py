@@ -6,12 +6,9 @@ import sys
 
 from coupled_node import PARAMETERS, make_controller
 
-from swarmabs_ros.runner import run_node
+from swarmabs_ros.runner import LockstepProgram
 
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node("led_controller", PARAMETERS, make_controller, args)
+main = LockstepProgram("led_controller", PARAMETERS, make_controller)
 
 
 if __name__ == "__main__":

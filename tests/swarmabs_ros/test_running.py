@@ -35,8 +35,8 @@ from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec, diagnostic_array, one_line
 from swarmabs_ros.parameters import declare_values
 from swarmabs_ros.realtime import RealtimeLoop
-from swarmabs_ros.realtime_runner import SWITCH_INTERVAL, Server, lock_memory, run_realtime, schedule_threads
-from swarmabs_ros.runner import Settings, run_node
+from swarmabs_ros.realtime_runner import SWITCH_INTERVAL, RealtimeProgram, Server, lock_memory, schedule_threads
+from swarmabs_ros.runner import LockstepProgram, Settings
 from swarmabs_ros.status import REPORT_FD, START_FD, Heartbeat, StatusChannel, epoch_records, notify
 from swarmabs_ros.tuning import Tuning, gains_among
 
@@ -121,7 +121,7 @@ class Ticking:
 
 def realtime(behaviour: Ticking, **parameters: str) -> int:
     words = given(period_ns="2000000", **parameters)
-    return run_realtime(PLANE, (), lambda *_: RealtimeSpec(behaviour, 0.0), [*COMMAND_LINE, *words])
+    return RealtimeProgram(PLANE, (), lambda *_: RealtimeSpec(behaviour, 0.0))([*COMMAND_LINE, *words])
 
 
 def test_a_node_in_real_time_ticks_until_it_is_told_to_stop(told: Told) -> None:
@@ -145,7 +145,7 @@ def test_systemd_waits_for_a_node_until_it_has_settled(told: Told, monkeypatch: 
 
     words = given(period_ns="2000000")
     spec = RealtimeSpec(node, 0.0, settled=settled)
-    assert run_realtime(PLANE, (), lambda *_: spec, [*COMMAND_LINE, *words]) == 0
+    assert RealtimeProgram(PLANE, (), lambda *_: spec)([*COMMAND_LINE, *words]) == 0
     assert told.notices == [waits, waits, "READY=1\nSTATUS=active", "STOPPING=1"]
     assert told.events() == ["ready", "timing"], "a run does not wait for that"
 
@@ -186,7 +186,7 @@ def test_what_cannot_be_made_or_done_in_real_time_is_refused(
         raise InputError("parameter drive: there is none")
 
     if named == "drive":
-        assert run_realtime(PLANE, (), make, COMMAND_LINE) == 2
+        assert RealtimeProgram(PLANE, (), make)(COMMAND_LINE) == 2
         assert told.events() == ["failed"]
     else:
         assert realtime(Ticking(told), **{named: "true"}) == 2
@@ -245,12 +245,14 @@ def test_a_node_in_lockstep_is_told_how_it_ends(
     spec = NodeSpec(behaviour, on_exit=exits.append, lingers=False)
     # Its own events are heard by itself, so it has met the counterpart for which it waits.
     words = given(match="['swarm/events 1']")
-    assert run_node(PLANE, (), lambda *_: spec, [*COMMAND_LINE, *words]) == code
+    assert LockstepProgram(PLANE, (), lambda *_: spec)([*COMMAND_LINE, *words]) == code
     assert (exits, told.events()) == ([why], said)
 
 
 def test_a_node_in_lockstep_follows_no_ros_clock(told: Told, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run_node(PLANE, (), lambda *_: NodeSpec(Stepping()), [*COMMAND_LINE, *given(use_sim_time="true")]) == 2
+    assert (
+        LockstepProgram(PLANE, (), lambda *_: NodeSpec(Stepping()))([*COMMAND_LINE, *given(use_sim_time="true")]) == 2
+    )
     assert "error: parameter use_sim_time: no ROS clock determines the steps" in capfd.readouterr().err
     assert told.events() == ["failed"]
 
@@ -260,10 +262,10 @@ def test_who_waits_for_others_may_be_told_to_stop(match: str, told: Told, monkey
     waits: list[float] = []
     monkeypatch.setattr(time, "sleep", lambda seconds: (waits.append(seconds), terminate()))
     words = [*COMMAND_LINE, *given(match=match)]
-    assert run_node(PLANE, (), lambda *_: NodeSpec(Stepping(), lingers=False), words) == 0
+    assert LockstepProgram(PLANE, (), lambda *_: NodeSpec(Stepping(), lingers=False))(words) == 0
     assert len(waits) == 1
     spec = NodeSpec(Stepping(), lingers=False, on_idle=terminate)
-    assert run_node(PLANE, (), lambda *_: spec, COMMAND_LINE) == 0, "nor does it wait for messages then"
+    assert LockstepProgram(PLANE, (), lambda *_: spec)(COMMAND_LINE) == 0, "nor does it wait for messages then"
 
 
 @pytest.mark.parametrize(("name", "policy"), [("fifo", os.SCHED_FIFO), ("rr", os.SCHED_RR)])

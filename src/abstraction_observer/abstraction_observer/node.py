@@ -15,7 +15,7 @@ from swarmabs_core.models import ObserverConfig, SystemObserverConfig
 from swarmabs_core.settings import Lockstep
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem, choose
-from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, LockstepProgram, Settings
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -56,9 +56,7 @@ def _observer(settings: Settings, config: model.ObserverConfig) -> tuple[Observe
     return packed, packed.hear_all
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(OBSERVER, PARAMETERS, make, args)
+main = LockstepProgram(OBSERVER, PARAMETERS, make)
 
 
 if __name__ == "__main__":

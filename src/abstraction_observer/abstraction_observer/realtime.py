@@ -12,7 +12,7 @@ from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import OBSERVER_PHASE
 from swarmabs_core.realtime.observer import RealtimeObserver, RealtimeObserverConfig
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.realtime_runner import OWN_TOPICS, run_realtime
+from swarmabs_ros.realtime_runner import OWN_TOPICS, RealtimeProgram
 
 if TYPE_CHECKING:
     from swarmabs_ros.runner import Settings
@@ -37,9 +37,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     )
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_realtime(OBSERVER, PARAMETERS, make, args, gains=GAINS)
+main = RealtimeProgram(OBSERVER, PARAMETERS, make, GAINS)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.messages import PLANE_STATE
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.lockstep import NodeSpec
-from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, LockstepProgram, Settings
 from swarmabs_ros.status import StatusChannel
 
 PARAMETERS = (
@@ -42,9 +42,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     return NodeSpec(group, settings.endpoints(ROBOT, LOCKSTEP, *feeling, *configure.options_for(scenario)))
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node("agent_group", PARAMETERS, make, args)
+main = LockstepProgram("agent_group", PARAMETERS, make)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from swarmabs_core.behaviours import Agent
 from swarmabs_core.models import AgentConfig, SystemAgentConfig
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
-from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, LockstepProgram, Settings
 from swarmabs_ros.status import StatusChannel
 
 CONFIG: BySystem[model.AgentConfig] = BySystem(AgentConfig, SystemAgentConfig)
@@ -24,9 +24,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     return NodeSpec(Agent(config, packed=settings.flag(PACKED.name), steered=settings.flag(STEERED.name)))
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(ROBOT, PARAMETERS, make, args)
+main = LockstepProgram(ROBOT, PARAMETERS, make)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig
 from swarmabs_core.realtime.base import AGENT_PHASE
 from swarmabs_core.realtime.drives import DRIVES, Body
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.realtime_runner import OWN_TOPICS, run_realtime
+from swarmabs_ros.realtime_runner import OWN_TOPICS, RealtimeProgram
 
 if TYPE_CHECKING:
     from swarmabs_core.realtime.drives import Drive
@@ -63,9 +63,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     )
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_realtime(ROBOT, PARAMETERS, make, args, gains=GAINS)
+main = RealtimeProgram(ROBOT, PARAMETERS, make, GAINS)
 
 
 if __name__ == "__main__":

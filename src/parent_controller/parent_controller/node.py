@@ -10,7 +10,7 @@ from swarmabs_core.behaviours import Controller, Steered
 from swarmabs_core.models import ControllerConfig, SystemControllerConfig
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
-from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, LockstepProgram, Settings
 from swarmabs_ros.status import StatusChannel
 
 CONFIG: BySystem[model.ControllerConfig] = BySystem(ControllerConfig, SystemControllerConfig)
@@ -24,9 +24,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     return NodeSpec(Steered(controller) if settings.flag(STEERED.name) else controller)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(CONTROLLER, PARAMETERS, make, args)
+main = LockstepProgram(CONTROLLER, PARAMETERS, make)
 
 
 if __name__ == "__main__":

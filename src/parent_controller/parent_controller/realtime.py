@@ -10,7 +10,7 @@ from swarmabs_core.messages import PLANE_STATE
 from swarmabs_core.realtime.base import CONTROLLER_PHASE
 from swarmabs_core.realtime.controller import RealtimeController, RealtimeControllerConfig
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.realtime_runner import run_realtime
+from swarmabs_ros.realtime_runner import RealtimeProgram
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,9 +45,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG00
     )
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_realtime(CONTROLLER, PARAMETERS, make, args, gains=GAINS)
+main = RealtimeProgram(CONTROLLER, PARAMETERS, make, GAINS)
 
 
 if __name__ == "__main__":

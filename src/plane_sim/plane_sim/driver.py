@@ -30,7 +30,7 @@ from swarmabs_ros.readings import (
     signed_axis,
     wrapped,
 )
-from swarmabs_ros.realtime_runner import run_realtime
+from swarmabs_ros.realtime_runner import RealtimeProgram
 from swarmabs_ros.sensors import SensorSubscription
 
 if TYPE_CHECKING:
@@ -157,9 +157,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     return RealtimeSpec(PlaneDriver(config, sensor.take), PLANE_PHASE)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_realtime(PLANE_DRIVER, PARAMETERS, make, args)
+main = RealtimeProgram(PLANE_DRIVER, PARAMETERS, make)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from swarmabs_core.behaviours import Parent, Steered
 from swarmabs_core.models import PlaneConfig, SystemParentConfig
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
-from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, LockstepProgram, Settings
 from swarmabs_ros.status import StatusChannel
 
 CONFIG: BySystem[model.ParentConfig] = BySystem(PlaneConfig, SystemParentConfig)
@@ -35,9 +35,7 @@ def _parent(settings: Settings) -> Parent:
     return PackedParent(config)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(PLANE, PARAMETERS, make, args)
+main = LockstepProgram(PLANE, PARAMETERS, make)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from swarmabs_config.graph import PLANE
 from swarmabs_core.realtime.base import PLANE_PHASE
 from swarmabs_core.realtime.plane import RealtimePlane, RealtimePlaneConfig
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.realtime_runner import OWN_TOPICS, run_realtime
+from swarmabs_ros.realtime_runner import OWN_TOPICS, RealtimeProgram
 
 if TYPE_CHECKING:
     from swarmabs_ros.runner import Settings
@@ -22,9 +22,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG00
     return RealtimeSpec(RealtimePlane(settings.made(RealtimePlaneConfig)), PLANE_PHASE)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_realtime(PLANE, PARAMETERS, make, args)
+main = RealtimeProgram(PLANE, PARAMETERS, make)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -74,21 +75,15 @@ _CLASSES = {"fifo": os.SCHED_FIFO, "rr": os.SCHED_RR}
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h on Linux, x86-64 and ARM
 
 
-def run_realtime(
-    name: str,
-    table: Table,
-    make: Callable[[Settings, RealtimeNode], RealtimeSpec],
-    args: list[str] | None = None,
-    *,
-    gains: tuple[str, ...] = (),
-) -> int:
-    """Run a node in real time until it is told to stop (SIGINT, SIGTERM); return the exit code of `run_program`.
+@dataclass(frozen=True, slots=True)
+class RealtimeProgram:
+    """The program of a node in real time.
 
     Parameters
     ----------
     name : str
         Its name in the graph, and its node name unless remapped.
-    table : Table
+    parameters : Table
         Its parameters beyond the common ones.
     make : callable
         Creates behaviour and endpoints from the parameters each time the node is configured.
@@ -96,11 +91,18 @@ def run_realtime(
         Names or prefixes of the parameters that may be set while the node is not active.
     """
 
-    def body(node: RealtimeNode, status: StatusChannel) -> None:
-        tuning = _tuning(node, table, gains, status)
-        _run(name, node, tuning, lambda: make(tuning.settings, node), status)
+    name: str
+    parameters: Table
+    make: Callable[[Settings, RealtimeNode], RealtimeSpec]
+    gains: tuple[str, ...] = ()
 
-    return run_program(name, RealtimeNode, body, args)
+    def __call__(self, args: list[str] | None = None) -> int:
+        """Run until told to stop (SIGINT, SIGTERM); return the exit code of `run_program`."""
+        return run_program(self.name, RealtimeNode, self._run, args)
+
+    def _run(self, node: RealtimeNode, status: StatusChannel) -> None:
+        tuning = _tuning(node, self.parameters, self.gains, status)
+        _run(self.name, node, tuning, lambda: self.make(tuning.settings, node), status)
 
 
 def _tuning(node: RealtimeNode, own: Table, gains: tuple[str, ...], status: StatusChannel) -> Tuning:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
 from swarmabs_config.graph import KEPT_STEPS, LOCKSTEP, Endpoints, endpoints, options_of
@@ -138,30 +139,32 @@ class Settings:
         return endpoints(node, driver, options_of(self._values) | {*also}, robots=count, members=members)
 
 
-def run_node(
-    name: str,
-    table: Table,
-    make: Callable[[Settings, StatusChannel], NodeSpec],
-    args: list[str] | None = None,
-) -> int:
-    """Run a node in lockstep until it is told to stop (SIGINT, SIGTERM); return the exit code of `run_program`.
+@dataclass(frozen=True, slots=True)
+class LockstepProgram:
+    """The program of a node in lockstep.
 
     Parameters
     ----------
     name : str
         Its name in the graph, and its node name unless remapped.
-    table : Table
+    parameters : Table
         Its parameters beyond the common ones.
     make : callable
         Creates behaviour and endpoints from the parameters.
     """
 
-    def body(node: Node, status: StatusChannel) -> None:
-        refuse_sim_time(node)
-        settings = Settings(declare(node, table_of(given_values(node), COMMON, table)), node.get_namespace())
-        _run(name, node, settings, make(settings, status), status)
+    name: str
+    parameters: Table
+    make: Callable[[Settings, StatusChannel], NodeSpec]
 
-    return run_program(name, SwarmNode, body, args)
+    def __call__(self, args: list[str] | None = None) -> int:
+        """Run until told to stop (SIGINT, SIGTERM); return the exit code of `run_program`."""
+        return run_program(self.name, SwarmNode, self._run, args)
+
+    def _run(self, node: Node, status: StatusChannel) -> None:
+        refuse_sim_time(node)
+        settings = Settings(declare(node, table_of(given_values(node), COMMON, self.parameters)), node.get_namespace())
+        _run(self.name, node, settings, self.make(settings, status), status)
 
 
 def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) -> None:

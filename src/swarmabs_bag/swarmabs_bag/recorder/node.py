@@ -36,7 +36,7 @@ from swarmabs_core.messages import (
 from swarmabs_core.parameters import Parameter
 from swarmabs_ros.announcements import send_events
 from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
-from swarmabs_ros.runner import PACKED, STEERED, Settings, run_node
+from swarmabs_ros.runner import PACKED, STEERED, LockstepProgram, Settings
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -312,9 +312,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     )
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(RECORDER, PARAMETERS, make, args)
+main = LockstepProgram(RECORDER, PARAMETERS, make)
 
 
 if __name__ == "__main__":

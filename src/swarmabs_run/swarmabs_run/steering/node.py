@@ -18,7 +18,7 @@ from swarmabs_core.messages import PARENT_STATES, Action, Messages, Topic
 from swarmabs_core.parameters import Parameter
 from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE, STEERER
 from swarmabs_ros.lockstep import NodeSpec
-from swarmabs_ros.runner import Settings, run_node
+from swarmabs_ros.runner import LockstepProgram, Settings
 from swarmabs_ros.status import StatusChannel
 from swarmabs_run.run import SLOWEST_STEP
 from swarmabs_run.steering.server import PAUSES, PUSH, ROBOTS, VALUED, RequestQueue, SteeringServer
@@ -143,9 +143,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     return NodeSpec(controller, ends, on_idle=requests.work, hear=hear)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(STEERER, PARAMETERS, make, args)
+main = LockstepProgram(STEERER, PARAMETERS, make)
 
 
 if __name__ == "__main__":
