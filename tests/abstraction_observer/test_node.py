@@ -41,7 +41,7 @@ def test_silent_robots_are_dropped_only_if_that_is_wanted_and_never_those_that_w
 
 
 def real_time(**values: Value) -> RealtimeObserverConfig:
-    return realtime_settings_from(realtime.PARAMETERS, **values).made(RealtimeObserverConfig)
+    return realtime_settings_from(realtime.PARAMETERS, **values).declared(RealtimeObserverConfig)
 
 
 def test_how_many_robots_are_waited_for() -> None:

@@ -102,14 +102,14 @@ def test_every_choice_of_a_setting_is_a_text_on_a_command_line() -> None:
 
 def made(node: FakeNode, **values: Value) -> Drive:
     settings = realtime_settings_from(PARAMETERS, agent_id=7, **values)
-    return drive_of(settings.made(RealtimeAgentConfig), cast("RealtimeNode", node))
+    return drive_of(settings.declared(RealtimeAgentConfig), cast("RealtimeNode", node))
 
 
 def test_a_robot_that_is_told_to_leave_and_to_join_again_leaves_and_joins() -> None:
     values: dict[str, Value] = {"kind": "double_integrator", "damping": 0.5, "position": 0.2, "velocity": -0.1}
     settings = realtime_settings_from(PARAMETERS, agent_id=7, **values)
     node = cast("RealtimeNode", FakeNode())
-    assert drive_of(settings.made(RealtimeAgentConfig), node).read(5) == Measurement(5, 0.2, -0.1)
+    assert drive_of(settings.declared(RealtimeAgentConfig), node).read(5) == Measurement(5, 0.2, -0.1)
     with pytest.raises(InputError, match="damping"):
         make(realtime_settings_from(PARAMETERS, damping=0.1), node)
     spec = make(settings, node)

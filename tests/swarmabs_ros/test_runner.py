@@ -69,7 +69,7 @@ def test_a_wrong_command_line_is_refused_too(name: str, words: list[str], capfd:
 def test_a_configuration_is_made_of_the_settings_of_its_parts_and_a_run_may_have_no_end() -> None:
     assert [settings_from((), last_step=step).last_step() for step in (-1, 0, 3000)] == [None, 0, 3000]
     settings = settings_from(controller.PARAMETERS, plane__inertia=0.7, manifold__offset=0.3, controller__type="lqr")
-    config = settings.made(ControllerConfig)
+    config = settings.declared(ControllerConfig)
     assert (config.law.inertia, config.manifold) == (0.7, Manifold(offset=0.3))
     assert (config.law.controller, set(config.law.controller_settings)) == ("lqr", {"q", "r"})
 

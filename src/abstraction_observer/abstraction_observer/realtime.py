@@ -26,14 +26,14 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     """Return the behaviour."""
     path = settings.text(MEMORY.name)
     memory = MemoryFile(Path(path), node.notes.warning) if path else None
-    config = settings.made(RealtimeObserverConfig)
+    config = settings.declared(RealtimeObserverConfig)
     observer = RealtimeObserver(config, memory)
     return RealtimeSpec(
         observer,
         OBSERVER_PHASE,
         services={} if config.pair.single else {RELEASE: observer.voice.release},
         settled=lambda: observer.voice.settled,
-        tune=lambda changed: observer.tuned(changed.made(RealtimeObserverConfig)),
+        tune=lambda changed: observer.tuned(changed.declared(RealtimeObserverConfig)),
     )
 
 

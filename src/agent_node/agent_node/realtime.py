@@ -52,14 +52,14 @@ def _topic_drive(settings: TopicSettings, body: Body, node: RealtimeNode) -> Dri
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     """Return the behaviour, with its drive opened."""
-    config = settings.made(RealtimeAgentConfig)
+    config = settings.declared(RealtimeAgentConfig)
     config.refuse_contradictions()
     agent = RealtimeAgent(config, drive_of(config, node))
     return RealtimeSpec(
         agent,
         AGENT_PHASE,
         services=dict(zip(SERVICES[ROBOT], (agent.leave, agent.join), strict=True)),
-        tune=lambda changed: agent.tuned(changed.made(RealtimeAgentConfig)),
+        tune=lambda changed: agent.tuned(changed.declared(RealtimeAgentConfig)),
     )
 
 

@@ -29,7 +29,7 @@ def law_of(config: RealtimeControllerConfig) -> Callable[[], ParentController]:
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it does not use the node
     """Return the behaviour."""
-    config = settings.made(RealtimeControllerConfig)
+    config = settings.declared(RealtimeControllerConfig)
     controller = RealtimeController(config, law_of(config))
     commands = (controller.stop, controller.reset, controller.voice.release)
     offered = dict(zip(services(CONTROLLER, options_of({"pair": config.pair.rank})), commands, strict=True))
@@ -41,7 +41,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG00
         wakes=(PLANE_STATE,),
         services=offered,
         settled=lambda: controller.voice.settled,
-        tune=lambda changed: controller.tuned(law_of(changed.made(RealtimeControllerConfig))),
+        tune=lambda changed: controller.tuned(law_of(changed.declared(RealtimeControllerConfig))),
     )
 
 

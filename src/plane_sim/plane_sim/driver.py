@@ -151,7 +151,7 @@ PARAMETERS = (PlaneDriverConfig,)
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     """Return the behaviour, with its sensor connected."""
-    config = settings.made(PlaneDriverConfig)
+    config = settings.declared(PlaneDriverConfig)
     topic = config.topic or MEASURED[config.source]
     sensor = SensorSubscription(node, config.source, topic, node.loop_group, arrival=config.stamp == "arrival")
     return RealtimeSpec(PlaneDriver(config, sensor.take), PLANE_PHASE)

@@ -19,7 +19,7 @@ PARAMETERS = (RealtimePlaneConfig, OWN_TOPICS)
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it does not use the node
     """Return the behaviour."""
-    return RealtimeSpec(RealtimePlane(settings.made(RealtimePlaneConfig)), PLANE_PHASE)
+    return RealtimeSpec(RealtimePlane(settings.declared(RealtimePlaneConfig)), PLANE_PHASE)
 
 
 main = RealtimeProgram(PLANE, PARAMETERS, make)

@@ -158,10 +158,10 @@ class Activity:
         """Return the health of behaviour and timing; missed periods are counted since the last call."""
         now, clock = self._read(), self.engine.clock
         level, text, values = self.engine.behaviour.health(now.system)
-        missed, made = clock.missed - self._reported[0], clock.lateness.count - self._reported[1]
+        missed, executed = clock.missed - self._reported[0], clock.lateness.count - self._reported[1]
         self._reported = clock.missed, clock.lateness.count
         concerns = [text]
-        if missed > TOLERATED * (missed + made):
+        if missed > TOLERATED * (missed + executed):
             level = max(level, Level.WARN)
             concerns.append(f"{missed} periods missed")
         return Health(level, "; ".join(concerns), (*values, *clock.values(), *self._refusals()))

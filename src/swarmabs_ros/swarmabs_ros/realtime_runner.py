@@ -123,7 +123,7 @@ def _run(
     settings = tuning.settings
     executor = SingleThreadedExecutor(context=node.context)
     loop = RealtimeLoop(node.failed, Heartbeat().beat, on_hang=lambda: _give_up(node))
-    node.prepare(make, settings.endpoints(role, REALTIME), settings.made(Schedule), loop, executor, status, tuning)
+    node.prepare(make, settings.endpoints(role, REALTIME), settings.declared(Schedule), loop, executor, status, tuning)
     executor.add_node(node)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: loop.stop())

@@ -109,10 +109,10 @@ class Settings:
         return None if step < 0 else step
 
     def chosen(self, declarations: BySystem[DeclarationT]) -> DeclarationT:
-        """Return the declaration for the parent system with these values; errors as for `made`."""
-        return self.made(declarations.chosen(self._values))
+        """Return the declaration for the parent system with these values; errors as for `declared`."""
+        return self.declared(declarations.chosen(self._values))
 
-    def made(self, declaration: type[DeclarationT]) -> DeclarationT:
+    def declared(self, declaration: type[DeclarationT]) -> DeclarationT:
         """Return a declaration with these values; raises `InputError` if they contradict each other."""
         try:
             return made_of(declaration, self._values)

@@ -13,7 +13,7 @@ import json
 import os
 import select
 import socket
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal, TypeAlias, TypedDict
 
 from swarmabs_core.errors import InputError, RunError
 
@@ -22,6 +22,9 @@ START_FD = "SWARMABS_START_FD"
 
 EPOCH_RECORD = 20
 """Length, in bytes, of the decimal number that sends the epoch to a process."""
+
+Document: TypeAlias = dict[str, Any]
+"""A JSON document."""
 
 Event = Literal[
     "ready",
@@ -61,10 +64,10 @@ class Report(_Report, total=False):
     reason: str
     angle: float | None
     error: float | None
-    robots: dict[str, Any] | None
+    robots: Document | None
     complete: bool
     problem: str | None
-    figures: dict[str, Any]
+    figures: Document
     steps: int
     missed: int
     longest_us: int

@@ -35,7 +35,7 @@ class Times:
     startup: float | None = None
 
 
-def summarise(scenario: AnyScenario, outcome: Outcome, times: Times) -> dict[str, Any]:
+def summarise(scenario: AnyScenario, outcome: Outcome, times: Times) -> dict[str, object]:
     """Return the content of ``summary.json``; `swarmabs_analysis.rerun` adds ``rerun_of``."""
     figures, run = outcome.figures, outcome.stepping_seconds
     complete = outcome.status == "ok" and run
@@ -70,7 +70,7 @@ def summary_table(summary: Summary, folder: RunFolder, tracking: Tracking = PLAN
         value, (name, unit, *_) = summary[key], tracking.figures[key]
         return {name: "-" if value is None else f"{value:.4g} {unit}".rstrip()}
 
-    within = f"within {', '.join(f'{each:g}' for each in dict.fromkeys(tracking.tolerances))} {tracking.unit}"
+    within = f"within {', '.join(f'{tolerance:g}' for tolerance in dict.fromkeys(tracking.tolerances))} {tracking.unit}"
     settled = summary["settled_at"]
     rows = {
         "scenario": f"{summary['scenario']}, {summary['agents']} robots, {summary['steps']} steps",

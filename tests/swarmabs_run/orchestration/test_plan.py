@@ -128,9 +128,9 @@ def test_nodes_are_configured_as_the_scenario_says(scenario: str, monkeypatch: p
     processes = planned(loaded)
     plane = settings_of(processes[PLANE])
     expected = configure.parent_config(loaded)
-    assert plane.made(PlaneConfig) == replace(expected, plane=replace(expected.plane, robot_gravity=False))
+    assert plane.declared(PlaneConfig) == replace(expected, plane=replace(expected.plane, robot_gravity=False))
     observer = settings_of(processes[OBSERVER])
-    assert observer.made(ObserverConfig) == configure.observer_config(loaded)
+    assert observer.declared(ObserverConfig) == configure.observer_config(loaded)
     assert observer.text("on_stall") == loaded.lockstep.on_stall
     assert observer.number("stall_timeout") == plane.number("stall_timeout") == loaded.lockstep.stall_timeout
     (config,) = made_by(processes[CONTROLLER], "Controller", monkeypatch)
@@ -145,7 +145,7 @@ def test_nodes_are_configured_as_the_scenario_says(scenario: str, monkeypatch: p
         values = resolve(table, process.parameters, owner="agent")  # type: ignore[arg-type]
         assert made_of(AgentConfig, values) == robot
     for robot in {configs[0], configs[len(configs) // 2], configs[-1]}:  # by way of ROS, which takes longer
-        assert settings_of(processes[agent_name(robot.agent_id)]).made(AgentConfig) == robot
+        assert settings_of(processes[agent_name(robot.agent_id)]).declared(AgentConfig) == robot
 
 
 @with_ros
@@ -154,11 +154,11 @@ def test_nodes_in_real_time_are_configured_as_the_scenario_says(scenario: str, m
     loaded = builtin(*REALTIME_SCENARIOS[scenario]).resolved()
     processes, clock = planned(loaded, REALTIME), realtime.schedule(loaded, 0)
     assert all(process.parameters["await_epoch"] is True for process in processes.values())
-    assert settings_of(processes[PLANE]).made(RealtimePlaneConfig) == realtime.plane_config(loaded, clock)
-    assert settings_of(processes[OBSERVER]).made(RealtimeObserverConfig) == realtime.observer_config(loaded, clock)
+    assert settings_of(processes[PLANE]).declared(RealtimePlaneConfig) == realtime.plane_config(loaded, clock)
+    assert settings_of(processes[OBSERVER]).declared(RealtimeObserverConfig) == realtime.observer_config(loaded, clock)
     for robot in realtime.agent_configs(loaded, clock):
         settings = settings_of(processes[agent_name(robot.agent_id)])
-        assert settings.made(RealtimeAgentConfig) == robot
+        assert settings.declared(RealtimeAgentConfig) == robot
         assert settings.text("drive.type") == "simulated"
     config, make_law = made_by(processes[CONTROLLER], "RealtimeController", monkeypatch)
     assert type(make_law()) is type(configure.parent_controller(loaded))

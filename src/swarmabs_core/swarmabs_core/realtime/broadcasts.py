@@ -162,8 +162,8 @@ class BroadcastInbox:
         for (topic, _, standby), message in heard.items():
             first.setdefault((topic, standby), message)
         for of, senders in _SENDERS.items():
-            known = self._sets.get(of)
-            if all(map(first.__contains__, senders)) and (known is None or step > known.step):
+            newest = self._sets.get(of)
+            if all(map(first.__contains__, senders)) and (newest is None or step > newest.step):
                 abstract, sums, desired = map(first.__getitem__, senders)
                 self._sets[of] = Broadcast(desired.stamp, step, abstract, sums, desired)  # type: ignore[arg-type]  # by topic
 
@@ -171,7 +171,7 @@ class BroadcastInbox:
         """Leave the coordinators that the robot follows if their set is doubted, missing, or far behind others."""
         if len(self._sets) == 1 and self.followed in self._sets:
             return
-        trusted = {of: found.step for of, found in self._sets.items() if not self._doubts(of, step)}
+        trusted = {of: newest.step for of, newest in self._sets.items() if not self._doubts(of, step)}
         if not trusted:
             return
         newest = max(trusted.values())

@@ -112,10 +112,10 @@ SIMULATED = DriveType("simulated", (), lambda _, body: SimulatedDrive(body))
 
 
 def _topic(settings: Settings, body: Body) -> Drive:
-    made = made_of(TopicSettings, settings)
+    topics = made_of(TopicSettings, settings)
     if body.connect is None:
         raise InputError("drive topic: needs a ROS node to connect to", "select another drive")
-    return body.connect(made, body)
+    return body.connect(topics, body)
 
 
 TOPIC = DriveType(TopicSettings.type, parameters_of(TopicSettings), _topic)

@@ -166,8 +166,8 @@ class RealtimePlane:
         problem = self._heard.problem(message, step, self._bounds.problem(message), sender.writer)
         if problem:
             return self._refusals.add(problem, step, now)
-        known = self._newest.get(message.agent_id)
-        if known is not None and message.step <= known.step:
+        newest = self._newest.get(message.agent_id)
+        if newest is not None and message.step <= newest.step:
             return ()
         self._newest[message.agent_id] = message
         if self._released is None and message.broadcast_step != NEVER:

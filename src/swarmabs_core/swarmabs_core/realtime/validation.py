@@ -392,11 +392,11 @@ class Writers:
         """
         if not self._refused:
             return health
-        found = tuple(
+        writers = tuple(
             (f"second sender of {of}", f"{gid.hex('.')}: {count} refused; the first: {self._bound[of][0].hex('.')}")
             for of, (count, gid, _) in sorted(self._refused.items())[:_MOST_SHOWN]
         )
-        values = (*health.values, *found)
+        values = (*health.values, *writers)
         contested = [
             of for of, (*_, ran) in sorted(self._refused.items()) if self._ran - ran <= SHOWN_AGES * self.age(of)
         ][:_MOST_SHOWN]

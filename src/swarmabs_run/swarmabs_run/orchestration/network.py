@@ -262,5 +262,5 @@ def network_profile_xml(
 
 @cache
 def _template() -> Template:
-    known = {"ports": vars(ports), "prefix": _SERVER_PREFIX}
-    return templates("swarmabs_run").get_template("fastdds.xml.j2", globals=known)
+    variables = {"ports": vars(ports), "prefix": _SERVER_PREFIX}
+    return templates("swarmabs_run").get_template("fastdds.xml.j2", globals=variables)

@@ -7,7 +7,7 @@ import os
 import socket
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from swarmabs_core.errors import InputError, RunError
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+Answer: TypeAlias = dict[str, Any]
+"""An answer to a request, a JSON document (docs/how-to/steering.md)."""
 SOCKET = "steer.sock"
 """Name of the socket in the folder of a run."""
 LONGEST_ANSWER = 1 << 20
@@ -74,8 +76,8 @@ class SteeringClient:
         self._lines.close()
         self._socket.close()
 
-    def ask(self, asked: Mapping[str, object]) -> dict[str, Any]:
-        """Send a request and return the answer (docs/how-to/steering.md).
+    def ask(self, asked: Mapping[str, object]) -> Answer:
+        """Send a request and return the answer.
 
         Raises `RunError` if the run ends before it answers, or does not answer in time.
         """

@@ -13,7 +13,7 @@ import socketserver
 import threading
 from concurrent.futures import Future
 from contextlib import suppress
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 
     from swarmabs_core.behaviours import Decision, SteeringController
     from swarmabs_core.messages import Messages
-
-Answer = dict[str, Any]
+    from swarmabs_run.steering.client import Answer
 
 LONGEST = 4096
 """Largest length of a line, bytes."""
@@ -122,7 +121,7 @@ def read_request(line: bytes) -> SteeringRequest:
         raise InputError(f"{where}: {first['msg']}" if where else first["msg"]) from error
 
 
-def refusal(reason: str) -> dict[str, Any]:
+def refusal(reason: str) -> Answer:
     """Return the answer to a refused request."""
     return {"ok": False, "reason": reason}
 
@@ -279,11 +278,11 @@ class SteeringServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer)
         """Start to listen."""
         threading.Thread(target=self.serve_forever, name="steering", daemon=True).start()
 
-    def verify_request(self, _request: Any, _client: Any) -> bool:
+    def verify_request(self, _request: object, _client: object) -> bool:
         """Refuse connections beyond the limit."""
         return self._free.acquire(blocking=False)
 
-    def process_request_thread(self, request: socket.socket | Any, client_address: Any) -> None:
+    def process_request_thread(self, request: socket.socket | tuple[bytes, socket.socket], client_address: str) -> None:
         """Serve a connection."""
         try:
             super().process_request_thread(request, client_address)
