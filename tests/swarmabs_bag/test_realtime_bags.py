@@ -91,7 +91,7 @@ def test_a_message_published_at_another_time_than_its_stamp_is_named() -> None:
     for number, stored in enumerate(recorded.bag):
         verification.add(stored.topic, stored.time, stored.payload, stored.message.stamp + (number == 500))
     changed = recorded.bag[500]
-    found = verification.found.difference
+    found = verification.result.difference
     assert found is not None
     assert (found.topic, found.step, found.field) == (changed.topic.name, changed.message.step, "publish_time")
     assert (found.a, found.b) == (changed.message.stamp + 1, changed.message.stamp)

@@ -126,7 +126,7 @@ def verified(fleet: VirtualFleet) -> None:
         for kept in collector.add(record, now):
             verification.add(kept.topic, now, kept.payload, max(0, kept.message.stamp))
     verification.finish()
-    assert verification.found.difference is None
+    assert verification.result.difference is None
 
 
 def test_a_robot_that_mixes_two_observers_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,7 +98,7 @@ class FollowsFromItsBasis(Invariant):
 
     def finish(self) -> Iterator[Violation]:
         self._verification.finish()
-        difference = self._verification.found.difference
+        difference = self._verification.result.difference
         if difference is not None:
             yield Violation("verification", difference.step, difference.agent, str(difference))
 

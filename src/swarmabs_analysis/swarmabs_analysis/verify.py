@@ -138,7 +138,7 @@ class BagToVerify:
                 on_plane(self.scenario, "real time"), self._realtime, tolerance=tolerance, of_plane=of_plane
             )
         )
-        found = verification.found
+        found = verification.result
         found.bag, found.scenario = str(self._bag.path), self.scenario.name
         found.problem = self._follow(verification, on_step)
         cut = found.problem is not None

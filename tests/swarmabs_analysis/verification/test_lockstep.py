@@ -135,8 +135,8 @@ def verify(
     blocks = LockstepVerification(scenario, tolerance=tolerance)
     take(blocks, in_chunks(scenario, bag, Random(len(bag))))
     blocks.finish(whole=whole)
-    assert repr(blocks.found) == repr(verification.found)
-    return verification.found
+    assert repr(blocks.result) == repr(verification.result)
+    return verification.result
 
 
 def first_difference(scenario: Scenario, bag: Iterable[Stored], **options: Any) -> Difference:
@@ -165,7 +165,7 @@ def test_a_right_run_is_found_right_and_has_its_digest(name: str) -> None:
         verification.add(*stored)
         assert verification.step >= stored.message.step - 1  # a step is judged as soon as it is there
     verification.finish()
-    found = verification.found
+    found = verification.result
     assert found.difference is None
     assert (found.steps, found.expected_steps, found.messages) == (scenario.steps + 1, scenario.steps + 1, len(bag))
     assert found.digest == digest(steps)
@@ -181,7 +181,7 @@ def test_most_steps_without_disturbance_are_verified_at_once(name: str, monkeypa
     verification = LockstepVerification(scenario)
     take(verification, in_chunks(scenario, bag, Random(0), [len(bag)]))
     verification.finish()
-    assert verification.found.complete
+    assert verification.result.complete
     assert len(single) < (0.6 if name == "membership" else 0.2) * len(bag)
 
 
@@ -210,7 +210,7 @@ def test_a_bag_of_a_version_before_the_ranges_has_its_own_events(name: str) -> N
         for stored in events:
             verification.add(*stored)
         verification.finish()
-        assert verification.found.difference is None
+        assert verification.result.difference is None
     if told:
         assert first_difference(scenario, old).topic == "swarm/events"
     assert are_earlier((), scenario)

@@ -37,7 +37,7 @@ def verify(scenario: Scenario, bag: Iterable[Stored], *, tolerance: float = 0.0,
     for stored in bag:
         verification.add(*stored)
     verification.finish()
-    return verification.found
+    return verification.result
 
 
 def judged(bag: Iterable[Stored]) -> int:

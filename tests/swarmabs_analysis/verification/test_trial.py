@@ -69,7 +69,7 @@ def tried(
         for topic, time, payload in step.stored():
             verification.add(topic, time, payload)
     verification.finish()
-    return verification.found
+    return verification.result
 
 
 def published(steps: Sequence[Step], *nodes: str) -> Iterator[Record]:
@@ -149,7 +149,7 @@ def test_a_node_keeps_its_own_memory() -> None:
         for topic, time, payload in step.stored():
             verification.add(topic, time, payload)
     verification.finish()
-    (angle,) = (row for row in verification.found.trial["deviations"] if row["field"] == "angle")
+    (angle,) = (row for row in verification.result.trial["deviations"] if row["field"] == "angle")
     assert angle["differing"] == len(steps)
     assert angle["largest"] == pytest.approx(0.1, rel=2e-2)  # the weight acts by the cosine of the angle
     assert angle["rms"] == pytest.approx(0.1, rel=2e-2)

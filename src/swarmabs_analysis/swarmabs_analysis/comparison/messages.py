@@ -3,32 +3,39 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from math import inf
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from swarmabs_analysis.difference import MESSAGE, Difference, Side, component_of, differing_fields
+from swarmabs_analysis.difference import MESSAGE, Difference, component_of, differing_fields
 from swarmabs_bag.run.step import ORDER, Step
 from swarmabs_core.arrays import raw
-from swarmabs_core.messages import EVENTS
+from swarmabs_core.messages import EVENTS, SwarmEvent
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from numpy.typing import NDArray
 
+    from swarmabs_analysis.difference import Side
     from swarmabs_bag.run.step import Rows
     from swarmabs_core.messages import Topic
 
-    Counts: TypeAlias = NDArray[np.integer[Any]]
+    Integers: TypeAlias = NDArray[np.int64]
+    Column: TypeAlias = "NDArray[np.float64] | Integers"
+
+Deviation: TypeAlias = "str | int | float | None"
+"""A datum of a `FieldDeviation`, or the name of its topic."""
 
 _KEYS = {"step", "agent_id"}
 """Fields by which messages are paired."""
 _MOST_EVENTS = 100_000
-"""Most events of one run that wait for an equal event in the other."""
+"""Most different events of one run that wait for an equal event in the other."""
 
 
 def side_by_side(a: Iterable[Step], b: Iterable[Step]) -> Iterator[tuple[Step | None, Step | None]]:
@@ -48,7 +55,7 @@ def side_by_side(a: Iterable[Step], b: Iterable[Step]) -> Iterator[tuple[Step | 
 
 
 class _Ahead:
-    """The steps of a run that come next: number of the `first` one, infinite at the end, and how many are known."""
+    """The steps of a run that come next: number of the `first` one, infinite at the end, and how many were read."""
 
     def __init__(self, steps: Iterable[Step]) -> None:
         self._steps = iter(steps)
@@ -63,7 +70,7 @@ class _Ahead:
         return 0 if self._next is None else len(self._next)
 
     def take(self, count: float) -> Step:
-        """Remove and return so many steps, at most the known ones."""
+        """Remove and return so many steps, at most those that were read."""
         steps = self._next
         assert steps is not None  # noqa: S101 - the caller has looked
         if count == len(steps):
@@ -106,7 +113,7 @@ class FieldDeviation:
         """Initialise the sum."""
         self._squares = 0.0
 
-    def add(self, deviations: NDArray[np.float64] | None, steps: Counts, agents: Counts) -> None:
+    def add(self, deviations: NDArray[np.float64] | None, steps: Integers, agents: Integers) -> None:
         """Add the deviations of messages, None if the field has none."""
         self.differing += len(steps)
         if deviations is None:
@@ -182,73 +189,75 @@ class MessageComparison:
 
     def take(self, one: Record | None, other: Record | None) -> None:
         """Compare the messages of A and B at one place, None for a missing one."""
-        there = one or other
-        if there is None:
-            return
-        topic = self._topics.setdefault(there.topic, TopicComparison(there.topic.name))
         if one is None or other is None:
-            topic.missing_in_a += one is None
-            topic.missing_in_b += other is None
-            sides = (None, MESSAGE) if one is None else (MESSAGE, None)
-            self._note(there, Difference.of(there.message, MESSAGE, *sides))
+            if present := one or other:
+                self._lack(present, "A" if one is None else "B")
             return
-        topic.compared += 1
+        counts = self._counts(one.topic)
+        counts.compared += 1
         if one.payload == other.payload:
             return
-        topic.differing += 1
+        counts.differing += 1
+        place = np.array([one.message.step]), np.array([one.agent_id])
         for difference in _differences(one, other):
-            x, y = difference.a, difference.b
-            deviation = abs(x - y) if isinstance(x, float) and isinstance(y, float) else None
-            deviations = None if deviation is None else np.array([deviation])
-            topic.field(difference.field).add(deviations, np.array([one.message.step]), np.array([one.agent_id]))
+            a, b = difference.a, difference.b
+            numbers = isinstance(a, float) and isinstance(b, float)
+            counts.field(difference.field).add(np.array([abs(a - b)]) if numbers else None, *place)  # type: ignore[operator]
             self._note(one, difference)
 
     def take_steps(self, one: Step | None, other: Step | None) -> None:
         """Compare the messages of A and B in the same steps, None if one of them lacks these."""
         ours, theirs = (step.tables if step else {} for step in (one, other))
         for topic in ORDER:
-            rows, its = ours.get(topic), theirs.get(topic)
-            if rows is None or its is None:
-                self._lacking(topic, rows, its)
-            elif rows.ndim == 1 or np.array_equal(rows["agent_id"][0], its["agent_id"][0]):
-                self._take_rows(topic, rows, its)
+            rows, others = ours.get(topic), theirs.get(topic)
+            if rows is None or others is None:
+                self._lack_rows(topic, rows, "B")
+                self._lack_rows(topic, others, "A")
+            elif rows.ndim == 1 or np.array_equal(rows["agent_id"][0], others["agent_id"][0]):
+                self._take_rows(topic, rows, others)
             else:
-                ids, others = rows["agent_id"][0], its["agent_id"][0]
-                here, there = np.isin(ids, others), np.isin(others, ids)
-                self._lacking(topic, rows[:, ~here], None)
-                self._lacking(topic, None, its[:, ~there])
-                self._take_rows(topic, rows[:, here], its[:, there])
+                here, there = rows["agent_id"][0], others["agent_id"][0]
+                in_both, also = np.isin(here, there), np.isin(there, here)
+                self._lack_rows(topic, rows[:, ~in_both], "B")
+                self._lack_rows(topic, others[:, ~also], "A")
+                self._take_rows(topic, rows[:, in_both], others[:, also])
 
-    def _lacking(self, topic: Topic, rows: Rows | None, others: Rows | None) -> None:
-        """Count messages on a topic that only A or B has."""
-        there = others if rows is None else rows
-        if there is None or not there.size:
-            return
-        counts = self._topics.setdefault(topic, TopicComparison(topic.name))
-        counts.missing_in_a += there.size if rows is None else 0
-        counts.missing_in_b += there.size if others is None else 0
-        sides = (None, MESSAGE) if rows is None else (MESSAGE, None)
-        first = Record.heard(topic, there.ravel()[:1].tobytes())
-        self._note(first, Difference.of(first.message, MESSAGE, *sides))
+    def _counts(self, topic: Topic) -> TopicComparison:
+        return self._topics.setdefault(topic, TopicComparison(topic.name))
+
+    def _lack(self, first: Record, side: Side, count: int = 1) -> None:
+        """Count messages on a topic that one side lacks, of which the first is given."""
+        counts = self._counts(first.topic)
+        if side == "A":
+            counts.missing_in_a += count
+        else:
+            counts.missing_in_b += count
+        values = (None, MESSAGE) if side == "A" else (MESSAGE, None)
+        self._note(first, Difference.of(first.message, MESSAGE, *values))
+
+    def _lack_rows(self, topic: Topic, rows: Rows | None, side: Side) -> None:
+        if rows is not None and rows.size:
+            self._lack(Record.heard(topic, rows.ravel()[:1].tobytes()), side, rows.size)
 
     def _take_rows(self, topic: Topic, rows: Rows, others: Rows) -> None:
         """Compare messages of A and B on a topic at the same places."""
         if not rows.size:
             return
         if rows.dtype != others.dtype or rows.dtype.names is None:
-            for mine, its in zip(*(_heard(topic, messages) for messages in (rows, others)), strict=True):
-                self.take(mine, its)
+            for row, its in zip(rows.ravel(), others.ravel(), strict=True):
+                self.take(Record.heard(topic, row.tobytes()), Record.heard(topic, its.tobytes()))
             return
         rows, others = np.ascontiguousarray(rows), np.ascontiguousarray(others)
-        counts = self._topics.setdefault(topic, TopicComparison(topic.name))
+        counts = self._counts(topic)
         counts.compared += rows.size
         differ = (raw(rows) != raw(others)).any(axis=-1)
         if not differ.any():
             return
         ours, theirs = rows[differ], others[differ]
         counts.differing += len(ours)
-        steps = ours["step"]
-        agents = ours["agent_id"] if "agent_id" in (ours.dtype.names or ()) else np.zeros(len(ours), dtype=int)
+        steps = ours["step"].astype(np.int64)
+        has_agents = "agent_id" in (ours.dtype.names or ())
+        agents = ours["agent_id"].astype(np.int64) if has_agents else np.zeros(len(ours), dtype=np.int64)
         for name, x, y in _columns(topic, ours, theirs):
             bits = x.view(np.int64) != y.view(np.int64) if x.dtype == np.float64 else x != y
             if bits.any():
@@ -256,8 +265,8 @@ class MessageComparison:
                     deviations = np.abs(x - y)[bits] if x.dtype == np.float64 else None
                 counts.field(name).add(deviations, steps[bits], agents[bits])
         if self._place is None or (steps[0], ORDER[topic], agents[0]) < self._place:
-            mine, its = (Record.heard(topic, some[:1].tobytes()) for some in (ours, theirs))
-            self._note(mine, next(_differences(mine, its)))
+            one, other = (Record.heard(topic, some[:1].tobytes()) for some in (ours, theirs))
+            self._note(one, next(_differences(one, other)))
 
     def _note(self, record: Record, difference: Difference) -> None:
         place = (record.message.step, ORDER[record.topic], record.agent_id)
@@ -271,6 +280,10 @@ class MessageComparison:
         self.topics = tuple(self._topics[topic] for topic in ORDER if topic in self._topics)
         return self
 
+    def deviations(self) -> list[dict[str, Deviation]]:
+        """Return the deviation of each field that differs, with its topic, as plain data for JSON."""
+        return [{"topic": topic.topic, **asdict(field)} for topic in self.topics for field in topic.fields]
+
 
 def _differences(one: Record, other: Record) -> Iterator[Difference]:
     """Yield the fields in which the messages of A and B at one place differ."""
@@ -279,9 +292,7 @@ def _differences(one: Record, other: Record) -> Iterator[Difference]:
             yield Difference.of(one.message, name, x, y)
 
 
-def _columns(
-    topic: Topic, ours: NDArray[np.void], theirs: NDArray[np.void]
-) -> Iterator[tuple[str, NDArray[Any], NDArray[Any]]]:
+def _columns(topic: Topic, ours: NDArray[np.void], theirs: NDArray[np.void]) -> Iterator[tuple[str, Column, Column]]:
     """Yield the fields of messages by which `differing_fields` compares them, vectors by component, as columns."""
     for name in topic.message._fields:
         if name == "stamp":
@@ -289,11 +300,6 @@ def _columns(
         elif name in (ours.dtype.names or ()) and name not in _KEYS:
             x, y = (np.ascontiguousarray(rows[name].T) for rows in (ours, theirs))
             yield from ((f"{name}[{n}]", x[n], y[n]) for n in range(len(x))) if x.ndim > 1 else ((name, x, y),)
-
-
-def _heard(topic: Topic, rows: Rows) -> Iterator[Record]:
-    """Yield messages of a table one after the other."""
-    return (Record.heard(topic, row.tobytes()) for row in rows.ravel())
 
 
 def compare_steps(a: Iterable[Step], b: Iterable[Step]) -> MessageComparison:
@@ -315,7 +321,7 @@ def _without_events(steps: Iterable[Step], events: _Events, side: Side) -> Itera
     """Yield steps, and put their events aside."""
     for step in steps:
         for payload in step.told:
-            events.add(Record.heard(EVENTS, payload), side)
+            events.add(payload, side)
         if step.tables:
             yield step
 
@@ -325,37 +331,30 @@ class _Events:
 
     def __init__(self, comparison: MessageComparison) -> None:
         self._comparison = comparison
-        self._waiting: dict[Side, dict[bytes, list[Record]]] = {"A": {}, "B": {}}
-        self._count = 0
+        self._surplus: Counter[bytes] = Counter()  # how often A has an event more often than B
 
-    def add(self, record: Record, side: Side) -> None:
-        others = self._waiting["B" if side == "A" else "A"]
-        like = others.get(record.payload)
-        if like is not None:
-            self._comparison.take(record, like.pop())
-            self._count -= 1
-            if not like:
-                del others[record.payload]
-            return
-        self._waiting[side].setdefault(record.payload, []).append(record)
-        self._count += 1
-        if self._count > _MOST_EVENTS:
+    def add(self, payload: bytes, side: Side) -> None:
+        """Pair an event with an equal one of the other run, or keep it."""
+        before = self._surplus[payload]
+        after = self._surplus[payload] = before + (1 if side == "A" else -1)
+        if abs(after) < abs(before):
+            record = Record.heard(EVENTS, payload)
+            self._comparison.take(record, record)
+        if not after:
+            del self._surplus[payload]
+        if len(self._surplus) > _MOST_EVENTS:
             self.finish()
 
     def finish(self) -> None:
         """Pair the remaining events by step, robot and kind; the rest is missing in the other run."""
-        left, right = (_by_place(self._waiting[side]) for side in ("A", "B"))
-        for place in sorted(left.keys() | right.keys()):
-            for one, other in zip_longest(left.get(place, []), right.get(place, [])):
+        by_place: dict[tuple[int, int, int], tuple[list[Record], list[Record]]] = {}
+        for payload, surplus in sorted(self._surplus.items()):
+            record = Record.heard(EVENTS, payload)
+            event = record.message
+            assert isinstance(event, SwarmEvent)  # noqa: S101 - by topic
+            sides = by_place.setdefault((event.step, event.agent_id, event.kind), ([], []))
+            sides[surplus < 0].extend([record] * abs(surplus))
+        for _, (ours, theirs) in sorted(by_place.items(), key=lambda item: item[0]):
+            for one, other in zip_longest(ours, theirs):
                 self._comparison.take(one, other)
-        self._waiting = {"A": {}, "B": {}}
-        self._count = 0
-
-
-def _by_place(waiting: dict[bytes, list[Record]]) -> dict[tuple[int, int, int], list[Record]]:
-    by_place: dict[tuple[int, int, int], list[Record]] = {}
-    for payload in sorted(waiting):
-        for record in waiting[payload]:
-            event: Any = record.message
-            by_place.setdefault((event.step, event.agent_id, event.kind), []).append(record)
-    return by_place
+        self._surplus.clear()

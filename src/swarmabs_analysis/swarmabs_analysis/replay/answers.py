@@ -6,7 +6,6 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.comparison.messages import MessageComparison
-from swarmabs_analysis.verification.trial import deviations
 from swarmabs_bag.attached import is_realtime
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS, STANDING, TOPIC_OF
@@ -134,5 +133,5 @@ class Answers:
             "compared": sum(topic.compared for topic in comparison.topics),
             "same": first is None and not self._expected,
             "first_difference": first and first.to_dict("recorded", "replayed"),
-            "deviations": deviations(comparison),
+            "deviations": comparison.deviations(),
         }

@@ -118,12 +118,12 @@ class Verification(ABC):
 
     Attributes
     ----------
-    found : VerificationResult
-        The findings about the messages; the caller fills in the rest.
+    result : VerificationResult
+        The result about the messages; the caller fills in the rest.
     """
 
     def __init__(self, tolerance: float, period_ns: int | None = None) -> None:
-        self.found = VerificationResult(tolerance=tolerance)
+        self.result = VerificationResult(tolerance=tolerance)
         self._period_ns = period_ns
 
     @property
@@ -134,18 +134,18 @@ class Verification(ABC):
     @property
     def decided(self) -> bool:
         """Whether no further message can change the result."""
-        return self.found.difference is not None
+        return self.result.difference is not None
 
     def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:
         """Check the next message of the bag, with its log time and, if it is to be verified, its publish time, ns."""
         if self.decided:
             return
         try:
-            found: Record | Difference = Record.read(topic, time, payload, published)
+            stored: Record | Difference = Record.read(topic, time, payload, published)
         except MalformedMessageError as error:
             step = None if self._period_ns is None else time // self._period_ns
-            found = Difference(topic.name, step, None, PAYLOAD, in_hex(payload), None, str(error))
-        self._take(found)
+            stored = Difference(topic.name, step, None, PAYLOAD, in_hex(payload), None, str(error))
+        self._take(stored)
 
     def add_steps(self, steps: Step) -> None:
         """Check the next messages of the bag, which form whole steps."""
@@ -153,7 +153,7 @@ class Verification(ABC):
             self.add(topic, time, payload, time)
 
     @abstractmethod
-    def _take(self, found: Record | Difference) -> None:
+    def _take(self, stored: Record | Difference) -> None:
         """Handle a message, or malformed bytes as a difference."""
 
     def _judge(self, findings: Iterable[Finding]) -> int:
@@ -162,11 +162,11 @@ class Verification(ABC):
         for finding in findings:
             judged += 1
             if finding is None:
-                self.found.messages += 1
+                self.result.messages += 1
             elif isinstance(finding, str):
-                self.found.not_checkable[finding] += 1
+                self.result.not_checkable[finding] += 1
             else:
-                self.found.difference = finding
+                self.result.difference = finding
                 break
         return judged
 

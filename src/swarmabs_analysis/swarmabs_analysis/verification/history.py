@@ -29,6 +29,7 @@ from swarmabs_core.messages import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from swarmabs_analysis.difference import Value
     from swarmabs_bag.run.realtime_gatherer import Dispute
     from swarmabs_core.messages import Message, Topic
     from swarmabs_core.realtime.base import Schedule
@@ -42,7 +43,9 @@ AMBIGUOUS = "different messages of the step may have been sent, but the bag cont
 NO_STATES = "a robot's state that it was computed from is not in the bag"
 NO_PROVENANCE = "its provenance is not in the bag"
 
-Kind = TypeVar("Kind", AgentState, PlaneState, AbstractState, AuxiliaryState, StandingState, Basis)
+Kind = TypeVar(
+    "Kind", AgentState, PlaneState, AbstractState, AuxiliaryState, DesiredAbstractState, StandingState, Basis
+)
 
 
 class UnconfirmedError(Exception):
@@ -51,6 +54,12 @@ class UnconfirmedError(Exception):
     def __init__(self, finding: Difference | str) -> None:
         super().__init__(str(finding))
         self.finding = finding
+
+
+def refuse_if(wrong: object, message: Message, field: str, recorded: Value, expected: Value, reason: str) -> None:
+    """Raise `UnconfirmedError` with a difference in a field of a message if something is wrong with it."""
+    if wrong:
+        raise UnconfirmedError(Difference.of(message, field, recorded, expected, reason))
 
 
 @dataclass(slots=True)
@@ -100,14 +109,14 @@ class Disputes:
 
     def spans(self, cause: str, newest: int) -> dict[str, tuple[int, int]]:
         """Return first and last step of the disputes with a cause, by what they are about, up to the newest step."""
-        found = {}
+        bounds = {}
         for (topic, number), spans in sorted(self._spans.items()):
             of = [span for span in spans if span.cause == cause]
             if of:
                 last = max(newest if span.last is None else span.last for span in of)
                 whose = f" of {_whose(topic, number)}" if number else ""
-                found[f"/{topic}{whose}"] = min(span.first for span in of), last
-        return found
+                bounds[f"/{topic}{whose}"] = min(span.first for span in of), last
+        return bounds
 
 
 def _whose(topic: str, number: int) -> str:
@@ -160,7 +169,7 @@ class History:
     def forget(self, step: int) -> None:
         """Drop messages that later steps no longer need; the states that a coordinator still uses are kept."""
         if len(self.steps) > _KEPT + 2 * WAIT:
-            self.steps = {s: found for s, found in self.steps.items() if s >= step - _KEPT}
+            self.steps = {s: messages for s, messages in self.steps.items() if s >= step - _KEPT}
 
     def on(self, topic: Topic, step: int) -> Mapping[int, Record]:
         """Return the messages of a topic and step by key."""
@@ -191,18 +200,18 @@ class History:
 
     def desired(self, step: int) -> list[DesiredAbstractState]:
         """Return the desired states of a step, one per mode, RUN first."""
-        found = [stored.message for _, stored in sorted(self.on(DESIRED_ABSTRACT_STATE, step).items())]
-        return [message for message in found if isinstance(message, DesiredAbstractState)]
+        by_mode = sorted(self.on(DESIRED_ABSTRACT_STATE, step).items())
+        return [s.message for _, s in by_mode if isinstance(s.message, DesiredAbstractState)]
 
     def changes_within(self, step: int) -> bool:
         """Return whether the parent controller may have changed the mode within a step without RUN."""
-        before = next((found for s in range(step - 1, step - WAIT, -1) if (found := self.desired(s))), None)
+        before = next(filter(None, map(self.desired, range(step - 1, step - WAIT, -1))), None)
         return before is None or any(desired.mode == Mode.RUN for desired in before)
 
     def states(self, source: Source, provenance: Basis) -> tuple[dict[int, AgentState], str]:
         """Return the states that a coordinator used, and a reason if some are missing or ambiguous; they are kept."""
         pins: dict[tuple[int, int], Record] = {}
-        found, problem = {}, ""
+        states, problem = {}, ""
         for agent_id, step in zip(provenance.agent_ids, provenance.state_steps, strict=True):
             stored = self._state(agent_id, step)
             if stored is None:
@@ -212,15 +221,13 @@ class History:
                 problem = AMBIGUOUS
             pins[agent_id, step] = stored
             assert isinstance(stored.message, AgentState)  # noqa: S101 - by topic
-            found[agent_id] = stored.message
+            states[agent_id] = stored.message
         self._pinned[source] = pins
-        return found, problem
+        return states, problem
 
     def _state(self, agent_id: int, step: int) -> Record | None:
-        found = self.on(AGENT_STATE, step).get(agent_id)
-        if found is not None:
-            return found
-        return next((pins[agent_id, step] for pins in self._pinned.values() if (agent_id, step) in pins), None)
+        pinned = (pins[agent_id, step] for pins in self._pinned.values() if (agent_id, step) in pins)
+        return self.on(AGENT_STATE, step).get(agent_id) or next(pinned, None)
 
     def is_ambiguous(self, topic: Topic, step: int, agent_id: int = 0) -> bool:
         """Return whether different messages were received, of which the bag contains only the first."""

@@ -23,7 +23,7 @@ from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.events import EventCode
 from swarmabs_core.membership import SILENT, Membership
-from swarmabs_core.messages import EVENTS, ROBOT_STATES, STANDING, TOPIC_OF, EventKind, PlaneState, SwarmEvent, Topic
+from swarmabs_core.messages import EVENTS, PLANE_STATE, ROBOT_STATES, STANDING, TOPIC_OF, EventKind, SwarmEvent, Topic
 from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.record import Record
 from swarmabs_run.simulation import nodes_in_process
@@ -46,23 +46,23 @@ _MOST_PER_MEMBER = 8
 class Slot:
     """The recorded messages of one step by topic, and malformed ones; `present` counts those that a step has once."""
 
-    __slots__ = ("found", "malformed", "present")
+    __slots__ = ("by_topic", "malformed", "present")
 
     def __init__(self) -> None:
-        self.found: dict[Topic, list[Record]] = {}
+        self.by_topic: dict[Topic, list[Record]] = {}
         self.malformed: list[Difference] = []
         self.present = 0
 
     def __len__(self) -> int:
-        return sum(map(len, self.found.values())) + len(self.malformed)
+        return sum(map(len, self.by_topic.values())) + len(self.malformed)
 
     def get(self, topic: Topic) -> list[Record]:
         """Return the messages on a topic."""
-        return self.found.get(topic, [])
+        return self.by_topic.get(topic, [])
 
     def add(self, stored: Record) -> None:
         """Add a message."""
-        same = self.found.setdefault(stored.topic, [])
+        same = self.by_topic.setdefault(stored.topic, [])
         self.present += isinstance(stored.message, ROBOT_STATES) or not (same or stored.topic is EVENTS)
         same.append(stored)
 
@@ -85,31 +85,31 @@ class Window:
         """Whether it contains more messages than any run has in so many steps."""
         return self._count > self._capacity
 
-    def step_of(self, found: Record | Difference) -> int:
+    def step_of(self, stored: Record | Difference) -> int:
         """Return the step to which a message belongs: that on which two of log time, stamp and step agree.
 
         If all three differ, it is the step in the message.
         """
-        if isinstance(found, Difference):
-            return found.step or 0
-        message, time = found.message, found.time
+        if isinstance(stored, Difference):
+            return stored.step or 0
+        message, time = stored.message, stored.time
         stamp, step = message.stamp, message.step
         said = step * self._period_ns
         if said not in {stamp, time} and stamp == time and stamp % self._period_ns == 0:
             return stamp // self._period_ns
         return step
 
-    def add(self, step: int, found: Record | Difference) -> None:
+    def add(self, step: int, stored: Record | Difference) -> None:
         """Add a message, or a malformed one, to the slot of a step."""
         self._count += 1
         slot = self._slots.get(step)
         if slot is None:
             slot = self._slots[step] = Slot()
             self.newest = max(self.newest, step)
-        if isinstance(found, Difference):
-            slot.malformed.append(found)
+        if isinstance(stored, Difference):
+            slot.malformed.append(stored)
         else:
-            slot.add(found)
+            slot.add(stored)
 
     def present(self, step: int) -> int:
         """Return how many of the messages that a step has once are present."""
@@ -144,7 +144,7 @@ class LockstepVerification(Verification):
         super().__init__(tolerance, scenario.step_ns)
         self._of_plane = max(tolerance, of_plane)
         self._trial = trial
-        self.found.expected_steps = scenario.steps + 1
+        self.result.expected_steps = scenario.steps + 1
         self._scenario = scenario
         family = scenario.family
         self._robots, self._coordinators = family.robot, family.main[1:]
@@ -169,10 +169,9 @@ class LockstepVerification(Verification):
         self._recomputation: Recomputation | None = None
         if isinstance(scenario, Scenario) and on_columns(scenario) and not tolerance and trial is None:
             self._recomputation = Recomputation(scenario, self._nodes)
-        self._held: Step | None = None  # the last whole step so far: late events may belong to it
         self._before: Step | None = None  # the last verified step
         self._confirmed: Step | None = None  # the same if the nodes have to continue after it
-        self._apart = 1
+        self._steps_apart = 1
         self._handles = self._connect()
         for node in self._nodes.values():
             self._expect(node.behaviour.start())
@@ -180,63 +179,43 @@ class LockstepVerification(Verification):
     @property
     def step(self) -> int:
         """The first step that is not verified yet."""
-        return self.found.steps
+        return self.result.steps
 
     @property
     def decided(self) -> bool:
-        """Whether no further message can change what is found."""
-        return self.found.difference is not None and not self._late
+        """Whether no further message can change the result."""
+        return self.result.difference is not None and not self._late
 
     def add_steps(self, steps: Step) -> None:
         """Check the next messages of the bag, which form whole steps: many at once where nothing disturbs the run."""
-        if self.found.difference is not None:  # only events may change it
-            return
-        if self._held is not None and self._held.step + 1 == steps.first and self._held.alike(steps):
-            steps = self._held.joined(steps)
-            self._held = None
-        self._release()
-        while len(steps) > 1 and self.found.difference is None:
+        while len(steps) and self.result.difference is None:
             self._judge_ready(steps.first)
-            count = self._confirm(steps[:-1])
-            if count:
-                self._apart = 1
-            else:
-                count = min(self._steps_apart(steps), len(steps) - 1)
-                self._continue()
+            count = self._confirm(steps)
+            if not count:
+                count = self._disturbed(steps.first)
                 super().add_steps(steps[:count])
             steps = steps[count:]
-        self._held = steps
 
     def _confirm(self, steps: Step) -> int:
         """Return how many steps are verified at once."""
-        undisturbed = not (self._told or self._failure or self._ended or len(self._window))
-        if self._recomputation is None or not undisturbed or steps.first != self.step:
+        disturbed = self._told or self._failure or self._ended or len(self._window) or steps.first != self.step
+        if self._recomputation is None or disturbed or self._before is None:
             return 0
-        before = self._before
-        last = min(steps.step, self._scenario.steps)
-        if before is None or last < steps.first:
-            return 0
-        count = self._recomputation.confirmed(before, steps[: last - steps.first + 1])
+        count = self._recomputation.confirmed(self._before, steps[: self._scenario.steps + 1 - steps.first])
         if count:
+            self._steps_apart = 1
             self._digest.update(steps[:count])
-            self.found.messages += steps[:count].messages
-            self.found.steps += count
+            self.result.messages += steps[:count].messages
+            self.result.steps += count
             self._before = self._confirmed = steps[count - 1 : count]
         return count
 
-    def _steps_apart(self, steps: Step) -> int:
-        """Return how many steps to verify message by message: more each time, unless it is known."""
-        known = 0 if self._recomputation is None else self._recomputation.quiet(steps.first)[0] - steps.first
-        if not known:
-            self._apart *= 2
-        return known or self._apart
-
-    def _release(self) -> None:
-        """Take the messages of the step that is held."""
-        held, self._held = self._held, None
-        if held is not None:
-            self._continue()
-            super().add_steps(held)
+    def _disturbed(self, step: int) -> int:
+        """Return how many steps from one on to verify message by message: more each time, unless it is known."""
+        until_quiet = 0 if self._recomputation is None else self._recomputation.quiet(step)[0] - step
+        if not until_quiet:
+            self._steps_apart *= 2
+        return until_quiet or self._steps_apart
 
     def _continue(self) -> None:
         """Let the nodes continue after a step that was verified without them."""
@@ -250,56 +229,47 @@ class LockstepVerification(Verification):
                 for handle in self._handles[record.topic]:
                     self._ask(handle, record.message)
 
-    def add(self, topic: Topic, time: int, payload: bytes, published: int | None = None) -> None:
-        """Check the next message of the bag; see `Verification.add`."""
-        self._release()
-        super().add(topic, time, payload, published)
-
-    def _take(self, found: Record | Difference) -> None:
-        step = self._window.step_of(found)
-        if self.found.difference is not None:
-            if isinstance(found, Record):
-                self._late.pop(found.payload, None)
+    def _take(self, stored: Record | Difference) -> None:
+        self._continue()
+        step = self._window.step_of(stored)
+        if self.result.difference is not None:
+            if isinstance(stored, Record):
+                self._late.pop(stored.payload, None)
         elif step < self.step:
-            self._take_late(found, step)
+            self._take_late(stored, step)
         elif self._ended:
-            self.found.difference = _unasked(found, step, self._failure)
+            self.result.difference = _unasked(stored, step, self._failure)
         elif step > self._scenario.steps:
             if self._beyond is None or step < self._beyond[0]:
-                self._beyond = (step, found)
+                self._beyond = (step, stored)
         else:
-            self._window.add(step, found)
+            self._window.add(step, stored)
             self._judge_ready(self._window.newest)
 
     def _judge_ready(self, newest: int) -> None:
-        """Judge the steps that are complete when messages of a newest step are known."""
-        while self.found.difference is None and newest <= self._scenario.steps and self._ready(newest):
+        """Judge the steps that are complete when messages of a newest step have been read."""
+        while self.result.difference is None and newest <= self._scenario.steps and self._ready(newest):
             self._judge_step(last=False)
 
     def finish(self, *, whole: bool = True) -> None:
         """Judge the remaining messages at the end of the bag."""
-        self._release()
-        found = self.found
-        while found.difference is None and len(self._window) and not self._ended:
+        result = self.result
+        while result.difference is None and len(self._window) and not self._ended:
             self._judge_step(last=not whole and self._window.newest == self.step)
-        if found.difference is None and self.step <= self._scenario.steps and whole:
+        if result.difference is None and self.step <= self._scenario.steps and whole:
             reason = "the bag ends here without giving a reason"
-            found.difference = Difference(self._robots.name, self.step, None, MESSAGE, None, None, reason)
-        if found.difference is None and self._beyond is not None:
+            result.difference = Difference(self._robots.name, self.step, None, MESSAGE, None, None, reason)
+        if result.difference is None and self._beyond is not None:
             step, beyond = self._beyond
-            found.difference = _unasked(beyond, step, "it is not a step of the run")
+            result.difference = _unasked(beyond, step, "it is not a step of the run")
         late = [event for event in self._late.values() if whole or event.step < self.step - WINDOW]
         if late:
-            first = min(late, key=lambda event: event.step)
-            known = found.difference
-            if known is None or known.step is None or first.step < known.step:
-                found.difference = missing(first)
-        found.digest = self._digest.hexdigest()
+            first, difference = min(late, key=lambda event: event.step), result.difference
+            if difference is None or difference.step is None or first.step < difference.step:
+                result.difference = missing(first)
+        result.digest = self._digest.hexdigest()
         if self._trial is not None:
-            compared = self._trial.finish()
-            found.messages = sum(topic.compared for topic in compared.topics)
-            found.difference = found.difference or compared.first
-            found.trial = self._trial.to_dict()
+            self._trial.report(result)
 
     def _ready(self, newest: int) -> bool:
         """Return whether all messages of the step are present, or can no longer follow those of a newest step."""
@@ -314,28 +284,29 @@ class LockstepVerification(Verification):
     def _judge_step(self, *, last: bool) -> None:
         slot = self._window.take(self.step)
         self._judge(self._findings(slot, last=last))
-        if self.found.difference is None and not self._ended:
-            stored = (*slot.get(self._robots), *(slot.found[topic][0] for topic in self._coordinators))
+        if self.result.difference is None and not self._ended:
+            stored = (*slot.get(self._robots), *(slot.by_topic[topic][0] for topic in self._coordinators))
             self._before = Step.of(self.step, stored)
             self._digest.update(self._before)
-            self.found.steps += 1
+            self.result.steps += 1
 
-    def _take_late(self, found: Record | Difference, step: int) -> None:
+    def _take_late(self, stored: Record | Difference, step: int) -> None:
         """Handle a message of a step that was already judged: only an event may be that late."""
-        if self._trial is not None and isinstance(found, Record) and found.topic is EVENTS:
+        if self._trial is not None and isinstance(stored, Record) and stored.topic is EVENTS:
             return
-        if isinstance(found, Record) and found.payload in self._late and self._is(found, self._late[found.payload]):
-            del self._late[found.payload]
-            self.found.messages += 1
+        expected = self._late.get(stored.payload) if isinstance(stored, Record) else None
+        if isinstance(stored, Record) and expected is not None and self._is(stored, expected):
+            del self._late[stored.payload]
+            self.result.messages += 1
         else:
-            self.found.difference = _unasked(found, step, "it is a duplicate, or out of place")
+            self.result.difference = _unasked(stored, step, "it is a duplicate, or out of place")
 
     def _differs(self, stored: Record, expected: Message) -> Difference | None:
         """Compare a message; its log time must be that of its step, regardless of the robot's clock."""
         if self._trial is not None:
             self._trial.compare(stored, expected)
             return None
-        tolerance = self._of_plane if isinstance(expected, PlaneState) else self.found.tolerance
+        tolerance = self._of_plane if stored.topic is PLANE_STATE else self.result.tolerance
         return judge(stored, expected, tolerance, expected.step * self._scenario.step_ns)
 
     def _is(self, stored: Record, expected: Message) -> bool:
@@ -347,7 +318,7 @@ class LockstepVerification(Verification):
         self._drop_silent(slot)
         for number, topic in enumerate(self._topics):
             later = (*self._topics[number + 1 :], EVENTS)
-            cut = last and not any(other in slot.found for other in later)
+            cut = last and not any(other in slot.by_topic for other in later)
             if not (yield from self._on_topic(slot, topic, cut=cut)):
                 self._ended = True
                 return
@@ -420,10 +391,10 @@ class LockstepVerification(Verification):
         If it has failed, or the bag is cut off, messages may be missing from here on.
         """
         expected = self._expected.pop(topic, {})
-        found, others = _assigned(slot.get(topic), expected)
+        assigned, others = _assigned(slot.get(topic), expected)
         whole = bool(expected) or topic not in self._coordinators
         for agent_id, message in expected.items():
-            stored = found.get(agent_id) or (_taken(others, message) if others else None)
+            stored = assigned.get(agent_id) or (_taken(others, message) if others else None)
             if stored is not None:
                 yield self._differs(stored, message)
             elif cut:
@@ -463,18 +434,18 @@ def _assigned(several: list[Record], expected: dict[int, Message]) -> tuple[dict
 
     Of several messages of a robot this is the most similar one; of several of a coordinator, the first.
     """
-    found = {stored.agent_id: stored for stored in several}
-    if len(found) == len(several) and found.keys() <= expected.keys():
-        return found, []
-    found = {}
+    assigned = {stored.agent_id: stored for stored in several}
+    if len(assigned) == len(several) and assigned.keys() <= expected.keys():
+        return assigned, []
+    assigned = {}
     others: list[Record] = []
-    named: dict[int, list[Record]] = {}
+    by_robot: dict[int, list[Record]] = {}
     for stored in several:
-        (named.setdefault(stored.agent_id, []) if stored.agent_id in expected else others).append(stored)
-    for agent_id, same in named.items():
-        found[agent_id] = _taken(same, expected[agent_id]) if agent_id else same.pop(0)
+        (by_robot.setdefault(stored.agent_id, []) if stored.agent_id in expected else others).append(stored)
+    for agent_id, same in by_robot.items():
+        assigned[agent_id] = _taken(same, expected[agent_id]) if agent_id else same.pop(0)
         others += same
-    return found, others
+    return assigned, others
 
 
 def _taken(several: list[Record], expected: Message) -> Record:
@@ -487,5 +458,5 @@ def _likeness(stored: Record, expected: Message) -> int:
     return sum(a == b for a, b in zip(stored.message, expected, strict=True))
 
 
-def _unasked(found: Record | Difference, step: int, reason: str) -> Difference:
-    return found if isinstance(found, Difference) else surplus(found, step, reason)
+def _unasked(stored: Record | Difference, step: int, reason: str) -> Difference:
+    return stored if isinstance(stored, Difference) else surplus(stored, step, reason)

@@ -76,17 +76,17 @@ class RealtimeVerification(Verification):
         """The first step that is not verified yet, initially 0."""
         return max(0, self._judged or 0)
 
-    def _take(self, found: Record | Difference) -> None:
-        if isinstance(found, Difference):
-            self.found.difference = found
+    def _take(self, stored: Record | Difference) -> None:
+        if isinstance(stored, Difference):
+            self.result.difference = stored
             return
-        now = self._schedule.step(found.time or 0)
+        now = self._schedule.step(stored.time or 0)
         self._newest = max(self._newest, now)
-        stamp = max(0, found.message.stamp)  # a bag has no time before 1970
-        if found.published not in {None, stamp}:
-            self.found.difference = Difference.of(found.message, PUBLISH_TIME, found.published, stamp)
+        stamp = max(0, stored.message.stamp)  # a bag has no time before 1970
+        if stored.published not in {None, stamp}:
+            self.result.difference = Difference.of(stored.message, PUBLISH_TIME, stored.published, stamp)
             return
-        self.found.difference = self._keep(found, now)
+        self.result.difference = self._keep(stored, now)
         if self._judged is None:
             self._judged = now - MEMORY
         self._judge_until(self._newest - WAIT)
@@ -95,8 +95,8 @@ class RealtimeVerification(Verification):
         """Judge the remaining messages at the end of the bag."""
         self._judge_until(max(self._history.steps, default=-1) + 1)
         disputes = self._history.disputes
-        self.found.second_senders = disputes.spans(SECOND_WRITER, self._newest)
-        self.found.notes = tuple(
+        self.result.second_senders = disputes.spans(SECOND_WRITER, self._newest)
+        self.result.notes = tuple(
             f"{TWO_MESSAGES} on {of}, steps {first} to {last}: the bag has only the first of each"
             for of, (first, last) in disputes.spans(TWO_MESSAGES, self._newest).items()
         )
@@ -113,7 +113,7 @@ class RealtimeVerification(Verification):
             ):
                 return wrong
             if self._judged is not None and message.step < self._judged:
-                self.found.not_checkable[LATE] += 1
+                self.result.not_checkable[LATE] += 1
                 return None
         if self._history.add(stored):
             return None
@@ -127,15 +127,15 @@ class RealtimeVerification(Verification):
         few = end - begin <= len(self._history.steps)
         steps = range(begin, end) if few else sorted(s for s in self._history.steps if begin <= s < end)
         for step in steps:
-            if self.found.difference is None:
+            if self.result.difference is None:
                 self._judge_step(step)
         self._judged = end
 
     def _judge_step(self, step: int) -> None:
         """Judge the messages of a step, in the order in which the nodes tick."""
         judged = self._judge(self._findings(step))
-        if self.found.difference is None:
-            self.found.steps += judged > 0
+        if self.result.difference is None:
+            self.result.steps += judged > 0
             self._history.forget(step)
 
     def _findings(self, step: int) -> Iterator[Finding]:

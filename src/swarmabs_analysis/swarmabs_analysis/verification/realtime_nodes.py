@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Generic, TypeAlias, TypeVar
 
 from swarmabs_analysis.difference import Difference, judge
-from swarmabs_analysis.verification.history import AMBIGUOUS, NO_STATES, UnconfirmedError, wrong_stamp
-from swarmabs_config.graph import usual_topic
+from swarmabs_analysis.verification.history import AMBIGUOUS, NO_STATES, UnconfirmedError, refuse_if, wrong_stamp
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.controllers import StateFeedback
 from swarmabs_core.errors import RunError
@@ -38,13 +37,13 @@ from swarmabs_core.realtime.observer import RealtimeObserverConfig, RealtimeSums
 from swarmabs_core.realtime.plane import PlaneMotion, RealtimePlaneConfig
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from swarmabs_analysis.verification.base import Finding
     from swarmabs_analysis.verification.history import History
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.desired_state import DesiredStateGenerator
-    from swarmabs_core.messages import Basis, Message
+    from swarmabs_core.messages import Basis, Message, Topic
     from swarmabs_core.record import Record
 
 Config = TypeVar("Config", RealtimeAgentConfig, RealtimeObserverConfig, RealtimePlaneConfig, RealtimeControllerConfig)
@@ -54,8 +53,11 @@ OWN_LIMITS = "the robot has its own limits"
 NO_BROADCASTS = "the broadcasts that the robot followed are not in the bag"
 NO_ANSWER_BEFORE = "the answer from which it continues is not in the bag"
 NO_DIVISION = "what the observer told of standing robots is not in the bag"
-_OBSERVED = (ABSTRACT_STATE, AUXILIARY_STATE, STANDING)
 NO_PLANE = "the plane's state that it answers is not in the bag"
+
+
+Followed: TypeAlias = "tuple[History, History]"
+"""The messages among which are those of the observer and of the parent controller that a robot followed."""
 
 
 class _Check(Generic[Config]):
@@ -66,20 +68,10 @@ class _Check(Generic[Config]):
         self._history = history
         self._tolerance = tolerance
 
-    def _judge(self, stored: Record, expected: Message) -> Difference | None:
-        return judge(stored, expected, self._tolerance)
-
-    def _refuse_wrong_stamp(self, provenance: Basis) -> None:
-        """Raise `UnconfirmedError` for an answer made in another step than its own."""
-        if wrong := wrong_stamp(provenance, self._config.schedule):
-            raise UnconfirmedError(wrong)
-
-
-class _Followed(NamedTuple):
-    """The messages among which are those of the observer and of the parent controller that a robot followed."""
-
-    observer: History
-    controller: History
+    def _judge(self, stored: Record, *possible: Message) -> Difference | None:
+        """Return no difference if a message is one of those that are possible, otherwise that from the first."""
+        differences = [judge(stored, expected, self._tolerance) for expected in possible]
+        return None if None in differences else differences[0]
 
 
 class RobotCheck(_Check[RealtimeAgentConfig]):
@@ -116,10 +108,10 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         state, before = stored.message, self._before
         assert isinstance(state, AgentState)  # noqa: S101 - by topic
         self._before = state
-        known = state._replace(kind=self._config.kind, mass=self._config.mass, damping=self._config.damping)
+        as_configured = state._replace(kind=self._config.kind, mass=self._config.mass, damping=self._config.damping)
         # Only the state of a simulated body is measured at the beginning of its step.
         wrong_time = None if self._start is None else wrong_stamp(state, self._config.schedule)
-        if wrong := self._judge(stored, known) or wrong_time:
+        if wrong := self._judge(stored, as_configured) or wrong_time:
             return wrong
         if self._history.is_ambiguous(AGENT_STATE, state.step, state.agent_id):
             return AMBIGUOUS
@@ -129,10 +121,10 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
             return None
         if before is None or self._history.is_ambiguous(AGENT_STATE, before.step, state.agent_id):
             return NO_STATE_BEFORE
-        found = self._explain(stored, state, before)
-        if isinstance(found, Difference) and state.step > before.step + 1:
+        finding = self._explain(stored, state, before)
+        if isinstance(finding, Difference) and state.step > before.step + 1:
             return NO_STATE_BEFORE  # the command may follow from a state in between
-        return found
+        return finding
 
     def _explain(self, stored: Record, state: AgentState, before: AgentState) -> Finding:
         """Return whether the broadcasts of any observer and controller explain a state: no finding if some do."""
@@ -148,32 +140,32 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
             findings.append(finding)
         return next((finding for finding in findings if isinstance(finding, str)), findings[0])
 
-    def _followed(self, step: int) -> list[_Followed]:
+    def _followed(self, step: int) -> list[Followed]:
         """Return all whom the robot may have followed in a step: those who have sent anything around it."""
         either = (self._history, self._standby)
         if self._history.paired:
             near = range(step - self._age, step + self._ahead + 1)
-            speaking = [
+            observers, controllers = (
                 [of for of in either if any(of.on(topic, s) for s in near)]
                 for topic in (ABSTRACT_STATE, DESIRED_ABSTRACT_STATE)
-            ]
-            if all(speaking):
-                return [_Followed(*each) for each in product(*speaking)]
-        return [_Followed(self._history, self._history)]
+            )
+            if observers and controllers:
+                return [*product(observers, controllers)]
+        return [(self._history, self._history)]
 
     def _begins(self, state: AgentState) -> bool:
         """Return whether a state is the first one of a robot with a simulated body."""
         at_rest = (state.status, state.broadcast_step, state.command) == (Status.SAFE_STOP, NEVER, 0.0)
         return at_rest and (state.position, state.velocity) == self._start
 
-    def _follow(self, state: AgentState, before: AgentState, followed: _Followed) -> AgentState:
+    def _follow(self, state: AgentState, before: AgentState, followed: Followed) -> AgentState:
         """Return the state with the command, broadcasts and status that follow from the previous one."""
         brake = self._law.brake(before.velocity)
         still = (0.0, brake) if str(state.command) == str(0.0) else (brake, 0.0)
         at_rest = state._replace(command=still[0], broadcast_step=NEVER)
         if state.broadcast_step == NEVER:
             if state.status == Status.ACTIVE:
-                self._check_hold(state, before, followed.observer)
+                self._check_hold(state, before, followed[0])
             return at_rest
         heard = self._broadcasts(state, before, followed)
         decision, _ = self._law.decide(before.position, before.velocity, heard)
@@ -196,11 +188,11 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         reason = "it follows no broadcasts"
         raise UnconfirmedError(Difference.of(state, "status", Status.ACTIVE, Status.SAFE_STOP, reason))
 
-    def _broadcasts(self, state: AgentState, before: AgentState, followed: _Followed) -> Broadcast:
+    def _broadcasts(self, state: AgentState, before: AgentState, followed: Followed) -> Broadcast:
         """Return the broadcasts that the robot names, if it was allowed to follow them."""
         step, (observer, controller) = state.broadcast_step, followed
-        if not before.step - self._age <= step <= before.step + self._ahead:
-            raise _not_to_follow(state, f"they were {before.step - step} steps old when it decided")
+        recent = before.step - self._age <= step <= before.step + self._ahead
+        _refuse_to_follow(not recent, state, f"they were {before.step - step} steps old when it decided")
         senders = (observer, observer, controller)
         if any(of.is_ambiguous(topic, step) for of, topic in zip(senders, BROADCASTS, strict=True)):
             raise UnconfirmedError(AMBIGUOUS)
@@ -208,14 +200,14 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         asked = next(iter(controller.desired(step)), None)
         if abstract is None or sums is None or asked is None:
             raise UnconfirmedError(NO_BROADCASTS)
-        if asked.mode != Mode.RUN:
-            if controller.changes_within(step):
-                raise UnconfirmedError(NO_BROADCASTS)
-            mode = Mode(asked.mode).name if asked.mode in set(Mode) else f"mode {asked.mode}"
-            raise _not_to_follow(state, f"the parent controller requested {mode}")
+        still = asked.mode != Mode.RUN
+        if still and controller.changes_within(step):
+            raise UnconfirmedError(NO_BROADCASTS)
+        mode = Mode(asked.mode).name if asked.mode in set(Mode) else f"mode {asked.mode}"
+        _refuse_to_follow(still, state, f"the parent controller requested {mode}")
         for message in (abstract, sums, asked):
-            if problem := self._config.bounds.problem(message):
-                raise _not_to_follow(state, f"they had to be rejected: {problem}")
+            problem = self._config.bounds.problem(message)
+            _refuse_to_follow(problem, state, f"they had to be rejected: {problem}")
         return Broadcast(asked.stamp, step, abstract, sums, asked)
 
     def _move(self, state: AgentState, before: AgentState) -> AgentState:
@@ -236,115 +228,132 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         return place
 
 
-def _not_to_follow(state: AgentState, reason: str) -> UnconfirmedError:
-    """Return the error for a robot that must not have followed the broadcasts that it names."""
-    return UnconfirmedError(Difference.of(state, "broadcast_step", state.broadcast_step, NEVER, reason))
+def _refuse_to_follow(wrong: object, state: AgentState, reason: str) -> None:
+    """Raise `UnconfirmedError` if it is wrong that a robot followed the broadcasts that it names."""
+    refuse_if(wrong, state, "broadcast_step", state.broadcast_step, NEVER, reason)
 
 
-class ObserverCheck(_Check[RealtimeObserverConfig]):
-    """Checks abstract and auxiliary states against the robots' states that the observer names."""
+class _CoordinatorCheck(_Check[Config]):
+    """Checks what a coordinator said in each step, from the inputs that its provenance names.
+
+    Attributes
+    ----------
+    source : Source
+        The coordinator.
+    topics : tuple of Topic
+        The topics of its answers.
+    """
+
+    source: ClassVar[Source]
+    topics: ClassVar[tuple[Topic, ...]]
+
+    def check(self, step: int) -> Iterator[Finding]:
+        """Yield the findings of a step."""
+        expected: Mapping[Topic, Sequence[Message]] = {}
+        problem: Finding = None
+        try:
+            expected = self._recomputed(self._history.provenance(self.source, step))
+        except UnconfirmedError as error:
+            problem = error.finding
+        for topic in self.topics:
+            for _, stored in sorted(self._history.on(topic, step).items()):
+                if self._history.is_ambiguous(topic, step):
+                    yield AMBIGUOUS
+                else:
+                    yield self._compare(stored, problem, expected.get(topic, ()))
+
+    def _recomputed(self, provenance: Basis) -> Mapping[Topic, Sequence[Message]]:
+        """Return the possible answers of a step by topic; raise `UnconfirmedError` if they cannot be recomputed."""
+        raise NotImplementedError
+
+    def _compare(self, stored: Record, problem: Finding, possible: Sequence[Message]) -> Finding:
+        """Return the finding on an answer; with a `problem` those of its step could not be recomputed."""
+        return problem or self._judge(stored, *possible)
+
+    def _refuse_wrong_stamp(self, provenance: Basis) -> None:
+        """Raise `UnconfirmedError` for an answer made in another step than its own."""
+        if wrong := wrong_stamp(provenance, self._config.schedule):
+            raise UnconfirmedError(wrong)
+
+
+class ObserverCheck(_CoordinatorCheck[RealtimeObserverConfig]):
+    """Checks abstract and auxiliary states, and how the former divide, against the states that the observer names."""
+
+    source = Source.OBSERVER
+    topics = (ABSTRACT_STATE, AUXILIARY_STATE, STANDING)
 
     def __init__(self, config: RealtimeObserverConfig, history: History, tolerance: float) -> None:
         super().__init__(config, history, tolerance)
         self._sums = RealtimeSums(config)
         self._ahead = config.schedule.ahead(config.clock_tolerance)
 
-    def check(self, step: int) -> Iterator[Finding]:
-        """Yield the findings of a step."""
-        answers = [found for topic in _OBSERVED for found in self._history.on(topic, step).values()]
-        try:
-            expected = self._recompute(self._history.provenance(Source.OBSERVER, step))
-        except UnconfirmedError as error:
-            yield from [error.finding] * len(answers)
-            return
-        for stored in answers:
-            if self._history.is_ambiguous(stored.topic, step):
-                yield AMBIGUOUS
-            else:
-                yield self._judge(stored, expected[_OBSERVED.index(usual_topic(stored.topic))])
-
-    def _recompute(self, provenance: Basis) -> tuple[AbstractState, AuxiliaryState, StandingState]:
-        """Return the recomputed answers of the observer."""
-        states, problem = self._history.states(Source.OBSERVER, provenance)
+    def _recomputed(self, provenance: Basis) -> Mapping[Topic, Sequence[Message]]:
+        states, problem = self._history.states(self.source, provenance)
         if problem:
             raise UnconfirmedError(problem)
         self._refuse_wrong_stamp(provenance)
         self._refuse_wrong_robots(provenance)
         standing = {i for i, mark in zip(provenance.agent_ids, provenance.standing, strict=True) if mark}
         for agent_id in set(states) - standing:
-            if self._sums.role(states[agent_id], provenance.step) is Role.SILENT:
-                reason = f"robot {agent_id} was silent"
-                raise UnconfirmedError(Difference.of(provenance, "standing", 0, 1, reason))
-        found = states, standing, provenance.step, provenance.stamp
-        return (*self._sums.sum_up(*found), self._sums.divide(*found))
+            silent = self._sums.role(states[agent_id], provenance.step) is Role.SILENT
+            refuse_if(silent, provenance, "standing", 0, 1, f"robot {agent_id} was silent")
+        swarm = states, standing, provenance.step, provenance.stamp
+        abstract, auxiliary = self._sums.sum_up(*swarm)
+        return dict(zip(self.topics, ([abstract], [auxiliary], [self._sums.divide(*swarm)]), strict=True))
 
     def _refuse_wrong_robots(self, provenance: Basis) -> None:
         ids, begins = provenance.agent_ids, (provenance.since, provenance.begun)
+        refuse_if(begins != (NEVER, NEVER), provenance, "since", provenance.since, NEVER, "of the observer")
+        in_order = list(ids) == sorted(set(ids) & set(self._config.members))
+        refuse_if(not in_order, provenance, "agent_ids", str(ids), None, "not members in order")
         newest = max(provenance.state_steps, default=0)
-        wrong: Difference | None = None
-        if begins != (NEVER, NEVER):
-            wrong = Difference.of(provenance, "since", provenance.since, NEVER, "of the observer")
-        elif list(ids) != sorted(set(ids)) or not set(ids) <= set(self._config.members):
-            wrong = Difference.of(provenance, "agent_ids", str(ids), None, "not members in order")
-        elif newest > provenance.step + self._ahead:
-            wrong = Difference.of(provenance, "state_steps", newest, None, "from the future")
-        if wrong is not None:
-            raise UnconfirmedError(wrong)
+        from_future = newest > provenance.step + self._ahead
+        refuse_if(from_future, provenance, "state_steps", newest, None, "from the future")
 
 
-class PlaneCheck(_Check[RealtimePlaneConfig]):
+class PlaneCheck(_CoordinatorCheck[RealtimePlaneConfig]):
     """Checks the simulated plane's states, each against the previous one and the robots' states that the plane names.
 
     With an imperfect sensor the true state is not recorded: it is tracked from the beginning, or not at all.
     """
+
+    source = Source.PLANE
+    topics = (PLANE_STATE,)
 
     def __init__(self, config: RealtimePlaneConfig, history: History, tolerance: float) -> None:
         super().__init__(config, history, tolerance)
         self._motion = PlaneMotion(config)
         self._true_state: tuple[int, float, float] | None = None
 
-    def check(self, step: int) -> Iterator[Finding]:
-        """Yield the findings of a step."""
-        stored = self._history.on(PLANE_STATE, step).get(0)
-        try:
-            provenance = self._history.provenance(Source.PLANE, step)
-            last, self._true_state = self._true_state, None
-            places = self._places(provenance, last)
-        except UnconfirmedError as error:
-            if stored is not None:
-                yield error.finding
-            return
-        self._true_state = (step, *places[0])
-        if stored is None:
-            return
-        if self._history.is_ambiguous(PLANE_STATE, step):
-            yield AMBIGUOUS
-            return
-        wrong = [self._judge(stored, self._state(provenance, place)) for place in places]
-        if None in wrong:
-            self._true_state = (step, *places[wrong.index(None)])
-        yield None if None in wrong else wrong[0]
+    def _recomputed(self, provenance: Basis) -> Mapping[Topic, Sequence[Message]]:
+        last, self._true_state = self._true_state, None
+        places = self._places(provenance, last)
+        states = [self._state(provenance, place) for place in places]
+        stored, place = self._history.on(PLANE_STATE, provenance.step).get(0), places[0]
+        if len(places) > 1 and stored is not None:
+            fitting = (p for p, state in zip(places, states, strict=True) if not self._judge(stored, state))
+            place = next(fitting, place)
+        self._true_state = (provenance.step, *place)
+        return {PLANE_STATE: states}
 
     def _places(self, provenance: Basis, last: tuple[int, float, float] | None) -> list[tuple[float, float]]:
         """Return the possible true states of the plane: one, unless the plane was restarted."""
         step, since, begun = provenance.step, provenance.since, provenance.begun
         self._refuse_wrong_stamp(provenance)
-        if any(provenance.standing):
-            raise UnconfirmedError(
-                Difference.of(provenance, "standing", str(provenance.standing), None, "of the plane")
-            )
+        marks = provenance.standing
+        refuse_if(any(marks), provenance, "standing", str(marks), None, "of the plane")
         if since == NEVER:
-            self._history.states(Source.PLANE, provenance)
+            self._history.states(self.source, provenance)
             begin = (self._config.plane.angle, self._config.plane.angular_velocity)
             return [begin] if last is None else [begin, last[1:], (last[1], begin[1])]
         try:
-            before = self._history.provenance(Source.PLANE, since, NO_ANSWER_BEFORE)
+            before = self._history.provenance(self.source, since, NO_ANSWER_BEFORE)
             start = self._start(since, last, held=before.begun == NEVER)
-            if begun != before.begun and not (before.begun == NEVER and since <= begun <= step):
-                raise UnconfirmedError(Difference.of(provenance, "begun", begun, before.begun, "of the plane"))
-            earlier, lost = self._history.states(Source.PLANE, before)
+            released = before.begun == NEVER and since <= begun <= step
+            refuse_if(begun != before.begun and not released, provenance, "begun", begun, before.begun, "of the plane")
+            earlier, lost = self._history.states(self.source, before)
         finally:
-            robots, missed = self._history.states(Source.PLANE, provenance)  # last, so that these states are kept
+            robots, missed = self._history.states(self.source, provenance)  # last, so that these states are kept
         if begun == NEVER:
             return [start]
         if lost or missed:
@@ -366,11 +375,14 @@ class PlaneCheck(_Check[RealtimePlaneConfig]):
         return PlaneState(provenance.stamp, provenance.step, *self._motion.measured(place[0], rate, provenance.step))
 
 
-class ControllerCheck(_Check[RealtimeControllerConfig]):
+class ControllerCheck(_CoordinatorCheck[RealtimeControllerConfig]):
     """Checks desired states against the plane's state and earlier ones; `make_law` creates the control law.
 
     The `observers` have the messages of the observer and of its standby.
     """
+
+    source = Source.CONTROLLER
+    topics = (DESIRED_ABSTRACT_STATE,)
 
     def __init__(
         self,
@@ -384,42 +396,31 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
         self._observers = observers
         self._make_law = make_law
         self._generator: DesiredStateGenerator | None = None
-        self._last: Any = None  # the last desired state in mode RUN
+        self._last: DesiredAbstractState | None = None  # in mode RUN
         self._law_step = self._begun = -1
 
-    def check(self, step: int) -> Iterator[Finding]:
-        """Yield the findings of a step."""
-        answers = self._history.on(DESIRED_ABSTRACT_STATE, step)
-        expected: DesiredAbstractState | Difference | str
-        try:
-            expected = self._recompute(self._history.provenance(Source.CONTROLLER, step), answers)
-        except UnconfirmedError as error:
-            expected = error.finding
-        for mode in sorted(answers):
-            if self._history.is_ambiguous(DESIRED_ABSTRACT_STATE, step):
-                yield AMBIGUOUS
-            elif mode != Mode.RUN:
-                yield self._check_still(answers[mode])
-            else:
-                self._last = answers[mode].message
-                yield self._judge(answers[mode], expected) if isinstance(expected, DesiredAbstractState) else expected
-
-    def _recompute(self, provenance: Basis, answers: Mapping[int, Record]) -> DesiredAbstractState:
-        """Return the recomputed desired state."""
+    def _recomputed(self, provenance: Basis) -> Mapping[Topic, Sequence[Message]]:
         step, since = provenance.step, provenance.since
         begins = since == NEVER and provenance.begun == step
         missed = step - since
         follows = since == self._law_step and provenance.begun == self._begun and 0 < missed <= controller.MOST_STEPS
         generator, self._generator = self._generator, None
-        if generator is not None and not (begins or follows or self._law_step < since < step):
-            reason = f"its law began at {provenance.begun}"
-            raise UnconfirmedError(Difference.of(provenance, "since", since, self._law_step, reason))
+        lost = generator is not None and not (begins or follows or self._law_step < since < step)
+        refuse_if(lost, provenance, "since", since, self._law_step, f"its law began at {provenance.begun}")
         plane = self._history.sure(PlaneState, step, NO_PLANE)
         divided = self._division(provenance)
         if begins:
             self._law_step, self._begun, generator = step - 1, step, self._config.generator(self._make_law())
         elif not follows or generator is None:
-            generator = self._resumed(provenance, answers, divided)
+            generator = self._resumed(provenance, divided)
+        desired = self._advanced(generator, plane, divided)
+        self._generator = generator
+        return {DESIRED_ABSTRACT_STATE: [desired._replace(stamp=provenance.stamp)]}
+
+    def _advanced(
+        self, generator: DesiredStateGenerator, plane: PlaneState, divided: StandingState | None
+    ) -> DesiredAbstractState:
+        """Return the desired state that answers a state of the plane, which also answers missed steps before it."""
         try:
             while True:
                 self._law_step += 1
@@ -427,13 +428,27 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
                 if divided is not None:
                     generator.divide(divided)
                 _, desired = generator.advance(time, plane)
-                if self._law_step == step:
-                    break
+                if self._law_step == plane.step:
+                    return desired
         except RunError as error:
             topic = DESIRED_ABSTRACT_STATE.name
-            raise UnconfirmedError(Difference(topic, step, None, "mode", Mode.RUN, Mode.STOP, str(error))) from error
-        self._generator = generator
-        return desired._replace(stamp=provenance.stamp)
+            difference = Difference(topic, plane.step, None, "mode", Mode.RUN, Mode.STOP, str(error))
+            raise UnconfirmedError(difference) from error
+
+    def _compare(self, stored: Record, problem: Finding, possible: Sequence[Message]) -> Finding:
+        asked = stored.message
+        assert isinstance(asked, DesiredAbstractState)  # noqa: S101 - by topic
+        if asked.mode != Mode.RUN:
+            return self._judge(stored, self._still(asked))
+        self._last = asked
+        return super()._compare(stored, problem, possible)
+
+    def _still(self, asked: DesiredAbstractState) -> DesiredAbstractState:
+        """Return what is published while the swarm holds still: a point of the manifold with zero rates."""
+        torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
+        if self._last is not None and self._last.torque == torque:
+            inertia = self._last.inertia
+        return DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia)
 
     def _division(self, provenance: Basis) -> StandingState | None:
         """Return how the abstract state divides, by the observer or standby that the controller names, if any."""
@@ -441,24 +456,20 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
         if not (steps or ids or marks):
             return None
         age = self._config.schedule.steps(self._config.plane_age_limit)
-        if ids != (0,):
-            raise UnconfirmedError(Difference.of(provenance, "agent_ids", str(ids), "(0,)", "of the controller"))
-        if marks not in {(0,), (1,)}:
-            raise UnconfirmedError(Difference.of(provenance, "standing", str(marks), None, "not one observer"))
-        if abs(steps[0] - provenance.step) > age:
-            raise UnconfirmedError(Difference.of(provenance, "state_steps", steps[0], None, "not a recent step"))
+        refuse_if(ids != (0,), provenance, "agent_ids", str(ids), "(0,)", "of the controller")
+        refuse_if(marks not in {(0,), (1,)}, provenance, "standing", str(marks), None, "not one observer")
+        outdated = abs(steps[0] - provenance.step) > age
+        refuse_if(outdated, provenance, "state_steps", steps[0], None, "not a recent step")
         return self._observers[marks[0]].sure(StandingState, steps[0], NO_DIVISION)
 
-    def _resumed(
-        self, provenance: Basis, answers: Mapping[int, Record], divided: StandingState | None
-    ) -> DesiredStateGenerator:
+    def _resumed(self, provenance: Basis, divided: StandingState | None) -> DesiredStateGenerator:
         """Return the generator as it was before an answer, which is possible only for a law without memory.
 
         It is not possible either while the desired state is on its way to another curve.
         """
         law = self._make_law()
-        asked = answers[Mode.RUN].message if Mode.RUN in answers else None
-        if not isinstance(asked, DesiredAbstractState) or not isinstance(law, StateFeedback):
+        asked = self._history.get(DesiredAbstractState, provenance.step, Mode.RUN)
+        if asked is None or not isinstance(law, StateFeedback):
             raise UnconfirmedError(NO_ANSWER_BEFORE)
         generator = self._config.generator(law)
         if divided is not None:
@@ -468,12 +479,3 @@ class ControllerCheck(_Check[RealtimeControllerConfig]):
             raise UnconfirmedError(NO_ANSWER_BEFORE)
         self._law_step, self._begun = provenance.step - 1, provenance.begun
         return generator
-
-    def _check_still(self, stored: Record) -> Difference | None:
-        """Check a desired state published while the swarm holds still: a point of the manifold with zero rates."""
-        asked = stored.message
-        assert isinstance(asked, DesiredAbstractState)  # noqa: S101 - by topic
-        torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
-        if self._last is not None and self._last.torque == torque:
-            inertia = self._last.inertia
-        return self._judge(stored, DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.comparison.messages import MessageComparison
@@ -18,6 +17,7 @@ from swarmabs_run.simulation import nodes_in_process
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from swarmabs_analysis.verification.base import VerificationResult
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.messages import Message, Messages
     from swarmabs_core.nodes import NodeName
@@ -78,22 +78,16 @@ class Trial:
         if publisher_of(answer) in self.nodes:
             self._comparison.take(stored, Record.of(_referring(answer, self._recorded)))
 
-    def finish(self) -> MessageComparison:
-        """Return the comparison of all answers."""
-        return self._comparison.finish()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return nodes, overrides and deviations as plain data for JSON."""
-        return {
+    def report(self, result: VerificationResult) -> None:
+        """Complete a result by the comparison of all answers."""
+        compared = self._comparison.finish()
+        result.messages = sum(topic.compared for topic in compared.topics)
+        result.difference = result.difference or compared.first
+        result.trial = {
             "nodes": list(map(str, self.nodes)),
             "overrides": list(self.overrides),
-            "deviations": deviations(self._comparison),
+            "deviations": compared.deviations(),
         }
-
-
-def deviations(comparison: MessageComparison) -> list[dict[str, Any]]:
-    """Return the deviation of each field that differs, with its topic, as plain data for JSON."""
-    return [{"topic": topic.topic, **asdict(field)} for topic in comparison.topics for field in topic.fields]
 
 
 def check_nodes(nodes: Iterable[NodeName], recorded: AnyScenario) -> None:
