@@ -48,7 +48,8 @@ def _layout(topic: Topic, lengths: tuple[int, ...]) -> np.dtype[np.void]:
     fields: list[Any] = []
     for number, (name, code, size, elements) in enumerate(places(topic.message, lengths)):
         unique = {"": f"{PADDING}{number}", "count": f"{LENGTH}{number}"}.get(name, name)
-        fields.append((unique, "<f8", (elements,)) if elements else (unique, _NUMPY.get(code, f"V{size}")))
+        element = _NUMPY.get(code, f"V{size}")
+        fields.append((unique, element, (elements,)) if elements and code in _NUMPY else (unique, element))
     return np.dtype(fields)
 
 

@@ -1,25 +1,26 @@
 """Canonical little-endian CDR of the swarm's messages, every padding byte zero.
 
 A message consists of encapsulation header, ``std_msgs/Header``, ``uint64 step`` and its own fields. Since the frame id
-is always ``plane``, everything but strings and lists has a fixed offset, which follows from the declarations in
-`swarmabs_core.messages`; one `struct.Struct` per message describes it. The messages of any parent system have bounded
-lists, whose lengths do not change in a run, and one `struct.Struct` for these lengths. A test compares all layouts with
-the serialization of ``swarmabs_msgs`` by ROS 2.
+is always ``plane``, its layout follows from the declarations in `swarmabs_core.messages` and from the lengths of its
+lists, which hardly change in a run; a string and bytes are lists, too. One `struct.Struct` describes all messages of a
+class with lists of the same lengths. A test compares the layouts with the serialization of ``swarmabs_msgs`` by ROS 2.
 """
 
 from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import FRAME_ID, TOPICS, AgentState, Field, RobotState, SwarmEvent, fields_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from swarmabs_core.messages import Message, Topic
+
+    Buffer: TypeAlias = bytes | bytearray | memoryview
 
 ENCAPSULATION = b"\x00\x01"
 """Little-endian CDR; a reader treats the two option bytes that follow as padding."""
@@ -32,17 +33,18 @@ _TRANSPORT_PADDING = 4
 """Fast DDS pads a serialized payload to a multiple of this number of bytes."""
 _NANOSECONDS = 11
 """Offset of the most significant byte of the header's nanoseconds."""
-_BEGIN = 4
-"""Size of the encapsulation header, after which alignment starts."""
-_BYTES = "byte[]"
-_CODES = {"uint8": "B", "uint16": "H", "uint64": "Q", "float64": "d"}
-_new: Any = tuple.__new__  # of a NamedTuple, without the Python wrappers `__new__` and `_make`
+_COUNT = 4
+"""Size of the length of a list."""
+_STRING, _BYTES = "string", "byte[]"
+_CODES = {"uint8": "B", "uint16": "H", "uint64": "Q", "float64": "d", _STRING: "s", "byte": "s"}
+_new = tuple.__new__
+"""Makes a message of its values; `__new__` and `_make` of a NamedTuple are slower wrappers in Python."""
 
 
 class Place(NamedTuple):
     """An item of a message: its name (empty for padding), its `struct` format and its size in bytes.
 
-    `length` is the number of elements of a list of float64, 0 for any other item.
+    `length` is the number of elements of a list, each of this format, 0 for any other item.
     """
 
     name: str
@@ -50,134 +52,63 @@ class Place(NamedTuple):
     size: int
     length: int = 0
 
+    @property
+    def values(self) -> int:
+        """Number of values that `struct` makes of it."""
+        return self.length if self.length and self.code != "s" else int(self.name != "")
+
 
 def places(message_type: type[Message], lengths: tuple[int, ...] = ()) -> tuple[Place, ...]:
-    """Return the items in the fixed part of a message, in order.
+    """Return the items of a message with lists of the given lengths, in order; further lists are empty.
 
-    They are named after the fields, or `encapsulation`, `sec`, `nanosec` and `frame`; `count` is the length of the
-    string or of the first list that follows the fixed part. Bounded lists of the given `lengths` are part of it, each
-    after its `count`.
+    They are named after the fields, or `encapsulation`, `sec`, `nanosec` and `frame`; `count` is the length of a list,
+    which precedes it. An empty list has no other item.
     """
-    found = [Place("encapsulation", "2s", 2), Place("", "2x", 2)]
+    items = [Place("encapsulation", "2s", 2), Place("", "2x", 2)]
+    size = 0  # without the encapsulation, after which alignment starts
     for item, alignment in _items(message_type, iter(lengths)):
-        gap = -(sum(place.size for place in found) - _BEGIN) % alignment
+        gap = -size % alignment
         if gap:
-            found.append(Place("", f"{gap}x", gap))
-        found.append(item)
-    return tuple(found)
+            items.append(Place("", f"{gap}x", gap))
+        items.append(item)
+        size += gap + item.size
+    return tuple(items)
 
 
 def _items(message_type: type[Message], lengths: Iterator[int]) -> Iterator[tuple[Place, int]]:
-    """Yield the items in the fixed part with their alignments, without the encapsulation."""
-    count = Place("count", "I", 4)
+    """Yield the items of a message with their alignments, without the encapsulation."""
     yield from ((Place("sec", "i", 4), 4), (Place("nanosec", "I", 4), 4))
     yield Place("frame", f"{len(FRAME)}s", len(FRAME)), 4
     for name, field in fields_of(message_type).items():
         if not isinstance(field, Field):
             yield from _items(field, lengths)
-        elif bound_of(field):
-            length = next(lengths, 0)
-            yield count, 4
-            if length:
-                yield Place(name, f"{length}d", 8 * length, length), 8
-        elif field.ros_type in _CODES:
-            code = _CODES[field.ros_type]
-            size = struct.calcsize(code)
-            yield Place(name, code, size), size
         elif field.ros_type != "time":
-            yield count, 4
-            return
+            code = _CODES[field.ros_type.partition("[")[0]]
+            width = struct.calcsize(code)
+            if not _is_list(field):
+                yield Place(name, code, width), width
+                continue
+            length = next(lengths, 0)
+            yield Place("count", "I", _COUNT), _COUNT
+            if length:
+                yield Place(name, code, length * width, length), width
 
 
-def bound_of(field: Field) -> int:
-    """Return the largest length of a bounded list, 0 for any other field."""
-    return int(field.ros_type.partition("<=")[2].rstrip("]") or 0)
+def _is_list(field: Field) -> bool:
+    return field.ros_type == _STRING or field.ros_type.endswith("]")
+
+
+def _lists(message_type: type[Message]) -> Iterator[tuple[str, str]]:
+    """Yield the lists of a message: names and types of their fields."""
+    for name, field in fields_of(message_type).items():
+        if not isinstance(field, Field):
+            yield from _lists(field)
+        elif _is_list(field):
+            yield name, field.ros_type
 
 
 class _Layout:
-    """Byte layout of a message class.
-
-    Attributes
-    ----------
-    message : type of Message
-        The class.
-    fixed : Struct
-        The fixed part, item by item.
-    content : Struct
-        The fixed part, with the bytes between padding as one item each.
-    parts : tuple of (type of Message, int)
-        The nested messages, each with the number of its values in `fixed`.
-    lists : tuple of str
-        Element formats of the lists.
-    text, raw : str
-        Name of the field with a string or with bytes, which is the last one; empty if there is none.
-    bounds : tuple of int
-        Largest lengths of the bounded lists; if there are any, a `_Shape` has the rest.
-    latest : dict
-        By size in bytes, the `_Shape` of the latest message.
-    """
-
-    __slots__ = ("bounds", "content", "fixed", "latest", "lists", "message", "parts", "plain", "raw", "size", "text")
-
-    def __init__(self, message_type: type[Message]) -> None:
-        self.message = message_type
-        items = places(message_type)
-        self.fixed = struct.Struct("<" + "".join(place.code for place in items))
-        self.size = self.fixed.size
-        self.content = struct.Struct("<" + "".join(_pieces(items)))
-        fields = fields_of(message_type)
-        parts = [field for field in fields.values() if not isinstance(field, Field)]
-        # Seconds, nanoseconds and frame id replace the stamp.
-        self.parts = tuple((part, len(fields_of(part)) + 2) for part in parts)
-        own = {name: field.ros_type for name, field in fields.items() if isinstance(field, Field)}
-        self.lists = tuple(
-            _CODES[kind.removesuffix("[]")] for kind in own.values() if kind.endswith("[]") and kind != _BYTES
-        )
-        self.text, self.raw = (
-            next((name for name, kind in own.items() if kind == wanted), "") for wanted in ("string", _BYTES)
-        )
-        self.bounds = tuple(_bounds(message_type))
-        self.latest: dict[int, _Shape] = {}
-        self.plain = not (self.parts or self.lists or self.text or self.raw or self.bounds)
-
-
-def _bounds(message_type: type[Message]) -> Iterator[int]:
-    for field in fields_of(message_type).values():
-        if not isinstance(field, Field):
-            yield from _bounds(field)
-        elif bound_of(field):
-            yield bound_of(field)
-
-
-@lru_cache(maxsize=64)
-def _tail(layout: _Layout, number: int) -> struct.Struct:
-    """Return the layout of the lists with `number` elements each; every list but the first starts with its length."""
-    form, size = "<", layout.size - _BEGIN
-    for place, code in enumerate(layout.lists):
-        for piece, alignment, count in (("I", 4, int(place > 0)), (code, struct.calcsize(code), number)):
-            if count:
-                gap = -size % alignment
-                form += f"{gap}x{count}{piece}"
-                size += gap + count * alignment
-    return struct.Struct(form)
-
-
-def _pieces(items: tuple[Place, ...]) -> Iterator[str]:
-    size = 0
-    for place in items:
-        if place.name:
-            size += place.size
-        else:
-            yield f"{size}s{place.code}"
-            size = 0
-    yield f"{size}s"
-
-
-_LAYOUTS = {topic.message: _Layout(topic.message) for topic in TOPICS}
-
-
-class _Shape:
-    """Byte layout of a message with bounded lists of given lengths.
+    """Byte layout of a message with lists of given lengths.
 
     Attributes
     ----------
@@ -192,99 +123,155 @@ class _Shape:
         behind the stamp.
     """
 
-    __slots__ = ("content", "counts", "expected", "head", "parts", "whole")
+    __slots__ = ("content", "counts", "expected", "head", "parts", "size", "whole")
 
-    def __init__(self, layout: _Layout, lengths: tuple[int, ...]) -> None:
-        items = places(layout.message, lengths)
-        self.whole = struct.Struct("<" + "".join(place.code for place in items))
-        self.content = struct.Struct("<" + "".join(_pieces(items)))
+    def __init__(self, form: _Form, lengths: tuple[int, ...]) -> None:
+        items = places(form.message, lengths)
+        self.whole = _struct(f"{place.length or ''}{place.code}" for place in items)
+        self.content = _struct(_pieces(items))
+        self.size = self.whole.size
         self.counts: list[int] = []
         self.parts: list[tuple[type[Message], int, list[int | slice]]] = []
-        kinds, left = iter([layout.message, *(part for part, _ in layout.parts)]), iter(lengths)
-        form, known, size, index = "<", {"encapsulation": ENCAPSULATION, "frame": FRAME}, 0, 0
+        kinds, left = iter([form.message, *form.nested]), iter(lengths)
+        known: dict[str, bytes | int] = {"encapsulation": ENCAPSULATION, "frame": FRAME}
         expected: list[bytes | int] = []
-        for name, code, width, elements in items:
-            if name == "sec":
+        size = index = 0
+        for place in items:
+            if place.name == "sec":
                 self.parts.append((next(kinds), index, []))
-            elif name == "count":
-                expected.append(length := next(left, 0))
+            elif place.name == "count":
+                known["count"] = length = next(left, 0)
                 self.counts.append(size)
-                self.parts[-1][2].append(slice(index + 1, index + 1 + length))
-            elif name in known:
-                expected.append(known[name])
-            elif name not in {"", "nanosec"} and not elements:
+                values = min(length, 1) if form.characters else length
+                self.parts[-1][2].append(slice(index + 1, index + 1 + values))
+            elif place.name not in {"", "nanosec", *known} and not place.length:
                 self.parts[-1][2].append(index)
-            form += code if name in known or name == "count" else f"{width}x"
-            size += width
-            index += elements or bool(name)
-        self.head, self.expected = struct.Struct(form), tuple(expected)
+            if place.name in known:
+                expected.append(known[place.name])
+            size += place.size
+            index += place.values
+        self.head = _struct(place.code if place.name in known else f"{place.size}x" for place in items)
+        self.expected = tuple(expected)
+
+    def fits(self, data: Buffer) -> bool:
+        """Return whether serialized bytes have this layout."""
+        return self.size <= len(data) < self.size + _TRANSPORT_PADDING and self.head.unpack_from(data) == self.expected
 
 
-@lru_cache(maxsize=256)
-def _shape(layout: _Layout, lengths: tuple[int, ...]) -> _Shape:
-    """Return the layout of a message with bounded lists of these lengths; those not given are empty.
+def _struct(codes: Iterable[str]) -> struct.Struct:
+    return struct.Struct("<" + "".join(codes))
+
+
+def _pieces(items: tuple[Place, ...]) -> Iterator[str]:
+    size = 0
+    for place in items:
+        if place.name:
+            size += place.size
+        else:
+            yield f"{size}s{place.code}"
+            size = 0
+    yield f"{size}s"
+
+
+class _Form:
+    """What all messages of a class have in common.
+
+    Attributes
+    ----------
+    message, nested : type of Message, tuple of type of Message
+        The class, and those of nested messages.
+    lists : tuple of (str, str)
+        Names and types of the lists.
+    characters : str
+        Name of the string or of bytes, which are the last field; empty if there are none.
+    plain : _Layout or None
+        The layout of a class without lists and nested messages.
+    latest : _Layout
+        The layout of the latest message.
+    """
+
+    __slots__ = ("characters", "latest", "lists", "message", "nested", "plain")
+
+    def __init__(self, message_type: type[Message]) -> None:
+        self.message = message_type
+        self.nested = tuple(field for field in fields_of(message_type).values() if not isinstance(field, Field))
+        self.lists = tuple(_lists(message_type))
+        self.characters = next((name for name, kind in self.lists if kind in (_STRING, _BYTES)), "")
+        self.latest = _Layout(self, ())
+        self.plain = None if self.lists or self.nested else self.latest
+
+    @lru_cache(maxsize=256)  # noqa: B019 - there is one object for each class
+    def layout(self, lengths: tuple[int, ...]) -> _Layout:
+        """Return the layout with lists of these lengths; those not given are empty.
+
+        Raises `MalformedMessageError` if one is too long, or lists with an element for each robot are not equally long.
+        """
+        for (_, kind), length in zip(self.lists, lengths, strict=False):
+            bound = int(kind.partition("<=")[2].rstrip("]") or 0)
+            if bound and length > bound:
+                raise self.malformed(f"a list of {length} numbers, at most {bound}")
+            if not (bound or self.characters) and length > _MOST_ROBOTS:
+                raise self.malformed(f"{length} robots, at most {_MOST_ROBOTS}")
+        by_robot = [name for name, kind in self.lists if kind.endswith("[]")]
+        if len(by_robot) == len(lengths) and len(set(lengths)) > 1:
+            lists = ", ".join(f"{length} in `{name}`" for name, length in zip(by_robot, lengths, strict=True))
+            raise self.malformed(f"lists of different lengths: {lists}")
+        return _Layout(self, lengths)
+
+    def lengths_of(self, data: Buffer) -> tuple[int, ...]:
+        """Return the lengths of the lists in serialized bytes; see the function of this name."""
+        lengths: tuple[int, ...] = ()
+        for number in range(len(self.lists)):
+            place = self.layout(lengths).counts[number]
+            if place >= len(data):
+                break
+            lengths = (*lengths, int.from_bytes(data[place : place + _COUNT], "little"))
+        self.layout(lengths)
+        return lengths
+
+    def layout_of(self, data: Buffer) -> _Layout:
+        """Return the layout of serialized bytes, whose size, encapsulation and frame ids it checks."""
+        if self.latest.fits(data):
+            return self.latest
+        layout = self.layout(self.lengths_of(data))
+        if self.characters and self.lists[-1][1] == _STRING and len(data) < layout.size:
+            raise self._bad_text()
+        if not layout.size <= len(data) < layout.size + _TRANSPORT_PADDING:
+            raise self.malformed(f"{len(data)} bytes, expected {layout.size}")
+        if (head := layout.head.unpack_from(data)) != layout.expected:
+            _refuse_head(self.message.__name__, head[0])
+        self.latest = layout
+        return layout
+
+    def with_characters(self, values: tuple[object, ...], pieces: tuple[bytes, ...]) -> tuple[object, ...]:
+        """Return the values of a message whose last field is a string or bytes, of which there may be none."""
+        data = b"".join(pieces)
+        if self.lists[-1][1] == _BYTES:
+            return (*values, data)
+        if data[-1:] != b"\x00":
+            raise self._bad_text()
+        try:
+            return (*values, data[:-1].decode())
+        except UnicodeDecodeError as error:
+            raise self.malformed(f"`{self.characters}` is not UTF-8") from error
+
+    def _bad_text(self) -> MalformedMessageError:
+        return self.malformed(f"`{self.characters}` is cut off or not terminated")
+
+    def malformed(self, problem: str) -> MalformedMessageError:
+        """Return the error of bytes or of a message that do not have this form."""
+        return MalformedMessageError(self.message.__name__, problem)
+
+
+_FORMS = {topic.message: _Form(topic.message) for topic in TOPICS}
+
+
+def lengths_of(message_type: type[Message], data: Buffer) -> tuple[int, ...]:
+    """Return the lengths of the lists in serialized bytes, which may be longer than one message.
 
     Raises `MalformedMessageError` if one is too long.
     """
-    for length, bound in zip(lengths, layout.bounds, strict=False):
-        if length > bound:
-            raise MalformedMessageError(layout.message.__name__, f"a list of {length} numbers, at most {bound}")
-    return _Shape(layout, lengths)
-
-
-def _shape_of(layout: _Layout, data: bytes) -> _Shape:
-    """Return the layout of serialized bytes, whose size, encapsulation and frame ids it checks."""
-    shape = layout.latest.get(len(data))
-    if shape is not None and shape.head.unpack_from(data) == shape.expected:
-        return shape
-    shape = _shape(layout, lengths_of(layout.message, data))
-    if not (size := shape.head.size) <= len(data) < size + _TRANSPORT_PADDING:
-        raise MalformedMessageError(layout.message.__name__, f"{len(data)} bytes, expected {size}")
-    if (head := shape.head.unpack_from(data)) != shape.expected:
-        _refuse_head(layout.message.__name__, head[0])
-    layout.latest[len(data)] = shape
-    return shape
-
-
-def lengths_of(message_type: type[Message], data: bytes | bytearray | memoryview) -> tuple[int, ...]:
-    """Return the lengths of the bounded lists in serialized bytes, which may be longer than one message.
-
-    Raises `MalformedMessageError` if one is too long.
-    """
-    layout = _LAYOUTS[message_type]
-    lengths: tuple[int, ...] = ()
-    shape = _shape(layout, lengths)
-    for number in range(len(layout.bounds)):
-        place = shape.counts[number]
-        lengths = (*lengths, int.from_bytes(data[place : place + 4], "little"))
-        shape = _shape(layout, lengths)
-    return lengths
-
-
-def _encode_bounded(message: Any, parts: list[Any]) -> bytes:
-    """Serialize a message with bounded lists: its own fields, then the nested messages."""
-    values: list[Any] = [ENCAPSULATION]
-    lengths = []
-    for part in parts:
-        values += (*divmod(part[0], SECOND), FRAME)
-        for value in part[1:]:
-            if isinstance(value, tuple):
-                lengths.append(len(value))
-                values += (len(value), *value)
-            else:
-                values.append(value)
-    return _shape(_LAYOUTS[type(message)], tuple(lengths)).whole.pack(*values)
-
-
-def _decode_bounded(layout: _Layout, data: bytes) -> Message:
-    """Deserialize a message with bounded lists."""
-    shape = _shape_of(layout, data)
-    values = shape.whole.unpack_from(data)
-    own, *parts = [
-        _new(kind, (values[first] * SECOND + values[first + 1], *[values[place] for place in fields]))
-        for kind, first, fields in shape.parts
-    ]
-    return _new(layout.message, (*own, *parts)) if parts else own  # type: ignore[no-any-return]
+    return _FORMS[message_type].lengths_of(data)
 
 
 def encode(message: Message) -> bytes:
@@ -295,55 +282,41 @@ def encode(message: Message) -> bytes:
     MalformedMessageError
         If a field does not fit its type.
     """
-    layout = _LAYOUTS[type(message)]
-    seconds, nanoseconds = divmod(message[0], SECOND)
+    form = _FORMS[type(message)]
     try:
-        if layout.plain:
-            return layout.fixed.pack(ENCAPSULATION, seconds, nanoseconds, FRAME, *message[1:])
-        if layout.bounds:
-            own = len(message) - len(layout.parts)
-            return _encode_bounded(message, [message[:own], *message[own:]])
-        return _encode_parts(layout, message) if layout.parts else _encode_tail(layout, message)
+        if form.plain is not None:
+            return form.plain.whole.pack(ENCAPSULATION, *divmod(message[0], SECOND), FRAME, *message[1:])
+        own = len(message) - len(form.nested)
+        values: list[object] = [ENCAPSULATION]
+        lengths: list[int] = []
+        for part in (message[:own], *message[own:]):
+            values += (*divmod(part[0], SECOND), FRAME)
+            if form.lists:
+                _add(part[1:], values, lengths)
+            else:
+                values += part[1:]
+        return form.layout(tuple(lengths)).whole.pack(*values)
     except (struct.error, UnicodeEncodeError) as error:
-        raise MalformedMessageError(type(message).__name__, f"{error} in {message}") from error
+        raise form.malformed(f"{error} in {message}") from error
 
 
-def _encode_parts(layout: _Layout, message: Any) -> bytes:
-    """Serialize a message that consists of other messages."""
-    values = [ENCAPSULATION, *_values(message[:2])]
-    for part in message[2:]:
-        values += _values(part)
-    return layout.fixed.pack(*values)
+def _add(fields: tuple[object, ...], values: list[object], lengths: list[int]) -> None:
+    """Add the values that are packed for fields, and the lengths of lists."""
+    for value in fields:
+        if isinstance(value, tuple):
+            lengths.append(len(value))
+            values += (len(value), *value)
+        elif isinstance(value, (str, bytes)):
+            characters = value.encode() + b"\x00" if isinstance(value, str) else value
+            lengths.append(len(characters))
+            values.append(len(characters))
+            if characters:
+                values.append(characters)
+        else:
+            values.append(value)
 
 
-def _values(part: Any) -> tuple[Any, ...]:
-    """Return the values that are packed for a message, or for its first fields."""
-    return (*divmod(part[0], SECOND), FRAME, *part[1:])
-
-
-def _encode_tail(layout: _Layout, message: Any) -> bytes:
-    """Serialize a message that ends with a string, with bytes or with lists."""
-    if layout.text or layout.raw:
-        end: bytes = message[-1].encode() + b"\x00" if layout.text else message[-1]
-        return layout.fixed.pack(ENCAPSULATION, *_values(message[:-1]), len(end)) + end
-    lists = message[-len(layout.lists) :]
-    _check_lengths(type(message), [len(values) for values in lists])
-    number = len(lists[0])
-    tail = [value for values in lists for value in (number, *values)][1:]
-    return layout.fixed.pack(ENCAPSULATION, *_values(message[: -len(layout.lists)]), number) + _tail(
-        layout, number
-    ).pack(*tail)
-
-
-def _check_lengths(message_type: type[Message], lengths: list[int]) -> None:
-    """Reject lists of different lengths."""
-    if len(set(lengths)) > 1:
-        names = message_type._fields[-len(lengths) :]
-        said = ", ".join(f"{length} in `{name}`" for name, length in zip(names, lengths, strict=True))
-        raise MalformedMessageError(message_type.__name__, f"lists of different lengths: {said}")
-
-
-def decode(message_type: type[Message], data: bytes) -> Message:
+def decode(message_type: type[Message], data: Buffer) -> Message:
     """Deserialize a message from CDR with encapsulation header, as received from DDS; padding is ignored.
 
     Raises
@@ -351,76 +324,20 @@ def decode(message_type: type[Message], data: bytes) -> Message:
     MalformedMessageError
         If length, encapsulation or frame id do not match a message of this swarm.
     """
-    layout = _LAYOUTS[message_type]
-    size = layout.size
-    if layout.bounds:
-        return _decode_bounded(layout, data)
-    if layout.lists or layout.text or layout.raw:
-        return _decode_tail(layout, message_type, data)
-    if not size <= len(data) < size + _TRANSPORT_PADDING:
-        raise MalformedMessageError(message_type.__name__, f"{len(data)} bytes, expected {size}")
-    values = layout.fixed.unpack_from(data)
-    if values[0] != ENCAPSULATION or values[3] != FRAME:
-        _refuse_head(message_type.__name__, values[0])
-    if layout.plain:
-        return _new(message_type, (values[1] * SECOND + values[2], *values[4:]))  # type: ignore[no-any-return]
-    first = place = 5
-    parts = []
-    for part, count in layout.parts:
-        seconds, nanoseconds, frame, *own = values[place : place + count]
-        if frame != FRAME:
-            _refuse_head(message_type.__name__, values[0])
-        parts.append(_new(part, (seconds * SECOND + nanoseconds, *own)))
-        place += count
-    return _new(message_type, (values[1] * SECOND + values[2], *values[4:first], *parts))  # type: ignore[no-any-return]
-
-
-def _decode_tail(layout: _Layout, message_type: type[Message], data: bytes) -> Message:
-    """Deserialize a message that ends with a string, with bytes or with lists."""
-    name, size = message_type.__name__, layout.size
-    if len(data) < size:
-        raise MalformedMessageError(name, f"{len(data)} bytes, expected at least {size}")
-    values = layout.fixed.unpack_from(data)
-    if values[0] != ENCAPSULATION or values[3] != FRAME:
-        _refuse_head(message_type.__name__, values[0])
-    own = (values[1] * SECOND + values[2], *values[4:-1])
-    read = _text if layout.text else _raw if layout.raw else _lists
-    tail = read(layout, message_type, data, values[-1])
-    return _new(message_type, (*own, *tail))  # type: ignore[no-any-return]
-
-
-def _text(layout: _Layout, message_type: type[Message], data: bytes, count: int) -> list[Any]:
-    name, end = message_type.__name__, layout.size + count
-    text = data[layout.size : end]
-    if count < 1 or len(text) != count or text[-1:] != b"\x00":
-        raise MalformedMessageError(name, f"`{layout.text}` is cut off or not terminated")
-    if len(data) >= end + _TRANSPORT_PADDING:
-        raise MalformedMessageError(name, f"{len(data)} bytes, expected {end}")
-    try:
-        return [text[:-1].decode()]
-    except UnicodeDecodeError as error:
-        raise MalformedMessageError(name, f"`{layout.text}` is not UTF-8") from error
-
-
-def _raw(layout: _Layout, message_type: type[Message], data: bytes, count: int) -> list[Any]:
-    end = layout.size + count
-    if not end <= len(data) < end + _TRANSPORT_PADDING:
-        raise MalformedMessageError(message_type.__name__, f"{len(data)} bytes, expected {end}")
-    return [data[layout.size : end]]
-
-
-def _lists(layout: _Layout, message_type: type[Message], data: bytes, number: int) -> list[Any]:
-    name = message_type.__name__
-    if number > _MOST_ROBOTS:
-        raise MalformedMessageError(name, f"{number} robots, at most {_MOST_ROBOTS}")
-    lists = _tail(layout, number)
-    size = layout.size + lists.size
-    if not size <= len(data) < size + _TRANSPORT_PADDING:
-        raise MalformedMessageError(name, f"{len(data)} bytes, expected {size} for {number} robots")
-    values = (number, *lists.unpack_from(data, layout.size))
-    begins = range(0, len(values), number + 1)
-    _check_lengths(message_type, [values[begin] for begin in begins])
-    return [values[begin + 1 : begin + 1 + number] for begin in begins]
+    form = _FORMS[message_type]
+    if (plain := form.plain) is not None and plain.size <= len(data) < plain.size + _TRANSPORT_PADDING:
+        values = plain.whole.unpack_from(data)
+        if values[0] == ENCAPSULATION and values[3] == FRAME:
+            return _new(message_type, (values[1] * SECOND + values[2], *values[4:]))
+    layout = form.layout_of(data)
+    values = layout.whole.unpack_from(data)
+    own, *parts = [
+        (kind, (values[first] * SECOND + values[first + 1], *[values[place] for place in fields]))
+        for kind, first, fields in layout.parts
+    ]
+    if form.characters:
+        return _new(message_type, form.with_characters(own[1][:-1], own[1][-1]))
+    return _new(message_type, (*own[1], *[_new(*part) for part in parts]))
 
 
 def _refuse_head(message_type: str, encapsulation: bytes) -> None:
@@ -457,18 +374,11 @@ def canonical(message_type: type[Message], data: bytes) -> bytes:
     MalformedMessageError
         If the time stamp exceeds the range of a header.
     """
-    layout = _LAYOUTS[message_type]
-    if layout.parts or data[_NANOSECONDS] >= SECOND >> 24:  # rare: 1 s or more in the nanoseconds
+    form = _FORMS[message_type]
+    if form.nested or data[_NANOSECONDS] >= SECOND >> 24:  # rare: 1 s or more in the nanoseconds
         return encode(decode(message_type, data))
-    content, size = (_shape_of(layout, data) if layout.bounds else layout).content, layout.size
-    fixed: bytes = content.pack(*content.unpack_from(data))
-    if layout.plain or layout.bounds:
-        return fixed
-    number = int.from_bytes(fixed[-4:], "little")
-    if layout.text or layout.raw:
-        return fixed + data[size : size + number]
-    lists = _tail(layout, number)
-    return fixed + lists.pack(*lists.unpack_from(data, size))
+    content = (form.plain or form.layout_of(data)).content
+    return content.pack(*content.unpack_from(data))
 
 
 def split(message_type: type[Message], data: bytes) -> list[bytes]:
@@ -479,13 +389,12 @@ def split(message_type: type[Message], data: bytes) -> list[bytes]:
     MalformedMessageError
         If a list is too long.
     """
-    layout, found, start = _LAYOUTS[message_type], [], 0
+    form, payloads, start = _FORMS[message_type], list[bytes](), 0
     while start < len(data):
-        rest = memoryview(data)[start:]
-        size = _shape(layout, lengths_of(message_type, rest)).whole.size if layout.bounds else layout.size
-        found.append(data[start : start + size])
-        start += size
-    return found
+        end = start + form.layout(form.lengths_of(memoryview(data)[start:])).size
+        payloads.append(data[start:end])
+        start = end
+    return payloads
 
 
 def agent_id_of(message: Message) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.cdr import agent_id_of, canonical, decode, encode
 from swarmabs_core.messages import TOPIC_OF
@@ -10,7 +10,8 @@ from swarmabs_core.messages import TOPIC_OF
 if TYPE_CHECKING:
     from swarmabs_core.messages import Message, Topic
 
-_new: Any = tuple.__new__  # of a NamedTuple, without the Python wrapper `__new__`
+_new = tuple.__new__
+"""Makes a record of its values; `__new__` of a NamedTuple is a slower wrapper in Python."""
 
 
 class Record(NamedTuple):
@@ -49,7 +50,7 @@ class Record(NamedTuple):
         """
         message = decode(topic.message, data)
         parts = (topic, agent_id_of(message), message, canonical(topic.message, data), None, None)
-        return _new(cls, parts)  # type: ignore[no-any-return]
+        return _new(cls, parts)
 
     @classmethod
     def read(cls, topic: Topic, time: int, payload: bytes, published: int | None = None) -> Record:
@@ -61,4 +62,4 @@ class Record(NamedTuple):
             If they are not a message of the topic.
         """
         message = decode(topic.message, payload)
-        return _new(cls, (topic, agent_id_of(message), message, payload, time, published))  # type: ignore[no-any-return]
+        return _new(cls, (topic, agent_id_of(message), message, payload, time, published))
