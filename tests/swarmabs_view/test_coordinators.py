@@ -1,91 +1,25 @@
-"""Who leads and who stands by, as pages get it: from diagnostics in real time, and of earlier runs in lockstep."""
-
-import json
-import shutil
-from pathlib import Path
+"""Who leads and who stands by, as pages get it: from the diagnostics of the nodes."""
 
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from playwright.sync_api import Page, expect
 from tests.processes import until
-from tests.swarmabs_view.conftest import PageServer, told
+from tests.swarmabs_view.conftest import PageServer
 
-from swarmabs_config.graph import CONTROLLER, DIAGNOSTICS, OBSERVER, RECORDER, SILENCE, standby_name
-from swarmabs_core.messages import EventKind
+from swarmabs_config.graph import CONTROLLER, DIAGNOSTICS, OBSERVER, SILENCE, standby_name
 from swarmabs_core.pair_role import role_values
 from swarmabs_core.realtime.base import Health, Level
 from swarmabs_ros.managed import diagnostic_array
 from swarmabs_ros.start import SwarmNode, initialise
-from swarmabs_view.coordinators import (
-    ROLES_FILE,
-    DiagnosedRoles,
-    Role,
-    coordinators_at,
-    read_roles,
-    takeovers,
-)
+from swarmabs_view.coordinators import DiagnosedRoles
 from swarmabs_view.listener import DiagnosticsListener
-from swarmabs_view.playback import PlaybackSession, open_recording
-from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators, Seek
-
-SECOND = standby_name(RECORDER)
-FIRST = [
-    *(Role(0, node, "leads") for node in (OBSERVER, CONTROLLER)),
-    *(Role(0, standby_name(node), "stands by") for node in (OBSERVER, CONTROLLER)),
-    *(Role(0, node, "records") for node in (RECORDER, SECOND)),
-]
-ROLES = [
-    *FIRST,
-    Role(10, standby_name(CONTROLLER), "leads", f"{CONTROLLER} was stopped"),
-    Role(10, CONTROLLER, "is silent"),
-    Role(14, CONTROLLER, "leads", "publishes again"),
-    Role(14, standby_name(CONTROLLER), "stands by"),
-    Role(20, RECORDER, "is lost", "was killed by SIGKILL"),
-]
-"""A run in lockstep whose controller is replaced for a while, and which then loses its recorder."""
+from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators
 
 
 def shown(message: Coordinators | None) -> list[tuple[str, int | None, str, int | None]]:
     assert message is not None
     return [(p.primary.role, p.primary.seconds, p.standby.role, p.standby.seconds) for p in message.pairs]
-
-
-def test_the_roles_of_a_run_are_those_of_the_step_shown() -> None:
-    plain = ("leads", 5, "stands by", 5)
-    assert shown(coordinators_at(ROLES, 5, 1.0)) == [plain, plain, ("records", 5, "records", 5)]
-    assert shown(coordinators_at(ROLES, 12, 1.0))[1] == ("is silent", 2, "leads", 2)
-    (_, controller, recorder) = shown(coordinators_at(ROLES, 30, 0.5))
-    assert (controller, recorder) == (("leads", 8, "stands by", 8), ("is lost", 5, "records", 15))
-    assert coordinators_at((), 5, 1.0) is None
-
-
-def test_a_page_shows_those_in_the_logs_of_an_earlier_run_with_takeovers_as_events(run: Path, tmp_path: Path) -> None:
-    without = PlaybackSession(open_recording(run))
-    assert not told(without.poll(0.0), Coordinators)
-    folder = shutil.copytree(run, tmp_path / "run")
-    (folder / "logs").mkdir(exist_ok=True)
-    (folder / "logs" / ROLES_FILE).write_text(json.dumps([role._asdict() for role in ROLES]))
-    recording = open_recording(folder)
-    leading = [e for e in recording.events.events if e.kind == EventKind.LEADING.name]
-    assert [(e.step, e.detail) for e in leading] == [
-        (10, f"{standby_name(CONTROLLER)}: {CONTROLLER} was stopped"),
-        (14, f"{CONTROLLER}: publishes again"),
-        (20, f"{SECOND}: {RECORDER} was killed by SIGKILL"),
-    ]
-    steps = [event.step for event in recording.events.events]
-    assert steps == sorted(steps)
-    assert len(steps) == len(without.recording.events.events) + 3
-    playback = PlaybackSession(recording)
-    playback.control(Seek(v=2, type="seek", step=12))
-    (coordinators,) = told(playback.poll(0.0), Coordinators)
-    assert shown(coordinators)[1][::2] == ("is silent", "leads")
-    (folder / "logs" / ROLES_FILE).write_text('[{"when": 5}]')
-    assert read_roles(folder / "logs") == []
-
-
-def test_no_recorder_takes_over_that_is_lost_itself() -> None:
-    assert not takeovers([*FIRST, *(Role(step, node, "is lost") for step, node in ((5, SECOND), (6, RECORDER)))])
 
 
 def test_in_real_time_one_whose_diagnostics_end_is_silent() -> None:

@@ -19,7 +19,9 @@ from swarmabs_core.messages import EventKind, Kind, PlaneState, SwarmEvent
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_view import protocol
 from swarmabs_view.facts import Shading, regions
-from swarmabs_view.live import RATE_WINDOW, CurveBuffer, LiveSession, LiveView, StepRate
+from swarmabs_view.live import RATE_WINDOW, LiveSession, LiveView, StepRate
+from swarmabs_view.presenter import Placed, sides
+from swarmabs_view.session import NOTHING, CurveBuffer, Session
 
 
 def view_of(steps: int = 0) -> LiveView:
@@ -36,11 +38,9 @@ def types(said: list[protocol.Message]) -> list[str]:
 def test_a_page_gets_the_past_first_and_then_what_is_new_also_a_robot_that_is_heard_later() -> None:
     live = view_of(20)
     session = LiveSession(live)
-    said = session.hello()
-    assert types(said) == ["Hello", "Events"]
-    assert [robot.id for robot in told(said, protocol.Hello)[0].robots] == [1, 2, 7]
     said = session.poll(0.0)
-    assert types(said) == ["Curves", "Events", "Frame", "State"]
+    assert types(said) == ["Hello", "Curves", "Positions", "Events", "Frame", "State"]
+    assert [robot.id for robot in told(said, protocol.Hello)[0].robots] == [1, 2, 7]
     assert [(curves.replace, len(curves.time)) for curves in told(said, protocol.Curves)] == [(True, 21)]
     assert len(told(said, protocol.Events)[0].events) == 1
     assert told(said, protocol.Frame)[0].step == 20
@@ -53,7 +53,7 @@ def test_a_page_gets_the_past_first_and_then_what_is_new_also_a_robot_that_is_he
     for message in make_step(22, agents=(1, 2, 5, 7)):
         live.add(message)
     said = session.poll(0.3)
-    assert types(said)[:2] == ["Hello", "Events"]
+    assert types(said)[0] == "Hello"
     assert [robot.id for robot in told(said, protocol.Hello)[0].robots] == [1, 2, 5, 7]
     assert len(told(said, protocol.Frame)[0].robots.position) == 4
     assert sum(len(message.events) for message in told(said, protocol.Events)) == 1  # none is lost
@@ -61,7 +61,6 @@ def test_a_page_gets_the_past_first_and_then_what_is_new_also_a_robot_that_is_he
 
 def test_something_is_said_every_second() -> None:
     session = LiveSession(view_of())
-    session.hello()
     times = [time / 10 for time in range(40) if session.poll(time / 10)]
     assert times == [0.0, 1.0, 2.0, 3.0]
 
@@ -97,11 +96,8 @@ def test_a_paused_run_is_not_silent_and_has_time_to_go_on() -> None:
 
 
 def test_what_goes_on_cannot_be_played_and_what_follows_can() -> None:
-    class After(protocol.Session):
+    class After(Session):
         wishes = 0
-
-        def hello(self) -> list[protocol.Message]:
-            return [HELLO]
 
         def poll(self, now: float) -> list[protocol.Message]:
             return [protocol.State(phase="recorded", text=f"{now}")]
@@ -112,11 +108,9 @@ def test_what_goes_on_cannot_be_played_and_what_follows_can() -> None:
 
     after: list[After] = []
     session = LiveSession(view_of(3), lambda: after[0] if after else None)
-    session.hello()
     session.control(protocol.Play(v=2, type="play"))
     session.poll(0.0)
-    after.append(After())
-    assert session.poll(0.1) == [HELLO]
+    after.append(After(view_of()))
     assert types(session.poll(0.2)) == ["State"]
     session.control(protocol.Play(v=2, type="play"))
     assert after[0].wishes == 1
@@ -212,7 +206,7 @@ def test_the_sets_follow_who_takes_part_and_nobody_waits_for_them() -> None:
     live.shading = Shading(hello, begin)
     pages = [LiveSession(live), LiveSession(live)]
     for page in pages:
-        page.hello()
+        page.poll(0.0)
 
     def after(step: int, *events: SwarmEvent) -> list[list[protocol.Sets]]:
         for message in [*events, *make_step(step)]:
@@ -237,7 +231,6 @@ def test_the_sets_follow_who_takes_part_and_nobody_waits_for_them() -> None:
     ((alone,), _) = after(4, event(4, 1, EventKind.LEFT), event(4, 9, EventKind.LEFT))
     assert (alone.moving, alone.regions) == ([7], None)
     late = LiveSession(live)
-    late.hello()
     assert told(late.poll(1.0), protocol.Sets) == [alone]
 
 
@@ -247,16 +240,16 @@ def point(step: int) -> Instant:
 
 def since(buffer: CurveBuffer[Instant], epoch: int = -1, count: int = 0) -> protocol.Curves:
     """Return the points after those that are known, of which there are some."""
-    found = buffer.since(epoch, count)
+    found = buffer.since((epoch, count))
     assert found is not None
-    return PRESENTER.curves(found[0], replace=found[1])
+    return PRESENTER.curves(*found)
 
 
 def test_the_beginning_comes_later_and_whole() -> None:
     buffer: CurveBuffer[Instant] = CurveBuffer(most=10)
     for step in (6, 7, 8):
         buffer.add(point(step))
-    known = (buffer.epoch, len(buffer))
+    known = buffer.mark
     buffer.begin((point(step) for step in range(8)), 6)  # of which some have been heard
     found = since(buffer, *known)
     assert (found.replace, found.time) == (True, [step / 100 for step in range(9)])
@@ -279,9 +272,8 @@ def test_curves_have_no_gap_where_robots_are_discovered_one_after_the_other() ->
         view.refresh(0.0)
     assert live.heard_since == 8
     (bag,) = told(whole.poll(0.0), protocol.Positions)
-    curves, places = recorded.curves.since(-1, 0), recorded.positions.since(-1, 0)
-    assert curves and places
-    live.begin(curves[0], places[0], 8)
+    curves, places = recorded.curves, recorded.positions
+    live.begin(curves, places, 8)
     (shown,) = told(found.poll(0.0), protocol.Positions)
     assert (shown.time, shown.lines) == (bag.time, bag.lines)
     assert all(place is not None for line in shown.lines for place in line)
@@ -291,7 +283,6 @@ def test_positions_are_lines_of_few_robots_and_bands_of_many() -> None:
     live = view_of(20)
     live.refresh(0.0)
     session = LiveSession(live)
-    session.hello()
     (found,) = told(session.poll(0.0), protocol.Positions)
     assert (found.labels, len(found.time)) == (["robot 1", "robot 2", "robot 7"], 21)
     shown = live.state.shown_robots(20)
@@ -303,8 +294,8 @@ def test_many_robots_have_bands_on_each_side_of_the_axis_on_which_they_start() -
     places = {robot: ((0.1 if robot <= 100 else -0.1) + robot / 1e4,) for robot in range(1, 202)}
     crossed: dict[int, tuple[float, ...]] = {robot: (-place,) for robot, (place,) in places.items()}
     crossed |= {200: (), 201: (), 3: ()}
-    points = [protocol.Placed(0, 0.0, places), protocol.Placed(1, 0.1, crossed)]
-    found = protocol.Positions.of(list(places), points, protocol.sides(points), replace=True)
+    points = [Placed(0, 0.0, places), Placed(1, 0.1, crossed)]
+    found = PRESENTER.positions(list(places), points, True, sides(points))
     lines = dict(zip(found.labels, found.lines, strict=True))
     for label, part in QUANTILES.items():
         for side, chosen in (("> 0", range(1, 101)), ("≤ 0", range(101, 202))):
@@ -316,13 +307,12 @@ def test_many_robots_have_bands_on_each_side_of_the_axis_on_which_they_start() -
 def test_there_are_never_more_points_than_allowed_and_they_are_evenly_spread() -> None:
     buffer: CurveBuffer[Instant] = CurveBuffer(most=100)
     shown: list[float] = []
-    epoch, count = -1, 0
+    mark = NOTHING
     for step in range(10_000):
         buffer.add(point(step))
         assert len(buffer) <= 100
         if step % 37 == 0 or step == 9_999:  # a page that follows
-            found = buffer.since(epoch, count)
-            epoch, count = buffer.epoch, len(buffer)
+            found, mark = buffer.since(mark), buffer.mark
             if found is not None:
                 times = [kept.time for kept in found[0]]
                 shown = times if found[1] else shown + times

@@ -13,7 +13,6 @@ from tests.swarmabs_analysis.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bag.sample_run import PERIOD
 from tests.swarmabs_view.conftest import PRESENTER, PageServer, Served, curves, load, number, seek, serving
 
-from swarmabs_bag.shown.swarm_state import TimedEvent
 from swarmabs_core.events import EventCode
 from swarmabs_core.messages import EventKind, SwarmEvent
 from swarmabs_view.protocol import Answer, Event, Events, Phase, State, Steering
@@ -260,7 +259,7 @@ def test_values_of_events_have_their_units(page: Page, page_server: PageServer) 
         (2, "REFUSED", 1.0, right_to_left, f"robot 2, refused, 1.0000 – {right_to_left}"),
     )
     events = [
-        PRESENTER.event(TimedEvent(event, 0.01 * event.step))
+        PRESENTER.event(event, 0.01 * event.step)
         for event in (
             SwarmEvent(0, step, agent, EventKind[kind], nan if value is None else value, detail)
             for step, (agent, kind, value, detail, _) in enumerate(cases)

@@ -15,7 +15,7 @@ from swarmabs_bag.shown.swarm_state import SILENT_STEPS, STATUSES
 from swarmabs_core.messages import AgentState
 from swarmabs_view.facts import Shading, regions
 from swarmabs_view.playback import COLUMNS, PlaybackSession, Recording, open_recording
-from swarmabs_view.protocol import Frame, Message, Pause, Play, Seek, Sets, Speed, State
+from swarmabs_view.protocol import Curves, Frame, Message, Pause, Play, Seek, Sets, Speed, State
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,6 @@ def recording(run: Path) -> Recording:
 @pytest.fixture
 def session(recording: Recording) -> PlaybackSession:
     made = PlaybackSession(recording)
-    made.hello()
     made.poll(0.0)
     return made
 
@@ -40,7 +39,7 @@ def test_every_frame_is_what_the_bag_holds(run: Path, recording: Recording) -> N
     read = ReadBag(run)
     angle, torque = read.column("/plane/state", "angle"), read.column("/swarm/abstract_state", "torque")
     wanted = read.column("/swarm/desired_abstract_state", "inertia")
-    assert (recording.hello.last_step, recording.hello.playback, recording.events.replace) == (400, True, True)
+    assert (recording.hello().last_step, recording.hello().playback) == (400, True)
     positions = {robot: read.column("/swarm/agent_state", "position", robot) for robot in (1, 2, 3, 4)}
     for step in range(401):
         frame = recording.frame(recording.row_at(step))
@@ -86,7 +85,7 @@ def test_thinned_curves_reach_as_far_as_the_whole(tmp_path: Path) -> None:
     recording = open_recording(folder)
     read = ReadBag(folder)
     whole = read.column("/plane/state", "angle")
-    curves = recording.curves
+    (curves,) = told(PlaybackSession(recording).poll(0.0), Curves)
     assert COLUMNS < len(curves.time) < len(whole)
     angle, torque = curves.values[0], curves.values[3]
     assert min(angle) == whole.min()  # type: ignore[type-var]
@@ -129,25 +128,24 @@ def test_a_bag_that_has_lost_its_end_is_shown_as_far_as_it_goes(tmp_path: Path, 
     assert 0 < len(recording) < 41
     (state,) = told(PlaybackSession(recording).poll(0.0), State)
     assert state.text.startswith("damaged: the end of the bag is missing")
-    assert len(recording.curves.time) == len(recording)
+    assert len(recording.curves) == len(recording)
     for row in range(len(recording)):  # also with robots of which nothing is left
         assert len(recording.frame(row).robots.position) == 3
 
 
 def test_the_sets_are_those_of_whoever_takes_part(run: Path) -> None:
     recording = open_recording(run)
-    recording.shading = Shading(recording.hello, lambda work: work())
+    recording.shading = Shading(recording.hello(), lambda work: work())
     agents = {agent.id: agent for agent in recording.swarm.scenario.agents}
     place = ReadBag(run).column("/swarm/agent_state", "position", 1)[-1]
     session = PlaybackSession(recording)
-    session.hello()
     found: dict[int, Sets] = {}
     for step in (0, 100, 101, 150, 200, 201, 400, 101, 50):
         session.control(Seek(v=2, type="seek", step=step))
         found.update((step, message) for message in told(session.poll(0.0), Sets))
     assert list(found) == [101, 201, 50]  # at 101 once more it is the same message
     assert found[50] == recording.shading.first
-    assert found[50].regions == recording.hello.regions
+    assert found[50].regions == recording.hello().regions
     plane, manifold = recording.swarm.scenario.plane, recording.swarm.scenario.manifold
     for step, moving in ((101, [2, 3, 4]), (201, [3, 4])):
         assert (found[step].moving, found[step].standing) == (moving, [1])
@@ -161,12 +159,12 @@ def test_the_sets_are_those_of_whoever_takes_part(run: Path) -> None:
 def test_a_robot_that_joins_later_counts_from_then_on(tmp_path: Path) -> None:
     folder = record(tmp_path / "run", "pd_het_4", "duration=1.0", "faults=[{at: 0.5, kind: join, agent: 3}]")
     recording = open_recording(folder)
-    recording.shading = Shading(recording.hello, lambda work: work())
+    recording.shading = Shading(recording.hello(), lambda work: work())
     assert recording.shading.first.moving == [1, 2, 4]
     last = recording.sets(len(recording) - 1)
     assert last is not None
     assert last.moving == [1, 2, 3, 4]
-    assert last.regions != recording.hello.regions
+    assert last.regions != recording.hello().regions
     before, since = recording.sets(recording.row_at(49)), recording.sets(recording.row_at(50))
     assert (before, since) == (recording.shading.first, last)
 
@@ -174,11 +172,11 @@ def test_a_robot_that_joins_later_counts_from_then_on(tmp_path: Path) -> None:
 def test_a_bag_of_several_swarms_says_which_one_it_shows(tmp_path: Path) -> None:
     attached = {"scenario.yaml": SCENARIO.encode(), "provenance.json": b"{}"}
     bag = write_bag(tmp_path / "bag", messages(20), attached, namespace="/b")
-    named = open_recording(bag, namespace="/b").hello
+    named = open_recording(bag, namespace="/b").hello()
     assert named.title == "sample, swarm /b"
     assert named.place == f"{bag / 'bag_0.mcap'}, namespace /b"
-    assert open_recording(bag).hello == named  # it is the only one, and in a namespace all the same
-    plain = open_recording(write(tmp_path / "plain", messages(20))).hello
+    assert open_recording(bag).hello() == named  # it is the only one, and in a namespace all the same
+    plain = open_recording(write(tmp_path / "plain", messages(20))).hello()
     assert (plain.title, plain.place) == ("sample", str(tmp_path / "plain" / "bag_0.mcap"))
 
 
@@ -194,7 +192,6 @@ def test_a_bag_in_which_nothing_is_is_shown_as_such(tmp_path: Path) -> None:
     recording = open_recording(write(tmp_path / "bag", []))
     assert len(recording) == 0
     session = PlaybackSession(recording)
-    session.hello()
     for wish in (Play(v=2, type="play"), Seek(v=2, type="seek", step=3)):
         session.control(wish)
         assert shown(session.poll(0.0)) is None

@@ -20,7 +20,7 @@ from tests.processes import until
 
 from swarmabs_view.playback import PlaybackSession, open_recording
 from swarmabs_view.ports import bound, url_of
-from swarmabs_view.protocol import FROM_SERVER, Message, Session, State
+from swarmabs_view.protocol import FROM_SERVER, Message, State
 from swarmabs_view.server import (
     MOST_CONNECTIONS,
     MOST_PAGES,
@@ -238,16 +238,12 @@ def test_more_pages_than_allowed_are_refused(served: Served) -> None:
     assert asyncio.run(crowd()) == WSCloseCode.TRY_AGAIN_LATER
 
 
-class Flood(Session):
+class Flood:
     """Has always more to say than a connection holds; it counts what it says, and is asked for."""
 
     def __init__(self) -> None:
-        super().__init__()
         self.said = 0
         self.asked = 0
-
-    def hello(self) -> list[Message]:
-        return [State(phase="recorded", text="flood")]
 
     def poll(self, now: float) -> list[Message]:
         self.said += 1

@@ -21,6 +21,7 @@ from tests.swarmabs_view.speaking import SpeakingNode, eventually
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.shown.swarm_state import SwarmState
 from swarmabs_config.graph import own_topic
+from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AGENT_STATE, PlaneState
@@ -29,7 +30,7 @@ from swarmabs_ros.start import initialise
 from swarmabs_run.orchestration.run_files import ProgressFile, write_network, write_processes
 from swarmabs_view import sources
 from swarmabs_view.listener import Listener
-from swarmabs_view.protocol import Events, Frame, Health, Hello, Message, State, Steering
+from swarmabs_view.protocol import Curves, Events, Frame, Health, Hello, Message, State, Steering
 from swarmabs_view.sources import RunView, SwarmView, show_live
 from swarmabs_view.steering_bridge import SteeredSession
 
@@ -82,7 +83,7 @@ class Page:
 
     def __init__(self, view: RunView | SwarmView) -> None:
         self._session = view.session()
-        self.told: list[Message] = self._session.hello()
+        self.told: list[Message] = []
 
     def last(self, kind: type[Message]) -> Any:
         """Return the latest message of a kind, None if there is none."""
@@ -122,7 +123,13 @@ def test_a_run_is_shown_from_before_its_start_into_its_bag(folder: RunFolder, mo
         folder.scenario.write_text(SCENARIO)
         await eventually(lambda: page.last(Hello).title == "sample", "the scenario is known")
         assert [robot.id for robot in page.last(Hello).robots] == [1, 2, 7]
+        assert page.last(Frame) is None
         write_network(folder.logs, int(os.environ["ROS_DOMAIN_ID"]), 20)
+        await eventually(lambda: page.last(Frame), "the first step is shown, which nobody has sent yet")
+        scenario = parse_scenario(SCENARIO)
+        assert (page.last(Frame).step, page.last(Frame).values[0]) == (0, scenario.plane.angle)
+        assert page.last(Frame).robots.coordinates == [[agent.position] for agent in scenario.agents]
+        assert page.last(Curves).time == []
         write_processes(folder.logs, {"launcher": os.getpid()})
         await eventually(lambda: nodes, "the view listens")
         assert nodes[0].get_namespace() == "/"
@@ -171,7 +178,7 @@ def test_how_a_run_ends_that_was_not_seen(folder: RunFolder, summary: str | None
 def test_a_run_is_steered_by_those_who_know_the_token(folder: RunFolder) -> None:
     view = RunView(folder.path, "secret")
     assert isinstance(view.session(), SteeredSession)
-    assert view.session().hello()[-1] == Steering(open=False)
+    assert Steering(open=False) in view.session().poll(0.0)
     for each in (view, RunView(folder.path)):
         with pytest.raises(TimeoutError):
             asyncio.run(asyncio.wait_for(each.steer(), 0.05))
@@ -197,7 +204,7 @@ def test_who_is_served_what(folder: RunFolder, served: list[tuple[Any, ...]], mo
     show_live("/some/swarm", listener, print)
     (shown, session, follow, ready) = served.pop()
     assert (shown, ready) == (listener, print)
-    (hello, _) = session().hello()
+    (hello, *_) = session().poll(0.0)
     assert (hello.title, hello.place) == ("swarm /some/swarm", "namespace /some/swarm of ROS domain 7")
     asyncio.run(follow())
     ((_, namespace, over),) = listened
@@ -206,7 +213,7 @@ def test_who_is_served_what(folder: RunFolder, served: list[tuple[Any, ...]], mo
     folder.logs.mkdir()
     write_network(folder.logs, 5, 8)
     show_live(str(folder.path), listener, print)
-    assert served.pop()[1]().hello()[0].title == "run"
+    assert served.pop()[1]().poll(0.0)[0].title == "run"
     ProgressFile(folder.logs).over()
     with pytest.raises(InputError, match=r"this run is over; view its bag with \./scripts/swarm view "):
         show_live(str(folder.path), listener, print)

@@ -18,7 +18,7 @@ from tests.swarmabs_bag.test_systems import LIFT, SHEET, bag_of, simulated
 from tests.swarmabs_view.conftest import HELLO, PageServer, number, told
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
-from swarmabs_bag.shown.swarm_state import Instant, RobotIdentity, ShownRobot, SwarmState, TimedEvent
+from swarmabs_bag.shown.swarm_state import Instant, RobotIdentity, ShownRobot, SwarmState
 from swarmabs_cli import main as swarm_command
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core.cdr import encode
@@ -46,7 +46,7 @@ from swarmabs_view import protocol
 from swarmabs_view.listener import Listener
 from swarmabs_view.live import LiveSession, LiveView
 from swarmabs_view.playback import PlaybackSession, open_recording
-from swarmabs_view.presenter import Presenter
+from swarmabs_view.presenter import BANDS, Presenter
 from swarmabs_view.terminal import RunPanel, describe
 
 PERIOD = 10_000_000
@@ -90,8 +90,7 @@ def view_of(messages: list[Message]) -> LiveView:
 
 
 def first_messages(view: LiveView) -> list[protocol.Message]:
-    session = LiveSession(view)
-    return [*session.hello(), *session.poll(0.0)]
+    return LiveSession(view).poll(0.0)
 
 
 @pytest.mark.usefixtures("systems")
@@ -100,7 +99,7 @@ def test_a_page_gets_names_with_units_once_and_numbers_in_their_order(name: str)
     n, k, d, c = SIZES[name]
     said = first_messages(view_of(heard(name, 20)))
     kinds = [type(message).__name__ for message in said]
-    assert kinds == ["Hello", "Events", "Curves", "Positions", "Frame", "State"]
+    assert kinds == ["Hello", "Curves", "Positions", "Events", "Frame", "State"]
     (hello,) = told(said, protocol.Hello)
     system = hello.system
     assert [(robot.id, robot.kind) for robot in hello.robots] == [(robot, "first_order_lag") for robot in (1, 2, 3)]
@@ -138,7 +137,7 @@ def test_the_page_speaks_of_no_plane_before_it_knows_the_parent() -> None:
 @pytest.mark.usefixtures("systems")
 def test_bands_of_many_robots_are_those_of_each_coordinate() -> None:
     (positions,) = told(first_messages(view_of(heard("sheet", 2, robots=30))), protocol.Positions)
-    assert (positions.bands, positions.labels) == (True, list(protocol.BANDS))
+    assert (positions.bands, positions.labels) == (True, list(BANDS))
     ends = [positions.lines[row][-1] for row in (0, 6, 14, 20)]
     assert ends == pytest.approx([2.1, 5.0, 2.1 + 1 / 7, 5.0 + 1 / 7])
 
@@ -208,7 +207,6 @@ def view_text(**changes: Any) -> str:
 def test_who_joins_and_dies_is_told_with_its_constants() -> None:
     view = view_of(heard("beam", 3, robots=2))
     session = LiveSession(view)
-    session.hello()
     session.poll(0.0)
     dead = SwarmEvent(4 * PERIOD, 4, 1, EventKind.DEAD, 0.1, "kill")
     for message in (dead, *step_of("beam", 4, robots=3)):
@@ -230,7 +228,7 @@ def test_values_of_events_have_the_units_of_the_system_where_it_states_them() ->
         "command": (EventKind.LIMIT_HIT, 1, "command limited"),
     }
     for unit, (kind, robot, detail) in cases.items():
-        assert presenter.event(TimedEvent(SwarmEvent(0, 0, robot, kind, 0.5, detail), 0.0)).unit == unit
+        assert presenter.event(SwarmEvent(0, 0, robot, kind, 0.5, detail), 0.0).unit == unit
 
 
 def open_page(server: PageServer, name: str, robots: int = 3) -> list[protocol.Message]:
@@ -376,7 +374,7 @@ def sheet(systems: Path, tmp_path: Path) -> Path:
 def test_every_frame_of_a_bag_is_what_the_messages_say(sheet: Path) -> None:
     recording = open_recording(sheet)
     session = PlaybackSession(recording)
-    said = [*session.hello(), *session.poll(0.0)]
+    said = session.poll(0.0)
     names = ["Hello", "Curves", "Positions", "Events", "Frame", "State"]
     assert [type(message).__name__ for message in said] == names
     (hello,) = told(said, protocol.Hello)

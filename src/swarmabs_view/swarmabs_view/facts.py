@@ -9,20 +9,19 @@ import time
 from itertools import chain
 from math import fsum, isfinite, nan
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 from swarmabs_bag.shown.swarm_state import Members, finite
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.systems import PLANE_TABLES
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_view.presenter import Presenter
-from swarmabs_view.protocol import Manifold, Plane, Regions, Sets
+from swarmabs_view.protocol import Hello, Manifold, Plane, Regions, Sets
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from swarmabs_config.model.scenario import AnyScenario
-    from swarmabs_view.protocol import Hello
 
     Work = Callable[[], None]
 
@@ -37,34 +36,42 @@ MOST = 64
 REST = 4.0
 """Pause after a computation, as a multiple of its duration: one for 21 different masses takes a second."""
 
-UNKNOWN: dict[str, Any] = {
-    **dict.fromkeys(("period", "last_step", "plane", "manifold", "regions")),
-    "robots": [],
-    "system": Presenter(PLANE_TABLES).system,
-}
-"""The result of `scenario_facts` while the scenario is not known: until a system describes itself, it is the plane."""
 
-
-def scenario_facts(scenario: AnyScenario) -> dict[str, Any]:
-    """Return the fields of a `Hello` that the scenario determines, except for system and robots."""
-    known = {**UNKNOWN, "period": scenario.period, "last_step": scenario.steps}
+def hello_of(
+    source: Literal["bag", "run", "swarm"],
+    title: str,
+    place: str,
+    scenario: AnyScenario | None = None,
+    last_step: int | None = None,
+) -> Hello:
+    """Return the hello of a swarm without its robots; without a scenario, the plane until a system describes itself."""
+    hello = Hello(
+        source=source,
+        title=title,
+        place=place,
+        period=None,
+        last_step=None,
+        system=Presenter(PLANE_TABLES if scenario is None else scenario.tables).system,
+        robots=[],
+        plane=None,
+        manifold=None,
+        regions=None,
+        playback=source == "bag",
+    )
+    if scenario is None:
+        return hello
+    steps = scenario.steps if last_step is None else last_step
+    hello = hello.model_copy(update={"period": scenario.period, "last_step": steps})
     if not isinstance(scenario, Scenario):
-        return known
-    return {
-        **known,
-        "plane": Plane(length=scenario.plane.length, inertia=scenario.plane.inertia, gravity=scenario.plane.gravity),
-        "manifold": Manifold(
-            curvature=scenario.manifold.curvature,
-            offset=scenario.manifold.offset,
-            torque_max=scenario.manifold.torque_max,
-        ),
-        "regions": regions(
-            [agent.mass for agent in scenario.initial_agents],
-            scenario.plane.length,
-            scenario.plane.gravity,
-            scenario.manifold.torque_max,
-        ),
+        return hello
+    plane, manifold = scenario.plane, scenario.manifold
+    masses = [agent.mass for agent in scenario.initial_agents]
+    of_plane = {
+        "plane": Plane(length=plane.length, inertia=plane.inertia, gravity=plane.gravity),
+        "manifold": Manifold(curvature=manifold.curvature, offset=manifold.offset, torque_max=manifold.torque_max),
+        "regions": regions(masses, plane.length, plane.gravity, manifold.torque_max),
     }
+    return hello.model_copy(update=of_plane)
 
 
 def regions(
@@ -125,33 +132,30 @@ class Shading:
         self._worker: Thread | None = None
         moving = [robot.id for robot in hello.robots if not robot.joins]
         self.first = Sets(moving=moving, standing=[], regions=hello.regions)
-        self._known = {Members(tuple(moving), ()): self.first}
+        self._sets = {Members(tuple(moving), ()): self.first}
 
     def of(self, members: Members) -> Sets | None:
         """Return the sets of a membership, None until they are computed."""
         if self._hello.plane is None or self._hello.manifold is None:
             return self.first  # nothing is known of this swarm
-        found = self._known.get(members)
-        if found is None and (self._worker is None or not self._worker.is_alive()):
+        if members not in self._sets and (self._worker is None or not self._worker.is_alive()):
             self._worker = self._run(lambda: self._compute(members))
-        return found or self._known.get(members)
+        return self._sets.get(members)
 
     def _compute(self, members: Members) -> None:
-        plane, manifold = self._hello.plane, self._hello.manifold
-        if plane is None or manifold is None:
-            return
         hello = self._hello
+        if hello.plane is None or hello.manifold is None:
+            return
         column = [row.name for row in hello.system.rows if row.role == "constant"].index("mass")
-        masses = {robot.id: robot.constants[column] for robot in hello.robots}
-        mass = {robot: nan if known is None else known for robot, known in masses.items()}
-        found = regions(
-            [mass[robot] for robot in members.moving],
-            plane.length,
-            plane.gravity,
-            manifold.torque_max,
-            [(mass[robot], place) for robot, place in members.standing],
+        masses = {robot.id: nan if (mass := robot.constants[column]) is None else mass for robot in hello.robots}
+        reached = regions(
+            [masses[robot] for robot in members.moving],
+            hello.plane.length,
+            hello.plane.gravity,
+            hello.manifold.torque_max,
+            [(masses[robot], place) for robot, place in members.standing],
         )
         standing = [robot for robot, _ in members.standing]
-        self._known[members] = Sets(moving=list(members.moving), standing=standing, regions=found)
-        while len(self._known) > MOST:
-            del self._known[next(iter(self._known))]
+        self._sets[members] = Sets(moving=list(members.moving), standing=standing, regions=reached)
+        while len(self._sets) > MOST:
+            del self._sets[next(iter(self._sets))]

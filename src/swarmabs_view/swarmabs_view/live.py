@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from contextlib import suppress
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING
 
 from swarmabs_bag.shown.swarm_state import SwarmState
 from swarmabs_config.graph import SILENCE
@@ -14,26 +14,18 @@ from swarmabs_core.messages import SystemDescription
 from swarmabs_core.systems import PLANE_TABLES, SystemTables
 from swarmabs_view.coordinators import DiagnosedRoles
 from swarmabs_view.facts import Shading
-from swarmabs_view.presenter import Presenter
-from swarmabs_view.protocol import (
-    Events,
-    Hello,
-    Placed,
-    Positions,
-    Session,
-    Sets,
-    State,
-    sides,
-)
+from swarmabs_view.presenter import Placed, Presenter, sides
+from swarmabs_view.protocol import State
+from swarmabs_view.session import CurveBuffer, Session
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
-    from swarmabs_bag.shown.swarm_state import Instant
+    from swarmabs_bag.shown.swarm_state import Instant, RobotIdentity, TimedEvent
     from swarmabs_core.messages import Message
     from swarmabs_view import protocol
     from swarmabs_view.listener import DiagnosticsListener, Listener
-    from swarmabs_view.protocol import Control, Coordinators, Health, Phase
+    from swarmabs_view.protocol import Control, Frame, Health, Hello, Phase
 
 INTERVAL = 1.0 / 30.0
 """Time between two polls of the received messages, s."""
@@ -43,8 +35,6 @@ MOST_PLACES = 1000
 """Most points of each robot's position."""
 ROBOTS_A_STEP = 10
 """Robots whose positions are kept in every step; for more robots, fewer steps are kept."""
-MOST_POINTS = 4000
-"""Most points of the curves, as many as a screen can show; beyond, every second point is dropped."""
 
 
 class StepRate:
@@ -80,65 +70,6 @@ class StepRate:
             self._seen.popleft()
 
 
-class _Point(Protocol):
-    @property
-    def step(self) -> int: ...
-
-
-Kept = TypeVar("Kept", bound=_Point)
-
-
-class CurveBuffer(Generic[Kept]):
-    """Points of growing curves: those whose step is a multiple of a stride, which doubles when the buffer is full.
-
-    `epoch` changes whenever points were removed or inserted.
-    """
-
-    def __init__(self, most: int = MOST_POINTS, stride: int = 1) -> None:
-        self._most = most
-        self._stride = stride
-        self._points: list[Kept] = []
-        self.epoch = 0
-
-    def __len__(self) -> int:
-        return len(self._points)
-
-    @property
-    def first(self) -> int | None:
-        """The first step in the buffer, or None."""
-        return self._points[0].step if self._points else None
-
-    def wants(self, step: int) -> bool:
-        """Return whether the buffer would keep a point of a step."""
-        return step % self._stride == 0 and not (self._points and step <= self._points[-1].step)
-
-    def add(self, point: Kept) -> None:
-        """Add a point; ignore one that is not later than the last."""
-        if self.wants(point.step):
-            self._points.append(point)
-            self._thin()
-
-    def begin(self, points: Iterable[Kept], until: int) -> None:
-        """Replace what is known before a step by the points before it."""
-        earlier = [one for one in points if one.step % self._stride == 0 and one.step < until]
-        if earlier:
-            self._points = earlier + [one for one in self._points if one.step >= until]
-            self.epoch += 1
-            self._thin()
-
-    def _thin(self) -> None:
-        while len(self._points) > self._most:
-            self._stride *= 2
-            self._points = [kept for kept in self._points if kept.step % self._stride == 0]
-            self.epoch += 1
-
-    def since(self, epoch: int, count: int) -> tuple[list[Kept], bool] | None:
-        """Return the points that a page with `count` points of an epoch lacks, and if they replace them; or None."""
-        replace = epoch != self.epoch
-        missing = self._points if replace else self._points[count:]
-        return (missing, replace) if missing or replace else None
-
-
 class LiveView:
     """Everything shown of a running swarm, shared by all pages: state, curves, phase and processes.
 
@@ -151,26 +82,51 @@ class LiveView:
         self.text = "waiting for the first step"
         self.paused = False
         self._paused_at = float("-inf")
-        self.facts = -1
+        self._learned = 0
         self.rate = StepRate()
-        self.diagnosed = DiagnosedRoles()
-        self._drawn = (-1, -1)
-        self._frame: protocol.Message | None = None
+        self.roles = DiagnosedRoles()
+        self._drawn: object = None
+        self._frame: Frame | None = None
         self.learn(hello, state)
 
     def learn(self, hello: Hello, state: SwarmState) -> None:
         """Restart with newly known facts."""
         self.presenter = Presenter(state.tables)
         self._hello, self.state = hello, state
+        self._expected: SwarmState | None = None
         self.shading = Shading(self.hello())
         self.curves: CurveBuffer[Instant] = CurveBuffer()
         # Fewer steps of many robots, which bounds the messages and the computation.
         stride = 1 + len(state.robots) // ROBOTS_A_STEP
         self.positions: CurveBuffer[Placed] = CurveBuffer(MOST_PLACES, stride)
-        self.sides: dict[int, bool] = {}
+        self.above: dict[int, bool] = {}
         self._placed_since: dict[int, int] = {}
         self._complete: list[Instant] = []
-        self.facts += 1
+        self._learned += 1
+
+    def expect(self, first: SwarmState) -> None:
+        """Show the first step of the run, which is known in advance, until messages arrive."""
+        self._expected = first
+
+    @property
+    def version(self) -> tuple[int, int]:
+        """Changes when the hello does."""
+        return self._learned, len(self.state.robots)
+
+    @property
+    def robots(self) -> Sequence[RobotIdentity]:
+        """The robots heard by now."""
+        return self.state.robots
+
+    @property
+    def events(self) -> Sequence[TimedEvent]:
+        """The latest events."""
+        return self.state.events
+
+    @property
+    def event_count(self) -> int:
+        """The number of all events."""
+        return self.state.event_count
 
     def hello(self) -> Hello:
         """Return the first message for a page."""
@@ -179,15 +135,20 @@ class LiveView:
             update={"system": presenter.system, "robots": presenter.robots(self.state.robots)}
         )
 
-    def frame(self, now: float) -> protocol.Message | None:
+    def frame(self, now: float) -> Frame | None:
         """Return the step to show at a time (s), computed once for all pages; None before the plane's first state."""
-        if self._drawn != (self.facts, self.state.version):
-            self._drawn = (self.facts, self.state.version)
-            state, shown = self.state, self.state.instant()
+        state = self.state if self.state.version or self._expected is None else self._expected
+        if self._drawn != (state, state.version):
+            self._drawn = (state, state.version)
+            shown, rate = state.instant(), self.rate.at(now)
             robots = [] if shown is None else state.shown_robots(shown.step)
-            rate = self.rate.at(now)
             self._frame = None if shown is None else self.presenter.frame(shown, robots, state.robots, rate)
         return self._frame
+
+    def latest(self, now: float) -> tuple[protocol.Message | None, ...]:
+        """Return the messages that hold at a time (s) for every page."""
+        sets, state = self.shading.of(self.state.members()), State(phase=self.phase, text=self.text)
+        return self.frame(now), sets, self.health, self.roles.message(now), state
 
     def add(self, message: Message) -> None:
         """Process a message of the swarm; the description of a parent system begins the view of that."""
@@ -199,10 +160,6 @@ class LiveView:
             self.curves.add(complete)
             if self.positions.wants(complete.step):
                 self._complete.append(complete)
-
-    def coordinators(self, now: float) -> Coordinators | None:
-        """Return the roles of coordinators with standbys at a time (s), None if there are none."""
-        return self.diagnosed.message(now)
 
     def refresh(self, now: float) -> None:
         """Update positions, step rate and phase."""
@@ -232,7 +189,7 @@ class LiveView:
         """Show the recorded data before a step instead of what was received of it."""
         self.curves.begin(instants, until)
         earlier = list(places)
-        self.sides |= sides(earlier)
+        self.above |= sides(earlier)
         self.positions.begin(earlier, until)
 
     def _place(self) -> None:
@@ -242,9 +199,9 @@ class LiveView:
             ids = [robot.id for robot in self.state.robots]
             places = dict(zip(ids, [robot.coordinates for robot in shown], strict=True))
             placed = Placed(instant.step, instant.time, places)
-            known = sides([placed])
-            self.sides = known | self.sides
-            self._placed_since = dict.fromkeys(known, placed.step) | self._placed_since
+            above = sides([placed])
+            self.above = above | self.above
+            self._placed_since = dict.fromkeys(above, placed.step) | self._placed_since
             self.positions.add(placed)
         self._complete.clear()
 
@@ -256,7 +213,7 @@ class LiveView:
             for heard in listener.poll():
                 self.add(heard.message)
             for node, values in diagnostics.poll():
-                self.diagnosed.hear(node, values, clock())
+                self.roles.hear(node, values, clock())
             self.refresh(clock())
             left = left - 1 if over() else 3
             await asyncio.sleep(INTERVAL)
@@ -266,63 +223,27 @@ class LiveSession(Session):
     """The session of a page that shows a running swarm; `after` returns the session to use when the run has ended."""
 
     def __init__(self, live: LiveView, after: Callable[[], Session | None] = lambda: None) -> None:
-        super().__init__()
+        super().__init__(live)
         self._live = live
         self._make_after = after
         self._after: Session | None = None
-        self._known = (-1, -1)
-        self._curves = self._positions = (-1, 0)
-        self._events = 0
 
-    def hello(self) -> list[protocol.Message]:
-        """Return the initial messages for a page."""
-        live = self._live
-        self._known, self._events = (live.facts, len(live.state.robots)), 0
-        self._curves = self._positions = (-1, 0)
-        self._sent = {Sets: live.shading.first}
-        return [live.hello(), Events(replace=True, events=[])]
+    @property
+    def over(self) -> bool:
+        """Whether the session is that of the ended run."""
+        return self._after is not None
 
     def poll(self, now: float) -> list[protocol.Message]:
         """Return the new messages at a time (s) of the clock."""
         if self._after is None:
             self._after = self._make_after()
-            if self._after is not None:
-                return self._after.hello()
-        if self._after is not None:
-            return self._after.poll(now)
-        live = self._live
-        messages = self.hello() if self._known != (live.facts, len(live.state.robots)) else []
-        messages += [*self._new_curves(), *self._new_positions(), *self._new_events()]
-        sets, state = live.shading.of(live.state.members()), State(phase=live.phase, text=live.text)
-        return [*messages, *self.new(now, live.frame(now), sets, live.health, live.coordinators(now), state)]
+        return super().poll(now) if self._after is None else self._after.poll(now)
+
+    def latest(self, now: float) -> Iterable[protocol.Message | None]:
+        """Return the messages that hold at a time (s)."""
+        return self._live.latest(now)
 
     def control(self, request: Control) -> None:
         """Handle a request of the page; a running swarm has no playback."""
         if self._after is not None:
             self._after.control(request)
-
-    def _new_curves(self) -> list[protocol.Message]:
-        buffer = self._live.curves
-        found = buffer.since(*self._curves)
-        self._curves = (buffer.epoch, len(buffer))
-        return [] if found is None else [self._live.presenter.curves(found[0], replace=found[1])]
-
-    def _new_positions(self) -> list[protocol.Message]:
-        buffer = self._live.positions
-        found = buffer.since(*self._positions)
-        self._positions = (buffer.epoch, len(buffer))
-        robots = [robot.id for robot in self._live.state.robots]
-        if found is None or not len(buffer):
-            return []
-        points, replace = found
-        return [Positions.of(robots, points, self._live.sides, replace=replace, axes=self._live.presenter.axes)]
-
-    def _new_events(self) -> list[Events]:
-        state = self._live.state
-        count = min(state.event_count - self._events, len(state.events))
-        self._events = state.event_count
-        return (
-            [Events(replace=False, events=[self._live.presenter.event(one) for one in state.events[-count:]])]
-            if count
-            else []
-        )

@@ -6,22 +6,14 @@ Numbers keep every bit: the page has the values of the bag.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, TypeAlias
+import json
+from typing import Annotated, Any, Final, Literal, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
-from swarmabs_bag.shown.percentiles import QUANTILES, SIDES, percentiles, starts_above
-from swarmabs_bag.shown.swarm_state import RobotStatus, ShownVector, finite
-from swarmabs_core.events import code_of, said_event
-from swarmabs_core.messages import EventKind, Kind, word
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from typing_extensions import Self
-
-    from swarmabs_bag.shown.swarm_state import TimedEvent
+from swarmabs_bag.shown.swarm_state import RobotStatus
+from swarmabs_core.messages import Kind, word
 
 VERSION: Final = 2
 """Version of the protocol, raised when a message is removed or changes its meaning. The server may add messages and
@@ -31,21 +23,6 @@ Number: TypeAlias = float | None
 Phase: TypeAlias = Literal["waiting", "running", "paused", "silent", "ended", "recorded"]
 FASTEST = 1000.0
 """Highest speed of a playback, as a multiple of real time."""
-STATE_INTERVAL = 1.0
-"""Longest time between two states of the source, s."""
-MOST_LINES = 24
-"""Most robots whose positions are drawn as a line each."""
-BANDS = tuple(f"start {side}: {name}" for side in SIDES.values() for name in QUANTILES)
-"""Labels of the percentiles of the robots that start on each side of the axis."""
-_KINDS = {kind.value: kind.name for kind in EventKind}
-
-
-class Placed(NamedTuple):
-    """Coordinates of the robots in a step by id, empty for a robot that is not there; time in s."""
-
-    step: int
-    time: float
-    places: Mapping[int, ShownVector]
 
 
 class Part(BaseModel):
@@ -184,7 +161,7 @@ class Curves(Message):
 class Positions(Message):
     """Positions over time, which are appended to the earlier ones or replace them.
 
-    A line is a robot or, for more than `MOST_LINES` robots, a percentile of the robots that start on one side of the
+    A line is a robot or, for many robots, a percentile of the robots that start on one side of the
     axis. There are so many lines for each coordinate.
     """
 
@@ -196,56 +173,6 @@ class Positions(Message):
     lines: list[list[Number]] = Field(
         description="in the unit of the coordinate; null for a robot that does not act on the parent"
     )
-
-    @classmethod
-    def of(
-        cls,
-        robots: Sequence[int],
-        points: Sequence[Placed],
-        above: Mapping[int, bool],
-        *,
-        replace: bool,
-        axes: Sequence[int] = (0,),
-    ) -> Self:
-        """Return points of the lines of these robots, or of their percentiles, for each of the axes.
-
-        `above` states of each robot that has a place whether it starts above 0, see `sides`.
-        """
-        bands = len(robots) > MOST_LINES
-        labels = list(BANDS) if bands else [f"robot {robot}" for robot in robots]
-        lines: list[list[Number]] = []
-        for axis in axes:
-            rows = [[_along(point.places.get(robot, ()), axis) for robot in robots] for point in points]
-            if bands:
-                rows = [_distribution(row, [above.get(robot) for robot in robots]) for row in rows]
-            lines += [[row[index] for row in rows] for index in range(len(labels))]
-        return cls(replace=replace, bands=bands, labels=labels, time=[point.time for point in points], lines=lines)
-
-
-def _along(place: ShownVector, axis: int) -> Number:
-    """Return a coordinate of a place, None if it is not known."""
-    return place[axis] if axis < len(place) else None
-
-
-def sides(points: Iterable[Placed]) -> dict[int, bool]:
-    """Return whether each robot starts above 0, by its first place in these points, which are in order of time."""
-    found: dict[int, bool] = {}
-    for point in points:
-        for robot, place in point.places.items():
-            start = None if robot in found else _along(place, 0)
-            if start is not None:
-                found[robot] = starts_above(start)
-    return found
-
-
-def _distribution(positions: Sequence[Number], above: Sequence[bool | None]) -> list[Number]:
-    """Return the lines of `BANDS`."""
-    lines: list[Number] = []
-    for side in SIDES:
-        known = [place for place, of in zip(positions, above, strict=True) if of == side and place is not None]
-        found = percentiles(known)
-        lines += [None] * len(QUANTILES) if found is None else found.tolist()
-    return lines
 
 
 class Event(Part):
@@ -259,24 +186,6 @@ class Event(Part):
     value: Number
     unit: str = Field(default="", description="unit of the value, 'command' if it is that of the robot's commands")
     detail: str
-
-    @classmethod
-    def of(cls, timed: TimedEvent, unit_of: Callable[[str], str]) -> Self:
-        """Return an event for the page; `unit_of` returns a unit for one of `EventCode`, which are the plane's."""
-        event, time = timed
-        kind = _KINDS.get(event.kind, str(event.kind))
-        value = finite(event.value)
-        code = code_of(event)
-        return cls(
-            step=event.step,
-            time=time,
-            agent=event.agent_id,
-            kind=kind,
-            words=said_event(event),
-            value=value,
-            unit="" if code is None else unit_of(code.unit),
-            detail=event.detail,
-        )
 
 
 class Events(Message):
@@ -450,36 +359,6 @@ FROM_SERVER: tuple[type[Message], ...] = (
 FROM_PAGE: tuple[type[Request], ...] = (Play, Pause, Seek, Speed, Unlock, Steer)
 
 
-class Session:
-    """The messages for one page. A message that a later one replaces is sent once, the state every second."""
-
-    def __init__(self) -> None:
-        self._sent: dict[type[Message], Message] = {}
-        self._told = float("-inf")
-
-    def hello(self) -> list[Message]:
-        """Return the initial messages for a page."""
-        raise NotImplementedError
-
-    def poll(self, now: float) -> list[Message]:
-        """Return the new messages at a time (s) of the clock."""
-        raise NotImplementedError
-
-    def control(self, request: Control) -> None:
-        """Handle a request of the page."""
-        raise NotImplementedError
-
-    def new(self, now: float, *latest: Message | None) -> list[Message]:
-        """Return those of the latest messages, at most one per type, that the page lacks; the state every second."""
-        if now - self._told >= STATE_INTERVAL:
-            self._sent.pop(State, None)
-        found = [message for message in latest if message is not None and self._sent.get(type(message)) != message]
-        self._sent |= {type(message): message for message in found}
-        if any(isinstance(message, State) for message in found):
-            self._told = now
-        return found
-
-
 class _Untitled(GenerateJsonSchema):
     """Leaves out the titles, which only repeat the names of the fields."""
 
@@ -487,16 +366,11 @@ class _Untitled(GenerateJsonSchema):
         return False
 
 
-def _short(schema: Any) -> Any:
-    """Return a schema with alternatives of simple types in one list."""
-    if isinstance(schema, list):
-        return [_short(one) for one in schema]
-    if not isinstance(schema, dict):
-        return schema
-    schema = {name: _short(value) for name, value in schema.items()}
-    if all(one.keys() == {"type"} for one in schema.get("anyOf", [{}])):
-        schema["type"] = [one["type"] for one in schema.pop("anyOf")]
-    return schema
+def _short(part: dict[str, Any]) -> dict[str, Any]:
+    """Return a part of a schema with alternatives of simple types in one list."""
+    if all(choice.keys() == {"type"} for choice in part.get("anyOf", [{}])):
+        part["type"] = [choice["type"] for choice in part.pop("anyOf")]
+    return part
 
 
 def json_schema() -> dict[str, object]:
@@ -504,7 +378,7 @@ def json_schema() -> dict[str, object]:
     _, schema = models_json_schema(
         [(model, "serialization") for model in (*FROM_SERVER, *FROM_PAGE)], schema_generator=_Untitled
     )
-    definitions = _short(schema["$defs"])
+    definitions = json.loads(json.dumps(schema["$defs"]), object_hook=_short)
     for name, models in (("from_server", FROM_SERVER), ("from_page", FROM_PAGE)):
         definitions[name] = {"oneOf": [{"$ref": f"#/$defs/{model.__name__}"} for model in models]}
     return {

@@ -11,7 +11,7 @@ import asyncio
 import signal
 from contextlib import suppress
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 from weakref import WeakSet
 
 from aiohttp import WSCloseCode, WSMsgType, web
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Coroutine, Mapping
     from socket import socket
 
-    from swarmabs_view.protocol import Session
+    from swarmabs_view.protocol import Control, Message
 
 INTERVAL = 1.0 / 40.0
 """Shortest time between two frames for a page, s."""
@@ -41,6 +41,19 @@ PATIENCE = 10.0
 """Time, s, for a connection to send its first request, to take an answer, and to stay without another request."""
 END_SECONDS = 2.0
 """Time that open connections have to close at the end, s."""
+
+
+class PageSession(Protocol):
+    """The messages for one page."""
+
+    def poll(self, now: float) -> list[Message]:
+        """Return the new messages at a time (s) of the clock, at first everything that a page needs."""
+        ...
+
+    def control(self, request: Control) -> None:
+        """Handle a request of the page."""
+        ...
+
 
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 _FOLDERS = ("static", "third_party/uplot")
@@ -88,14 +101,14 @@ def response_headers(port: int) -> dict[str, str]:
 def load_files() -> dict[str, tuple[str, bytes]]:
     """Return all files that the server delivers, type and content by path, so that no request names a file on disk."""
     package = files("swarmabs_view")
-    found = {}
+    delivered = {}
     for folder in _FOLDERS:
         for item in package.joinpath(folder).iterdir():
             suffix = item.name[item.name.rfind(".") :]
             if suffix in _TYPES:
-                found[f"/{item.name}"] = (_TYPES[suffix], item.read_bytes())
-    found["/"] = found.pop("/index.html")
-    return found
+                delivered[f"/{item.name}"] = (_TYPES[suffix], item.read_bytes())
+    delivered["/"] = delivered.pop("/index.html")
+    return delivered
 
 
 class ViewServer:
@@ -104,7 +117,7 @@ class ViewServer:
     A connection that sends no request, or does not take the answer, is closed after `patience` s.
     """
 
-    def __init__(self, listener: socket, session: Callable[[], Session], *, patience: float = PATIENCE) -> None:
+    def __init__(self, listener: socket, session: Callable[[], PageSession], *, patience: float = PATIENCE) -> None:
         self._listener = listener
         self._patience = patience
         self._heard: WeakSet[asyncio.BaseTransport] = WeakSet()
@@ -165,10 +178,9 @@ class ViewServer:
         return await handler(request)
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
-        found = self._files.get(request.path)
-        if found is None:
+        if request.path not in self._files:
             return web.Response(status=404, text="not found\n", headers=self._headers)
-        content_type, content = found
+        content_type, content = self._files[request.path]
         return web.Response(body=content, content_type=content_type, charset="utf-8", headers=self._headers)
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
@@ -201,19 +213,17 @@ class ViewServer:
             await page.close(code=WSCloseCode.GOING_AWAY)
 
 
-async def _send(page: web.WebSocketResponse, session: Session) -> None:
+async def _send(page: web.WebSocketResponse, session: PageSession) -> None:
     """Send new messages to a page. A slow page gets fewer: the next are created only when the last have been sent."""
     clock = asyncio.get_running_loop().time
-    messages = session.hello()
     while not page.closed:
         begun = clock()
-        for message in messages:
+        for message in session.poll(begun):
             await page.send_str(message.model_dump_json())
         await asyncio.sleep(max(0.0, begun + INTERVAL - clock()))
-        messages = session.poll(clock())
 
 
-async def _hear(page: web.WebSocketResponse, session: Session) -> None:
+async def _hear(page: web.WebSocketResponse, session: PageSession) -> None:
     """Handle the requests of a page until it disconnects; close the connection on an invalid message."""
     async for heard in page:
         try:
@@ -221,14 +231,14 @@ async def _hear(page: web.WebSocketResponse, session: Session) -> None:
         except ValidationError:
             request = None
         if request is None:
-            await page.close(code=WSCloseCode.POLICY_VIOLATION, message=b"not a message of version 1")
+            await page.close(code=WSCloseCode.POLICY_VIOLATION, message=b"not a message of version 2")
             return
         session.control(request)
 
 
 def serve(
     listener: socket,
-    session: Callable[[], Session],
+    session: Callable[[], PageSession],
     *tasks: Callable[[], Coroutine[None, None, None]],
     ready: Callable[[str], None] | None = None,
 ) -> None:

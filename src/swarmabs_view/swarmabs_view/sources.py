@@ -20,21 +20,24 @@ from swarmabs_bag.run_folder import RunFolder
 from swarmabs_bag.shown.recorded_swarm import read_swarm
 from swarmabs_bag.shown.swarm_state import SwarmState
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.orchestration.run_files import (
     RunOverError,
     environment_of_run,
+    is_realtime,
     is_running,
     read_processes,
     read_progress,
 )
 from swarmabs_run.processes import ProcessMonitor
+from swarmabs_run.simulation import Network, nodes_in_process
 from swarmabs_run.tracing_files import tracing_files_removed
-from swarmabs_view.facts import UNKNOWN, scenario_facts
-from swarmabs_view.live import MOST_PLACES, MOST_POINTS, LiveSession, LiveView
+from swarmabs_view.facts import hello_of
+from swarmabs_view.live import MOST_PLACES, LiveSession, LiveView
 from swarmabs_view.playback import PlaybackSession, evenly, open_recording, places
-from swarmabs_view.protocol import VERSION, Health, Hello, Process, Seek
+from swarmabs_view.protocol import VERSION, Health, Process, Seek
 from swarmabs_view.server import serve
+from swarmabs_view.session import MOST_POINTS
 from swarmabs_view.steering_bridge import SteeredSession, SteeringBridge
 
 with tracing_files_removed():
@@ -47,8 +50,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from swarmabs_bag.shown.swarm_state import Instant
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_view.playback import Recording
-    from swarmabs_view.protocol import Placed, Session
+    from swarmabs_view.presenter import Placed
+    from swarmabs_view.session import Session
 
 NAMESPACE = re.compile(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+")
 HEALTH_INTERVAL = 2.0
@@ -65,21 +70,31 @@ SUMMARY_SECONDS = 10.0
 """Time within which a run must write its summary after its orchestrator has ended, s."""
 
 
+def first_step(scenario: AnyScenario) -> SwarmState:
+    """Return what is shown of the first step of a run in lockstep; raises `RunError` if it fails."""
+    state, network = SwarmState.of(scenario), Network(nodes_in_process(scenario).values())
+    network.start()
+    for message in network.deliver(lambda message: message.step > 0):
+        state.add(message)
+    return state
+
+
 class RunView:
     """A run, from its start to its bag; a page that knows the token can steer it."""
 
     def __init__(self, folder: Path, token: str | None = None) -> None:
         self._folder = RunFolder(folder)
+        self._scenario: AnyScenario | None = None
         self._recording: Recording | None = None
-        hello = Hello(source="run", title=folder.name, place=str(folder), playback=False, **UNKNOWN)
-        self._live = LiveView(hello, SwarmState())
+        self._live = LiveView(hello_of("run", folder.name, str(folder)), SwarmState())
         self._live.text = "the processes are starting"
         self._bridge = None if token is None else SteeringBridge(folder, token)
 
     def session(self) -> Session:
         """Return the session of a new page."""
-        session = LiveSession(self._live, self._playback)
-        return session if self._bridge is None else SteeredSession(session, self._bridge)
+        if self._bridge is None:
+            return LiveSession(self._live, self._playback)
+        return SteeredSession(self._live, self._playback, self._bridge)
 
     async def steer(self) -> None:
         """Track the settings of a steerable run; never returns."""
@@ -92,7 +107,7 @@ class RunView:
         if processes is not None and environment is not None:
             os.environ.update(environment)
             os.nice(NICENESS)
-            tasks = [asyncio.ensure_future(one) for one in (self._watch(processes), self._pause(), self._fetch())]
+            tasks = [asyncio.ensure_future(task) for task in (self._watch(processes), self._pause(), self._fetch())]
             try:
                 await listen(self._live, "/", self._over)
             finally:
@@ -108,23 +123,31 @@ class RunView:
         The view must not join earlier: a run begins when every node has discovered the number of its counterparts, and
         the view is none.
         """
-        known = False
+        expected = False
         while not self._folder.summary.exists():
-            if not known and self._folder.logs.is_dir():  # created before the scenario is written
-                with suppress(InputError):  # not completely written yet
+            with suppress(InputError):  # not completely written yet
+                if self._scenario is None and self._folder.logs.is_dir():  # created before the scenario is written
                     await self._begin()
-                    known = True
+                if self._scenario is not None and not expected:
+                    await self._expect(self._scenario)
+                    expected = True
             processes = read_processes(self._folder.path)
-            if known and processes is not None:
+            if self._scenario is not None and processes is not None:
                 return processes
             await asyncio.sleep(WAIT_INTERVAL)
         return None
 
     async def _begin(self) -> None:
-        scenario = find_scenario(str(self._folder.scenario))
-        facts = await asyncio.to_thread(scenario_facts, scenario)
-        hello = Hello(source="run", title=scenario.name, place=str(self._folder.path), playback=False, **facts)
+        scenario, place = find_scenario(str(self._folder.scenario)), str(self._folder.path)
+        hello = await asyncio.to_thread(hello_of, "run", scenario.name, place, scenario)
         self._live.learn(hello, SwarmState.of(scenario))
+        self._scenario = scenario
+
+    async def _expect(self, scenario: AnyScenario) -> None:
+        """Show the first step, which in lockstep is known in advance: it may be long before a paused run repeats it."""
+        if not is_realtime(self._folder.path):
+            with suppress(RunError):
+                self._live.expect(await asyncio.to_thread(first_step, scenario))
 
     async def _fetch(self) -> None:
         """Read the steps before the first that was received of all robots from the bag that is being written."""
@@ -136,9 +159,9 @@ class RunView:
             with suppress(InputError, DamagedBagError, OSError):  # not written yet
                 if sum(file.stat().st_size for file in self._folder.bag.iterdir()) > LARGEST_FETCH:
                     return
-                found = await asyncio.to_thread(self._recorded, first)
-                if found is not None:
-                    self._live.begin(*found, first)
+                recorded = await asyncio.to_thread(self._recorded, first)
+                if recorded is not None:
+                    self._live.begin(*recorded, first)
                     return
 
     def _recorded(self, first: int) -> tuple[list[Instant], list[Placed]] | None:
@@ -151,8 +174,8 @@ class RunView:
         instants = [swarm.instant(row) for row in evenly(len(swarm), MOST_POINTS)]
         placed = places(swarm, evenly(len(swarm), MOST_PLACES))
         return (
-            [one._replace(time=one.step * period) for one in instants],
-            [one._replace(time=one.step * period) for one in placed],
+            [instant._replace(time=instant.step * period) for instant in instants],
+            [place._replace(time=place.step * period) for place in placed],
         )
 
     async def _watch(self, processes: Mapping[str, int]) -> None:
@@ -191,9 +214,7 @@ class RunView:
         try:
             self._live.text = f"the run has ended: {json.loads(self._folder.summary.read_bytes())['status']}"
             if self._folder.bag.exists():
-                recording = await asyncio.to_thread(open_recording, self._folder.path)
-                await asyncio.to_thread(lambda: (recording.hello, recording.curves, recording.positions))
-                self._recording = recording
+                self._recording = await asyncio.to_thread(open_recording, self._folder.path)
         except (InputError, DamagedBagError, OSError, ValueError, KeyError) as error:
             self._live.text = f"the run has ended; its bag cannot be shown: {error}"
 
@@ -212,8 +233,7 @@ class SwarmView:
         self._namespace = namespace
         domain = os.environ.get("ROS_DOMAIN_ID") or "0"
         place = f"namespace {namespace} of ROS domain {domain}"
-        hello = Hello(source="swarm", title=f"swarm {namespace}", place=place, playback=False, **UNKNOWN)
-        self._live = LiveView(hello, SwarmState())
+        self._live = LiveView(hello_of("swarm", f"swarm {namespace}", place), SwarmState())
 
     def session(self) -> LiveSession:
         """Return the session of a new page."""

@@ -9,13 +9,16 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from swarmabs_run.steering.client import LONGEST_ANSWER, RESTARTS, SOCKET, STATUS, short_path
-from swarmabs_view.protocol import Answer, Hello, Session, Steer, Steering, Unlock
+from swarmabs_view.live import LiveSession
+from swarmabs_view.protocol import Answer, Steer, Steering, Unlock
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
+    from collections.abc import Awaitable, Callable, Iterable, Mapping
     from pathlib import Path
 
+    from swarmabs_view.live import LiveView
     from swarmabs_view.protocol import Control, Message
+    from swarmabs_view.session import Session
 
 STATUS_INTERVAL = 0.5
 """Time between two queries of the current settings, s."""
@@ -60,8 +63,8 @@ class SteeringBridge:
             await self._pause()
         _, writer = self._streams
         try:
-            while (found := await self._exchange({"action": STATUS})) is not None:
-                self.status = Steering(open=True, **{name: found[name] for name in _HELD})
+            while (answer := await self._exchange({"action": STATUS})) is not None:
+                self.status = Steering(open=True, **{name: answer[name] for name in _HELD})
                 await self._pause()
         finally:
             writer.close()
@@ -77,19 +80,19 @@ class SteeringBridge:
         if not self.knows(request.token):
             return Answer(request=request.request, ok=False, known=False, text=WRONG)
         asked = request.model_dump(include={"action", "value", "agent", "request"}, exclude_none=True)
-        found = await self._exchange(asked)
-        if found is None:
+        answer = await self._exchange(asked)
+        if answer is None:
             return Answer(request=request.request, ok=False, text=OVER)
-        if not found["ok"]:
-            return Answer(request=request.request, ok=False, text=str(found["reason"]))
-        text = _WORDS.get(request.action, "from step {step} on, {time:.2f} s").format_map(found)
+        if not answer["ok"]:
+            return Answer(request=request.request, ok=False, text=str(answer["reason"]))
+        text = _WORDS.get(request.action, "from step {step} on, {time:.2f} s").format_map(answer)
         return Answer(request=request.request, ok=True, restarts=request.action in RESTARTS, text=text)
 
     async def _connect(self) -> None:
         with short_path(self._folder) as place:
             self._streams = await asyncio.open_unix_connection(place / SOCKET, limit=LONGEST_ANSWER)
 
-    async def _exchange(self, asked: dict[str, Any]) -> dict[str, Any] | None:
+    async def _exchange(self, asked: Mapping[str, object]) -> dict[str, Any] | None:
         """Return the run's answer, or None if it accepts no requests."""
         async with self._turn:
             if self._streams is None:
@@ -106,29 +109,27 @@ class SteeringBridge:
             return answer
 
 
-class SteeredSession(Session):
-    """The session of a page that shows a steerable run: adds the answers to requests to another session."""
+class SteeredSession(LiveSession):
+    """The session of a page that shows a steerable run: also sends the settings and the answers to requests."""
 
-    def __init__(self, session: Session, bridge: SteeringBridge) -> None:
-        super().__init__()
-        self._session = session
+    def __init__(self, live: LiveView, after: Callable[[], Session | None], bridge: SteeringBridge) -> None:
+        super().__init__(live, after)
         self._bridge = bridge
         self._waiting: set[asyncio.Task[Answer]] = set()
         self._answers: list[Message] = []
 
-    def hello(self) -> list[Message]:
-        """Return the initial messages for a page."""
-        self._sent = {Steering: self._bridge.status}
-        return [*self._session.hello(), self._bridge.status]
-
     def poll(self, now: float) -> list[Message]:
         """Return the new messages at a time (s) of the clock."""
-        messages = self._session.poll(now)
-        if any(isinstance(message, Hello) for message in messages):
-            self._sent.clear()
-        messages += [*self.new(now, self._bridge.status), *self._answers]
+        messages = super().poll(now)
+        if self.over:  # the messages are those of another session
+            messages += self._changed(now, (self._bridge.status,))
+        messages += self._answers
         self._answers.clear()
         return messages
+
+    def latest(self, now: float) -> Iterable[Message | None]:
+        """Return the messages that hold at a time (s)."""
+        return (*super().latest(now), self._bridge.status)
 
     def control(self, request: Control) -> None:
         """Handle a request of the page."""
@@ -136,7 +137,7 @@ class SteeredSession(Session):
             if not self._bridge.knows(request.token) and len(self._answers) < MOST_WAITING:
                 self._answers.append(Answer(request="", ok=False, known=False, text=WRONG))
         elif not isinstance(request, Steer):
-            self._session.control(request)
+            super().control(request)
         elif len(self._waiting) >= MOST_WAITING:
             self._answers.append(Answer(request=request.request, ok=False, text="too many requests waiting; try again"))
         else:
