@@ -222,10 +222,12 @@ class VirtualFleet:
         self._nodes[name].clock_offset = round(offset * 1e9)
 
     def call(self, name: str, command: str) -> None:
-        """Give a node an operator's command: stop, reset, leave or join; one that is not alive hears nothing."""
+        """Give a node a command: stop, reset, leave, join or release; one that is not alive hears nothing."""
         activity = self._nodes[name].activity
         if activity is not None:
-            activity.command(getattr(activity.engine.behaviour, command))
+            behaviour = activity.engine.behaviour
+            speaker = behaviour.voice if command == "release" else behaviour
+            activity.command(getattr(speaker, command))
 
     def inject(self, message: Message, receivers: Iterable[str], topic: Topic | None = None) -> None:
         for name in receivers:

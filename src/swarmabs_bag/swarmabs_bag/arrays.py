@@ -131,7 +131,8 @@ def load_messages(bag: BagReader, *, stride: int = 1) -> LoadedMessages:
             gathered[topic] += (rows if stride == 1 else rows[rows["step"] % stride == 0]).tobytes()
     tables = {topic: np.frombuffer(data, dtype=layouts[topic]) for topic, data in gathered.items()}
     for topic, rows in tables.items():
-        _check_heads(bag, topic, rows, lengths_of(topic.message, firsts[topic]))
+        if len(rows):
+            _check_heads(bag, topic, rows, lengths_of(topic.message, firsts[topic]))
     _check_density(bag, tables)
     found = tuple(event for _, _, event in bag.decode(events) if isinstance(event, SwarmEvent))
     return LoadedMessages(tables, found, description_of(bag) if family.once else None, divided)
