@@ -88,6 +88,22 @@ class Damping:
 
 
 @dataclass(frozen=True)
+class Integral:
+    total: float = 0.0
+
+
+@dataclass
+class ReplacingDamping(Damping):
+    """Keeps the integral in a frozen object, which it replaces."""
+
+    kept: Integral = Integral()
+
+    def ask(self, time: float, state: Vector, desired: Vector) -> Vector:
+        self.kept = Integral(self.kept.total + self.period * state[0])
+        return (self.coefficient * state[1] + self.integral * self.kept.total,)
+
+
+@dataclass(frozen=True)
 class Beam(FirstAndSecondMoment):
     """A sprung beam whose oscillation robots on it damp."""
 
@@ -358,6 +374,7 @@ FAULTS: dict[str, dict[str, Any]] = {
     "impure_reach": {"reach": _in_turn(True, False)},
     "impure_outline": {"outline": _in_turn((((0.0, 1.0),),), (((0.0, 2.0),),))},
     "shared_controller": {"controller": _in_turn(Damping(2.0, 1.0, 0.01))},
+    "replacing": {"controller": lambda beam, period: ReplacingDamping(beam.added, beam.integral, period)},
     "offset_ask": {"controller": lambda *_: type("C", (), {"ask": lambda *_: (0.0,), "offset_ask": lambda *_: 0.0})()},
     "refuses": {"controller": lambda *_: _refuse("no wheel is left", "add a wheel")},
     "refuses_plainly": {"controller": lambda *_: _refuse("no wheel is left")},

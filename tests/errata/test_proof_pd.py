@@ -24,7 +24,7 @@ from tests.errata.paper import (
 )
 
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_config.theory_setting import setting
+from swarmabs_config.theory import setting
 from swarmabs_core.behaviours import Controller
 from swarmabs_core.controllers import StateFeedback
 from swarmabs_core.manifold import Manifold

@@ -75,7 +75,7 @@ def test_a_run_loads_no_mathematics_and_no_ros_before_its_processes_start(tmp_pa
         ("agent_node.node, plane_sim.node, abstraction_observer.node, parent_controller.node", NODE),
         ("swarmabs_analysis.sweep.evaluate", PRINTING | ROS | SWEEPS | {"scipy", "psutil"}),
         ("swarmabs_core.behaviours, swarmabs_core.controllers", ALL),
-        ("swarmabs_core.theory.theorems", ALL - NUMERICAL | {"scipy.optimize"}),
+        ("swarmabs_config.theory", ALL - NUMERICAL - MODELS | {"scipy"}),
     ],
 )
 def test_processes_load_only_what_they_need(modules: str, heavy: set[str]) -> None:

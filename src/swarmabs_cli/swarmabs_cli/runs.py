@@ -21,7 +21,6 @@ from swarmabs_config.installation import COMMAND
 from swarmabs_config.realtime import check_realtime
 from swarmabs_config.scenario import AnyScenario, Scenario, on_plane
 from swarmabs_config.scenarios import find_scenario, names_bag
-from swarmabs_config.theory_setting import setting
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.ending import no_more_interrupts
 from swarmabs_run.orchestration.run_files import since_start
@@ -117,7 +116,8 @@ def theory_warnings(scenario: AnyScenario) -> tuple[str, ...]:
     """Return the warnings that follow from the theory, which covers scenarios on the plane."""
     if not isinstance(scenario, Scenario):
         return ()
-    from swarmabs_core.theory.theorems import warnings  # noqa: PLC0415 - SciPy loads longer than a run starts
+    from swarmabs_config.theory import setting  # noqa: PLC0415 - NumPy loads longer than a run starts
+    from swarmabs_core.theory.check import warnings  # noqa: PLC0415
 
     return tuple(warnings(setting(scenario)))
 

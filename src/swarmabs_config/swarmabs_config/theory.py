@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario, SystemScenario
-from swarmabs_config.theory_setting import delay_of, setting
+from swarmabs_core.faults import DelayFault
 from swarmabs_core.theory.check import check
+from swarmabs_core.theory.setting import Setting
 from swarmabs_core.theory.state_feedback import ANGLE_MAX
 from swarmabs_core.theory.systems import SystemSetting, check_system
 
@@ -23,4 +25,29 @@ def check_scenario(scenario: AnyScenario, angle_max: float = ANGLE_MAX) -> Repor
     assert isinstance(scenario, SystemScenario)  # noqa: S101 - there are two kinds
     robots = tuple(robot for robot in configure.agent_configs(scenario) if robot.life.first_step == 0)
     faulty = bool(scenario.faults) or not scenario.sensor.perfect
-    return check_system(SystemSetting(scenario.name, robots, delay_of(scenario), faulty, scenario.requests))
+    return check_system(SystemSetting(scenario.name, robots, _delay(scenario), faulty, scenario.requests))
+
+
+def setting(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Setting:
+    """Return the quantities of a scenario that the theory uses, such as its initial state and gains.
+
+    The bound `angle_max` (rad, below pi/2) is theta_max of the theorems of state feedback.
+    """
+    return Setting(
+        scenario=scenario.name,
+        controller=scenario.controller.type,
+        make_law=partial(configure.parent_controller, scenario),
+        manifold=scenario.manifold,
+        plane=scenario.plane,
+        period=scenario.period,
+        robots=configure.agent_configs(scenario),
+        duration=scenario.duration,
+        delay=_delay(scenario),
+        faulty=bool(scenario.faults),
+        angle_max=angle_max,
+    )
+
+
+def _delay(scenario: AnyScenario) -> int:
+    """Return the largest age, in steps, that faults give to broadcasts."""
+    return max((fault.steps for fault in scenario.faults if isinstance(fault, DelayFault)), default=0)

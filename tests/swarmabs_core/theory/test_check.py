@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 from tests.swarmabs_core.helpers import builtin
 
-from swarmabs_config.theory import check_scenario
-from swarmabs_config.theory_setting import setting
+from swarmabs_config.theory import check_scenario, setting
+from swarmabs_core.theory.check import warnings
 from swarmabs_core.theory.report import Report, Verdict
-from swarmabs_core.theory.theorems import warnings
 
 ALL = ("pd_si_4", "pd_di_4", "pd_het_4", "arise_si_4", "arise_di_4", "arise_het_4", "arise_het_20", "arise_het_200")
 FROZEN = Path(__file__).with_name("reports.json")

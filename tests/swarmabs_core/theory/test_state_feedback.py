@@ -8,7 +8,7 @@ from hypothesis import example, given, settings, strategies as st
 from scipy.linalg import expm
 from tests.swarmabs_core.helpers import builtin
 
-from swarmabs_config.theory_setting import setting
+from swarmabs_config.theory import setting
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.plant import Friction
 from swarmabs_core.theory.arise import printed_bound

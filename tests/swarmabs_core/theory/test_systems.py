@@ -42,10 +42,12 @@ def slowest(integral: float = 0.0, bandwidth: float = 50.0) -> float:
     return float(max(root.real for root in roots if abs(root) > 1e-9))
 
 
-@pytest.mark.parametrize("integral", [0.0, 2.0])
-def test_the_spectral_radius_is_that_of_the_slowest_pole(integral: float) -> None:
-    """With its integral, the controller keeps a number that the loop must contain."""
-    loop = conditions(BEAM_SCENARIO, "step=0.002", f"system.integral={integral}")["loop"]
+@pytest.mark.parametrize(
+    ("integral", "system"), [(0.0, ()), (2.0, ()), (2.0, ("system.type=faulty", "system.fault=replacing"))]
+)
+def test_the_spectral_radius_is_that_of_the_slowest_pole(integral: float, system: tuple[str, ...]) -> None:
+    """With its integral, the controller keeps a number that the loop must contain, perhaps in a frozen object."""
+    loop = conditions(BEAM_SCENARIO, "step=0.002", *system, f"system.integral={integral}")["loop"]
     assert np.log(loop.corrected.value) / 0.002 == pytest.approx(slowest(integral), rel=0.02)
     assert loop.inputs["unseen"] == 4 - 2 + (not integral), "an integral that is not used is not seen either"
     assert loop.inputs["numbers"] == 2 + 2 + 1 + 4

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from swarmabs_bag.run.figures import RunFigures, tracking_of
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario, parse_scenario
-from swarmabs_config.theory_setting import setting
+from swarmabs_config.theory import setting
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.theory.state_feedback import estimate
 from swarmabs_run.simulation import simulated_steps

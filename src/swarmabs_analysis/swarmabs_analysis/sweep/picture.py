@@ -21,7 +21,7 @@ from swarmabs_analysis.sweep.table import metrics_of, unit_of
 from swarmabs_bag.run.figures import PLANE_TRACKING, TOLERANCE, tracking_of
 from swarmabs_bag.shown.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
 from swarmabs_config.scenario import SystemScenario, parse_scenario
-from swarmabs_config.theory_setting import setting
+from swarmabs_config.theory import setting
 from swarmabs_core.theory.state_feedback import Estimate, estimate
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ import numpy as np
 
 from swarmabs_core.controllers import Arise
 from swarmabs_core.theory.error_dynamics import chosen_epsilon, gain_conditions
-from swarmabs_core.theory.report import DECIDING, Condition, Form, ParentCheck
+from swarmabs_core.theory.report import Condition, Form, ParentCheck
 from swarmabs_core.theory.state_feedback import balls
 
 if TYPE_CHECKING:
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 SAMPLES = 20001
 """Number of instants at which the reference is sampled."""
+FRICTION_ALONE = "ks, friction alone"
+"""Name of the condition that decides: without it, the other conditions on ks and on the initial state cannot hold."""
 
 
 class Reference(NamedTuple):
@@ -155,7 +157,7 @@ def check_arise(setting: Setting) -> ParentCheck | None:
             "along the reference",
         ),
         Condition(
-            DECIDING,
+            FRICTION_ALONE,
             Form("ks > c_max/eta3", g.ks, _over(slope, eta3)),
             Form("ks > c_max^2/(4 eta3)", g.ks, needed),
             {"ks": g.ks, "c_max": slope, "eta3": eta3, "bound_in_the_proof": _over(slope / 4.0, eta3)},

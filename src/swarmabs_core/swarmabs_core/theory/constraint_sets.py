@@ -261,12 +261,12 @@ def _rests(masses: tuple[float, ...]) -> tuple[tuple[float, list[float], list[fl
     """Return two lists for each different mass; sums of one item of each are the signed sums of all other masses."""
     parts = _halves(masses)
     lists = [_signed_sums(part) for part in parts]
-    found = []
+    rests = []
     for part, other in ((parts[0], lists[1]), (parts[1], lists[0])):
         for mass in part:
             shorter, longer = sorted((_signed_sums(part - Counter((mass,))), other), key=len)
-            found.append((mass, shorter, longer))
-    return tuple(found)
+            rests.append((mass, shorter, longer))
+    return tuple(rests)
 
 
 def _least_missing(wanted: float, masses: tuple[float, ...]) -> float:

@@ -130,13 +130,13 @@ def constraints(setting: Setting, torque: float) -> Constraints:
     The errors of torque and inertia decay independently of the plane, so each stays within its largest value; all
     positions with such a torque and inertia are considered.
     """
-    bounds = _largest_error(setting, 0), _largest_error(setting, 1)
+    errors = _largest_error(setting, 0), _largest_error(setting, 1)
     positions = []
     for index in range(GRID + 1):
-        swarm = (torque + bounds[0]) * index / GRID
-        desired = min(torque, swarm + bounds[0])
-        positions.append(setting.sets.largest_position(swarm, setting.manifold.inertia(desired) + bounds[1]))
-    return Constraints(torque, max(positions), bounds)
+        swarm = (torque + errors[0]) * index / GRID
+        desired = min(torque, swarm + errors[0])
+        positions.append(setting.sets.largest_position(swarm, setting.manifold.inertia(desired) + errors[1]))
+    return Constraints(torque, max(positions), errors)
 
 
 def _largest_error(setting: Setting, axis: int) -> float:
@@ -148,7 +148,7 @@ def _largest_error(setting: Setting, axis: int) -> float:
     return max(-deepest_swing(kp, kd, error, rate), -deepest_swing(kp, kd, -error, -rate))
 
 
-def constrained_conditions(setting: Setting, found: Constraints, parent: ParentCheck) -> tuple[Condition, ...]:
+def constrained_conditions(setting: Setting, bounds: Constraints, parent: ParentCheck) -> tuple[Condition, ...]:
     """Return the conditions of thm. GeneralConstrainedStability, given the result of `constraints`."""
     half, manifold = setting.plane.length / 2.0, setting.manifold
     room = manifold_clearance(setting.sets, manifold.curvature, manifold.offset, manifold.torque_max)
@@ -161,10 +161,10 @@ def constrained_conditions(setting: Setting, found: Constraints, parent: ParentC
         Condition(
             "S_c",
             Form("V(z0) <= level of S_c, balls around |tau_sd| <= torque_max in A_A", parent.energy, level, "<="),
-            Form("largest |p_i| that can occur <= L/2", found.position, half, "<="),
+            Form("largest |p_i| that can occur <= L/2", bounds.position, half, "<="),
             {
-                "desired_torque": found.torque,
-                "largest_errors": found.errors,
+                "desired_torque": bounds.torque,
+                "largest_errors": bounds.errors,
                 "clearance_lower": room.lower,
                 "clearance_upper": room.upper,
                 "initial_error_norm": hypot(*setting.initial_error),
@@ -176,7 +176,7 @@ def constrained_conditions(setting: Setting, found: Constraints, parent: ParentC
     )
 
 
-def abstract_states(setting: Setting, found: Constraints) -> dict[str, object]:
+def abstract_states(setting: Setting, bounds: Constraints) -> dict[str, object]:
     """Return the location of initial, desired and reached abstract states in the constraint sets."""
     manifold, initial, sets = setting.manifold, setting.initial, setting.sets
     half, torque_max = setting.plane.length / 2.0, manifold.torque_max
@@ -201,7 +201,7 @@ def abstract_states(setting: Setting, found: Constraints) -> dict[str, object]:
         "manifold_in_A_A_or_A_P": reachable >= torque_max,
         "half_length": half,
         "lane_end_margin": half - max(abs(robot.position) for robot in setting.initial_robots),
-        "assumed_torque": found.torque,
-        "largest_position": found.position,
-        "margin": half - found.position,
+        "assumed_torque": bounds.torque,
+        "largest_position": bounds.position,
+        "margin": half - bounds.position,
     }

@@ -40,8 +40,8 @@ def exponential(matrix: Matrix) -> Matrix:
 def discrete_lyapunov(matrix: Matrix, right: Matrix) -> Matrix:
     """Return X with X = A X A^T + Q, all (n, n)."""
     size = len(matrix)
-    found = np.linalg.solve(np.eye(size * size) - np.kron(matrix, matrix), right.ravel())
-    return found.reshape(size, size)
+    solution = np.linalg.solve(np.eye(size * size) - np.kron(matrix, matrix), right.ravel())
+    return solution.reshape(size, size)
 
 
 def subspace_outside(matrix: Matrix, centre: float, radius: float) -> Matrix:

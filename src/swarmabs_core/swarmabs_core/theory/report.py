@@ -224,27 +224,6 @@ class Report:
         )
 
 
-DECIDING = "ks, friction alone"
-_FOLLOWING = {"ks, all terms at rest", "initial state"}
-"""Conditions that cannot hold if the deciding condition does not."""
-_SAID_BY_THE_SCENARIO = {"inertia swing", "k1"}
-"""Conditions that `Scenario.warnings` already reports."""
-
-
-def told(theorem: Theorem) -> str:
-    """Return the failed conditions that are not reported elsewhere."""
-    names = {condition.name for condition in theorem.failed}
-    silent = _SAID_BY_THE_SCENARIO | (_FOLLOWING if DECIDING in names else set())
-    failed = []
-    for condition in theorem.failed:
-        form = condition.corrected
-        if condition.name == DECIDING:
-            failed.append(condition.note)
-        elif condition.name not in silent:
-            failed.append(f"{condition.name}: {form.value:.4g} is not {form.relation} {form.bound:.4g}")
-    return "; ".join(failed)
-
-
 def plain(value: object) -> Document:
     """Return a value in a form that JSON can represent, with None for numbers that are not finite."""
     if isinstance(value, Form | Condition | Theorem | Loss):
@@ -261,5 +240,5 @@ def plain(value: object) -> Document:
 def _all_hold(forms: list[Form]) -> Verdict:
     if not forms:
         return Verdict.NOT_APPLICABLE
-    found = {form.verdict for form in forms}
-    return next(verdict for verdict in (Verdict.FAILS, Verdict.UNKNOWN, Verdict.HOLDS) if verdict in found)
+    verdicts = {form.verdict for form in forms}
+    return next(verdict for verdict in (Verdict.FAILS, Verdict.UNKNOWN, Verdict.HOLDS) if verdict in verdicts)

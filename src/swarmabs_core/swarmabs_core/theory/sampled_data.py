@@ -209,10 +209,10 @@ def _loops(setting: Setting) -> Iterator[tuple[str, Loop, str]]:
                 name = "DI errors" if gains.kp[0] == gains.kp[1] and gains.kd[0] == gains.kd[1] else f"DI {axis} error"
                 yield name, double_integrator_loop(kp, kd), "e'' = -kp e - kd e', with held acceleration"
         kinds.append(("DI", gains.kp[0], gains.kd[0]))
-    found = _linear_law(setting)
-    if found is None:
+    linear = _linear_law(setting)
+    if linear is None:
         return
-    feedback, integral, linearised = found
+    feedback, integral, linearised = linear
     for kind, gain, derivative in kinds:
         for where, slope in (("moving", friction.g6), ("at rest", friction.slope_at_rest())):
             loop = parent_loop(inertia, slope, feedback, integral, (gain, derivative))

@@ -144,8 +144,8 @@ def level_set(loop: Loop, angle_max: float) -> LevelSet:
         return best
 
     def suffices(weight: float) -> bool:  # the rate decreases with the weight, so D and the coupling increase
-        found = _with_weight(loop, angle_max, level, weight)
-        return found.damping >= best.damping / 10.0 and found.coupling >= 2.0
+        region = _with_weight(loop, angle_max, level, weight)
+        return region.damping >= best.damping / 10.0 and region.coupling >= 2.0
 
     low = high = 1.0
     while not suffices(high):
@@ -230,7 +230,7 @@ def check_feedback(setting: Setting) -> ParentCheck | None:
     region = level_set(loop, angle_max)
     inertia_rate = printed_inertia_rate(loop, setting.gains.k[1], sqrt(ball.printed))
     error = setting.initial_error
-    square = plane.angle**2 + plane.angular_velocity**2 + error[0] ** 2 + error[1] ** 2
+    square = ball.error_squared(plane.angle, plane.angular_velocity)
     if setting.has_double:
         rate = setting.initial_error_rate
         square += rate[0] ** 2 + rate[1] ** 2

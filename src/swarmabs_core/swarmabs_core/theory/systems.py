@@ -13,11 +13,11 @@ error by at most :math:`c_3 |z|`, it does so for some kappa if :math:`c_2 c_3 < 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field
+from dataclasses import FrozenInstanceError, dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from math import nan
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +34,15 @@ from swarmabs_core.theory.report import Condition, Form, Report, Theorem, Verdic
 from swarmabs_core.theory.sampled_data import Loop, double_integrator_loop, loop_conditions, single_integrator_loop
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from swarmabs_core.models import SystemAgentConfig
 
 Array = NDArray[np.float64]
+Path: TypeAlias = tuple[str, ...]
+"""The names of attributes that lead from an object to a value in it."""
+Numbers: TypeAlias = float | tuple[float, ...] | list[float]
+Held = TypeVar("Held")
 UNSEEN = 1e-6
 """Largest distance from 1 of an eigenvalue that belongs to motion which the abstract state does not see."""
 MOST = 120
@@ -68,54 +72,54 @@ class SystemSetting:
 class ClosedLoop:
     """One period of the sampled closed loop, at the time of the second step, as a function of all numbers in it.
 
-    These are the parent's state, values and rates of the filtered needs, the numbers that the controller keeps, all
-    coordinates, and the velocities of double integrators; `ends` are the indices at which each sort ends.
+    These are the parent's state, values and rates of the filtered needs, the numbers in which the controller keeps its
+    state, all coordinates, and the velocities of double integrators; `ends` are the indices at which each sort ends.
     """
 
     def __init__(self, setting: SystemSetting) -> None:
-        one = setting.robots[0]
-        self._named, self._ns, made = one.named, one.period_ns, one.named.made
+        first = setting.robots[0]
+        self._named, self._ns, system = first.named, first.period_ns, first.named.made
         self._laws = [
-            RobotLaw(*(one.named, r.kind, r.constants, r.gains, self._ns / 1e9), second_order=r.force_law != "velocity")
-            for r in setting.robots
+            RobotLaw(
+                *(robot.named, robot.kind, robot.constants, robot.gains, self._ns / 1e9),
+                second_order=robot.force_law != "velocity",
+            )
+            for robot in setting.robots
         ]
-        self._motion = ParentMotion(one.named, self._ns / 1e9)
-        self._forces = [n for n, each in enumerate(setting.robots) if each.kind.by_force]
-        goal = dict(zip((row.name for row in made.tracked), made.reference(0.0), strict=True))
-        x = [goal.get(row.name, value) for row, value in zip(made.parent, made.initial, strict=True)]
-        near = tuple(value + 1e-3 * row.scale for value, row in zip(x, made.parent, strict=True))
-        self._generator = SystemDesiredState(self._ns, one.named, one.gains, requests=setting.requests)
-        fresh = _kept(self._generator.controller)
-        self._generator.advance(0, ParentState(0, 0, 0, made.initial))
+        self._motion = ParentMotion(first.named, self._ns / 1e9)
+        self._forces = [n for n, robot in enumerate(setting.robots) if robot.kind.by_force]
+        goal = dict(zip((row.name for row in system.tracked), system.reference(0.0), strict=True))
+        x = [goal.get(row.name, value) for row, value in zip(system.parent, system.initial, strict=True)]
+        near = tuple(value + 1e-3 * row.scale for value, row in zip(x, system.parent, strict=True))
+        self._generator = SystemDesiredState(self._ns, first.named, first.gains, requests=setting.requests)
+        at_start = _numbers_of(self._generator.controller)
+        self._generator.advance(0, ParentState(0, 0, 0, system.initial))
         _, desired = self._generator.advance(self._ns, ParentState(0, 1, 0, near))
-        kept = {at: value for at, (*_, value) in _kept(self._generator.controller).items()}
-        self._memory = [at for at, value in kept.items() if at not in fresh or value != fresh[at][2]]
-        *_, (self._robots, _, _, _) = approach(one.named, setting.states, desired.value, one.gains)
-        memory = np.array([number for at in self._memory for number in np.ravel(kept[at])])
+        numbers = _numbers_of(self._generator.controller)
+        self._memory = {path: value for path, value in numbers.items() if value != at_start.get(path)}
+        *_, (self._robots, _, _, _) = approach(first.named, setting.states, desired.value, first.gains)
+        memory = _flat(self._memory.values())
         q = [value for robot in self._robots for value in robot.coordinates]
-        span = [0.5 * (need.high - need.low) or 1.0 for need in setting.requests.needs(made)]
+        span = [0.5 * (need.high - need.low) or 1.0 for need in setting.requests.needs(system)]
         needs = [value for value, _ in self._generator.filtered or ()]
-        d = len(made.robot)
+        d = len(system.robot)
         parts = x, needs, np.zeros(len(needs)), memory, q, np.zeros(d * len(self._forces))
         self.start, self.ends = np.concatenate(parts), np.cumsum([len(part) for part in parts])
-        places = [row.scale for row in made.robot] * (len(self._robots) + len(self._forces))
+        places = [row.scale for row in system.robot] * (len(self._robots) + len(self._forces))
         spans = (
             np.array(span),
             setting.requests.bandwidth * np.array(span),
             np.where(memory, 1e3 * np.abs(memory), 1.0),
             places,
         )
-        self.scales = np.concatenate([[row.scale for row in made.parent], *spans])
+        self.scales = np.concatenate([[row.scale for row in system.parent], *spans])
 
     def advance(self, state: Array) -> Array:
         """Return the state one period later."""
         x, needs, rates, memory, q, v = (part.tolist() for part in np.split(state, self.ends[:-1]))
         generator = copy.copy(self._generator)
-        generator.controller = copy.deepcopy(generator.controller)
+        generator.controller = _with_numbers(self._generator.controller, _shaped(memory, self._memory))
         generator.filtered = list(zip(needs, rates, strict=True))
-        for owner, name, value in map(_kept(generator.controller).__getitem__, self._memory):
-            given, memory = memory[: np.size(value)], memory[np.size(value) :]
-            object.__setattr__(owner, name, given[0] if isinstance(value, float) else type(value)(given))
         _, desired = generator.advance(self._ns, ParentState(self._ns, 1, 0, tuple(x)))
         robots, after = self._placed(q, v), []
         heard = SwarmBroadcast(0, 0, *observed(self._named, 0, 0, robots, curvature=bool(v)), desired)
@@ -127,9 +131,9 @@ class ClosedLoop:
             end = law.advance(*start, command)
             after.append(robot._replace(coordinates=end[0], velocities=end[1], command=command))
         moved = self._motion.advance(self._ns / 1e9, tuple(x), list(zip(robots, after, strict=True)))
-        kept = _kept(generator.controller)
+        numbers = _numbers_of(generator.controller)
         sorts = (
-            *(moved, *zip(*generator.filtered, strict=True), *(np.ravel(kept[at][2]) for at in self._memory)),
+            *(moved, *zip(*generator.filtered, strict=True), _flat(numbers[path] for path in self._memory)),
             *(robot.coordinates for robot in after),
             *(after[n].velocities for n in self._forces),
         )
@@ -164,8 +168,8 @@ class ClosedLoop:
             If it finds none.
         """
         for noise in _NOISE:
-            if (found := self._rest(noise)) is not None:
-                return found
+            if (rest := self._rest(noise)) is not None:
+                return rest
         raise RunError("no state of rest was found near the start")
 
     def _rest(self, noise: float) -> tuple[Array, Array] | None:
@@ -185,13 +189,13 @@ class ClosedLoop:
 
 def check_system(setting: SystemSetting) -> Report:
     """Evaluate the general theorems and the conditions for sampled time at a state of rest."""
-    one = setting.robots[0]
+    first = setting.robots[0]
     kinds = sorted({robot.kind.name.lower().replace("_", " ") + "s" for robot in setting.robots})
     notes = ["the loop is linearised at rest at the time of the second step; limits and the effort bound do not act"]
     if setting.faulty:
         notes.append("the theorems consider neither faults nor noise; the check covers the initial swarm and a delay")
     linear: list[Condition] = []
-    if len(setting.robots) * len(one.coordinates) <= MOST:
+    if len(setting.robots) * len(first.coordinates) <= MOST:
         linear = _guarded("loop", lambda: _linearised(setting))
     else:
         notes.append(f"the loop at rest is evaluated for swarms with up to {MOST} coordinates only")
@@ -200,14 +204,14 @@ def check_system(setting: SystemSetting) -> Report:
     if any(condition.verdict is Verdict.UNKNOWN for condition in linear):
         unknown = "no state of rest is known"
     completions = tuple(_guarded("completion", lambda: _completions(setting)))
-    loops = loop_conditions(_loops(setting), setting.delay, one.period_ns / 1e9)
+    loops = loop_conditions(_loops(setting), setting.delay, first.period_ns / 1e9)
     sampled = (*loops, *(condition for condition in linear if condition.name == "loop"))
     theorems = (
         Theorem("GeneralStability", "the error of the abstract state and the parent, at rest", margins, unknown),
         Theorem("GeneralConstrainedStability", "abstract states that can be requested", completions),
     )
     beyond = Theorem("sampled_time", "beyond the paper: sampled time", sampled)
-    return Report(setting.scenario, one.system, " and ".join(kinds), None, theorems, beyond, {}, {}, tuple(notes))
+    return Report(setting.scenario, first.system, " and ".join(kinds), None, theorems, beyond, {}, {}, tuple(notes))
 
 
 def _guarded(name: str, conditions: Callable[[], Iterator[Condition]]) -> list[Condition]:
@@ -243,8 +247,8 @@ def _loops(setting: SystemSetting) -> Iterator[tuple[str, Loop, str]]:
 
 def _margins(setting: SystemSetting, loop: ClosedLoop, state: Array, slope: Array) -> Iterator[Condition]:
     """Yield the conditions on V_p and V_a; z are the numbers before the coordinates."""
-    one = setting.robots[0]
-    h, n = one.period_ns / 1e9, int(loop.ends[3])
+    gains = setting.robots[0].gains
+    h, n = setting.robots[0].period_ns / 1e9, int(loop.ends[3])
     error = loop.slope(loop.error, state)
     back = np.linalg.pinv(error[:, n:])
     parent, coupling = slope[:n, :n] - slope[:n, n:] @ back @ error[:, :n], slope[:n, n:] @ back
@@ -253,10 +257,10 @@ def _margins(setting: SystemSetting, loop: ClosedLoop, state: Array, slope: Arra
     basis = subspace_outside(parent.T, 1.0, UNSEEN)
     parent, coupling, leak = basis.T @ parent @ basis, basis.T @ coupling, leak @ basis
     decay, radius = (
-        min(x * (1.0 - 0.5 * h * x) for x in one.gains.k),
+        min(x * (1.0 - 0.5 * h * x) for x in gains.k),
         float(np.abs(np.linalg.eigvals(parent)).max(initial=0.0)),
     )
-    yield Condition("l", None, Form("l = K (1 - h K/2) > 0", decay, 0.0), {"k": one.gains.k, "period": h})
+    yield Condition("l", None, Form("l = K (1 - h K/2) > 0", decay, 0.0), {"k": gains.k, "period": h})
     yield Condition("V_p", None, Form("spectral radius of the parent with a = a_d < 1", radius, 1.0, "<"))
     if radius < 1.0 and decay > 0.0:
         p = discrete_lyapunov(parent.T, h * np.eye(len(parent)))
@@ -272,13 +276,14 @@ def _is_seen(real: float, imaginary: float) -> bool:
 
 def _completions(setting: SystemSetting) -> Iterator[Condition]:
     """Yield conditions on completions of needs, and on the robots on their way from the start to them."""
-    one, made = setting.robots[0], setting.robots[0].named.made
-    ends, draw = [(need.low, need.high) for need in setting.requests.needs(made)], np.random.default_rng(0).uniform
+    first = setting.robots[0]
+    named, system = first.named, first.named.made
+    ends, draw = [(need.low, need.high) for need in setting.requests.needs(system)], np.random.default_rng(0).uniform
     corners = product(*ends) if len(ends) <= 4 else zip(*ends, strict=True)
     needs = [tuple(min(max(0.0, low), high) for low, high in ends), *corners]
     needs += [tuple(float(draw(low, high)) for low, high in ends) for _ in range(4)]
-    goals = [one.named.complete(each, one.named.nobody) for each in needs]
-    paths = [list(approach(one.named, setting.states, goal, one.gains)) for goal in goals]
+    goals = [named.complete(values, named.nobody) for values in needs]
+    paths = [list(approach(named, setting.states, goal, first.gains)) for goal in goals]
     reached = [path[-1][3] < NEAR for path in paths]
     missed = {"first_missed": needs[reached.index(False)]} if False in reached else {}
     form = Form("requests that the robots reach = all", sum(reached), len(needs), ">=")
@@ -290,20 +295,49 @@ def _completions(setting: SystemSetting) -> Iterator[Condition]:
     }
     pivot = min(gram.least for _, gram, _, _ in steps)
     yield Condition("Gram matrix", None, Form("least scaled pivot on the way", pivot, SINGULAR), inputs)
-    if hasattr(made, "reach"):
-        inside = [bool(made.reach(goal)) for goal in goals]
+    if hasattr(system, "reach"):
+        inside = [bool(system.reach(goal)) for goal in goals]
         outside = {"first_outside": needs[inside.index(False)]} if False in inside else {}
         form = Form("requests within the limits of the robots = all", sum(inside), len(needs), ">=")
         yield Condition("reach", None, form, outside)
 
 
-def _kept(part: Any, path: tuple[str, ...] = ()) -> dict[tuple[str, ...], tuple[Any, str, Any]]:
-    """Return where an object keeps numbers: owner, name and value of each attribute, by its path."""
-    found: dict[tuple[str, ...], tuple[Any, str, Any]] = {}
+def _numbers_of(part: object, path: Path = ()) -> dict[Path, Numbers]:
+    """Return the attributes of an object, and of the objects in them, that are numbers, by their paths."""
+    numbers: dict[Path, Numbers] = {}
     for name in (*getattr(part, "__dict__", ()), *getattr(type(part), "__slots__", ())):
-        value, at = getattr(part, name, None), (*path, name)
+        value, place = getattr(part, name, None), (*path, name)
         if isinstance(value, float) or (isinstance(value, (tuple, list)) and all(isinstance(x, float) for x in value)):
-            found[at] = part, name, value
+            numbers[place] = value
         elif len(path) < 2:
-            found |= _kept(value, at)
-    return found
+            numbers |= _numbers_of(value, place)
+    return numbers
+
+
+def _with_numbers(part: Held, numbers: Mapping[Path, Numbers]) -> Held:
+    """Return a copy of an object that has other numbers at these paths; a frozen dataclass is made again."""
+    attributes: dict[str, object] = {}
+    for name in dict.fromkeys(path[0] for path in numbers):
+        inner = {path[1:]: value for path, value in numbers.items() if path[0] == name}
+        attributes[name] = inner[()] if () in inner else _with_numbers(getattr(part, name), inner)
+    changed = copy.deepcopy(part)
+    try:
+        for name, value in attributes.items():
+            setattr(changed, name, value)
+    except FrozenInstanceError:
+        return replace(part, **attributes)  # type: ignore[type-var]
+    return changed
+
+
+def _flat(numbers: Iterable[Numbers]) -> Array:
+    return np.array([number for value in numbers for number in np.ravel(value)])
+
+
+def _shaped(flat: list[float], like: Mapping[Path, Numbers]) -> dict[Path, Numbers]:
+    """Return numbers in a row as values of the same types and lengths as others."""
+    numbers, begin = dict[Path, Numbers](), 0
+    for path, value in like.items():
+        end = begin + np.size(value)
+        numbers[path] = flat[begin] if isinstance(value, float) else type(value)(flat[begin:end])
+        begin = end
+    return numbers
