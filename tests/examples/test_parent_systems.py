@@ -81,10 +81,8 @@ def differences(run: Any, expected: Solution, late: float, *groups: slice) -> li
 
 CASES: Mapping[str, tuple[str, tuple[float, float], Sequence[str], Sequence[Event], Sequence[int]]] = {
     "ship": ("ship", (7.0e-4, 5.6e-4), (), (), ()),
-    "ship, force robots": ("ship", (7.1e-4, 6.3e-4), forces(ALL), (), ALL),
     "ship, mixed": ("ship", (7.1e-4, 5.9e-4), forces(ALTERNATE), (), ALTERNATE),
     "plate": ("plate", (1.1e-3, 1.7e-5), (), (), ()),
-    "plate, force robots": ("plate", (1.6e-3, 4.4e-5), forces(ALL), (), ALL),
     "plate, mixed": ("plate", (1.3e-3, 3.3e-5), forces(ALTERNATE), (), ALTERNATE),
 }
 """Scenario, and the differences that sampling at 10 ms makes: in the whole run, and from 5 s on, rad."""
@@ -152,8 +150,9 @@ def test_the_ship_rolls_alike_with_any_number_of_trolleys(number: int) -> None:
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("force", [False, True], ids=["velocity", "force"])
-@pytest.mark.parametrize("name", ["ship", "ship_4", "plate", "plate_3"])
+@pytest.mark.parametrize(
+    ("name", "force"), [("ship", False), ("ship_4", False), ("ship_4", True), ("plate", False), ("plate_3", True)]
+)
 def test_robots_that_die_do_not_fling_the_others(name: str, *, force: bool) -> None:
     """With a completion that ignores them, trolleys of ship_4 reach 100 m/s and more after 2 or 4 has died."""
     count = len(given(name)["swarm"]["agents"])
@@ -200,9 +199,9 @@ def tilt(run: Any) -> Array:
 @pytest.mark.parametrize("reaction", [0.016, 0.0], ids=["yaw", "no_yaw"])
 def test_the_payload_bears_the_failure_of_a_rotor(reaction: float) -> None:
     """Nobody knows of it for 0.1 s; the attitude is back 0.5 s after the failure."""
-    run = simulated("payload", 7.0, LOSS.format(2.0, 2.09), f"system.reaction={reaction}")
-    expected = solution("payload", 7.0, (Event(2.0, 3, "fails", 0.1),), yaw=bool(reaction))
-    places, angles = differences(run, expected, 6.5, slice(3), slice(6, 9))
+    run = simulated("payload", 3.5, LOSS.format(2.0, 2.09), f"system.reaction={reaction}")
+    expected = solution("payload", 3.5, (Event(2.0, 3, "fails", 0.1),), yaw=bool(reaction))
+    places, angles = differences(run, expected, 3.0, slice(3), slice(6, 9))
     assert places[0] < 1.5 * 4.7e-3
     assert angles[0] < 1.5 * 1.8e-3
     assert tilt(run)[200:].max() > 0.05
@@ -212,12 +211,12 @@ def test_the_payload_bears_the_failure_of_a_rotor(reaction: float) -> None:
 
 
 def test_the_payload_follows_its_path() -> None:
-    run = simulated("payload", 6.0, "faults=[]")
-    places, angles = differences(run, solution("payload", 6.0), 5.0, slice(3), slice(6, 9))
+    run = simulated("payload", 4.5, "faults=[]")
+    places, angles = differences(run, solution("payload", 4.5), 4.0, slice(3), slice(6, 9))
     assert places[0] < 1.5 * 1.3e-3
     assert angles[0] < 1.5 * 4.5e-4
     error = run.parent[:, :3] - run.reference
-    assert np.abs(error[450:, 2]).max() < 0.03
+    assert np.abs(error[350:, 2]).max() < 0.03
 
 
 def test_rotors_at_their_limits_say_so_and_the_others_take_over() -> None:
@@ -290,6 +289,7 @@ LONG: Mapping[str, tuple[str, tuple[float, float], float, float, Sequence[str], 
         *("plate", (1.1e-3, 1.3e-5), 30.0, 20.0),
         *(("faults=[{kind: remove, agent: 4, at: 15.0}]",), (Event(15.0, 4, "leaves"),), ()),
     ),
+    "plate, force robots": ("plate", (1.6e-3, 4.4e-5), 30.0, 5.0, forces(ALL), (), ALL),
     "plate, mixed": ("plate", (1.3e-3, 3.3e-5), 30.0, 5.0, forces(ALTERNATE), (), ALTERNATE),
     "payload": ("payload", (1.3e-3, 8.8e-5), 20.0, 15.0, ("faults=[]",), (), ()),
     "payload, rotor 3 fails": ("payload", (4.7e-3, 9.8e-5), 20.0, 15.0, (), (Event(10.0, 3, "fails", 0.1),), ()),

@@ -125,8 +125,8 @@ def test_an_exception_of_the_system_ends_simulate_and_run_with_one_line(
     installed(tmp_path / "packages")
     text = BEAM.replace("type: beam", f"type: faulty, fault: {fault}").replace("kill, agent: 2", "kill, agent: 5")
     (tmp_path / "beam.yaml").write_text(text, encoding="utf-8")
-    for command in ("simulate", "run"):
-        done = swarm_process([command, "beam.yaml", "-o", command], tmp_path, [tmp_path / "packages"])
+    simulated = swarm(["simulate", "beam.yaml", "-o", "simulated"], tmp_path)
+    for done in (simulated, swarm_process(["run", "beam.yaml", "-o", "run"], tmp_path, [tmp_path / "packages"])):
         assert done.code == 1
         assert "Traceback" not in done.out + done.err
         assert re.search(r"step 5: ZeroDivisionError: float division by zero \(systems_of_tests\.py:\d+\)", done.err)
@@ -141,11 +141,9 @@ def test_a_generated_swarm_with_noise_and_a_slow_filter_has_one_digest(tmp_path:
     swarm_of = "{single_integrator: 2, first_order_lag: 2, constants: {mass: [0.3, 0.6]}, coordinates: [[-0.3, 0.3]]}"
     text = f"{BEAM.partition('swarm:')[0]}{parts}swarm:\n  generate: {swarm_of}\n"
     (tmp_path / "beam.yaml").write_text(text, encoding="utf-8")
-    digests = {}
-    for command in ("simulate", "run"):
-        done = swarm_process([command, "beam.yaml", "-o", command, "--json"], tmp_path, [tmp_path / "packages"])
-        digests[command] = done.document()["digest"]
-    assert digests["simulate"] == digests["run"]
+    run = swarm_process(["run", "beam.yaml", "-o", "run", "--json"], tmp_path, [tmp_path / "packages"])
+    simulated = swarm(["simulate", "beam.yaml", "-o", "simulated", "--json"], tmp_path)
+    assert run.document()["digest"] == simulated.document()["digest"]
     logs = {path.stem for path in (tmp_path / "run" / "logs").glob("*.log")}
     assert "parent_system" in logs and "plane_sim" not in logs
     assert swarm(["verify", "run"], tmp_path).code == 0

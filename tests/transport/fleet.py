@@ -68,7 +68,8 @@ class Network:
 
     def arrivals(self, sender: str, receiver: str, step: int, draw: Random) -> list[int]:
         """Return after which times (ns) a message of a step arrives; none if it is lost."""
-        faded = receiver.startswith(_ROBOT) and Random(f"{receiver}:{step}").random() < self.fading
+        fades = bool(self.fading) and receiver.startswith(_ROBOT)
+        faded = fades and Random(f"{receiver}:{step}").random() < self.fading
         lost = draw.random() < self.loss or faded
         copies = 2 if draw.random() < self.duplication else 1
         delay = self.delay + self.slow.get(sender, 0.0) + self.slow.get(receiver, 0.0)
