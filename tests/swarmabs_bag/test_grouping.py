@@ -9,7 +9,7 @@ from tests.swarmabs_bag.sample_run import bag_writer, make_run, make_step, write
 from swarmabs_bag.errors import DamagedBagError
 from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.run.grouping import Published
-from swarmabs_bag.run.ordering import recorded_steps
+from swarmabs_bag.run.ordering import WINDOW, recorded_steps
 from swarmabs_bag.run.step import Step
 from swarmabs_core import messages as msg
 from swarmabs_core.cdr import encode
@@ -70,22 +70,22 @@ def test_messages_with_other_times_than_their_step_are_not_in_a_block(tmp_path: 
 def test_all_before_a_damage_is_read(tmp_path: Path) -> None:
     folder = write_bag(tmp_path / "bag", make_run(steps=100))
     bag = open_bag(folder)
-    chunk = bag.index.chunks[2]
-    with bag.files[0].path.open("r+b") as stream:
-        stream.seek(chunk.chunk_start_offset + 200)
-        stream.write(b"damage")
-    read: list[tuple[int, str]] = []
-    for found in (bag.whole_steps, bag.published):
-        count = 0
-        with pytest.raises(DamagedBagError) as error:  # noqa: PT012 - the messages before it are counted
-            for part in found():
-                count += part.messages if isinstance(part, Step) else 1
-        read.append((count, str(error.value)))
-    assert read[0] == read[1]
-    assert read[0][0] > 0
+    for chunk in bag.index.chunks[5:0:-1]:
+        with bag.files[0].path.open("r+b") as stream:
+            stream.seek(chunk.chunk_start_offset + 200)
+            stream.write(b"damage")
+        read: list[tuple[int, str]] = []
+        for found in (bag.whole_steps, bag.published):
+            count = 0
+            with pytest.raises(DamagedBagError) as error:  # noqa: PT012 - the messages before it are counted
+                for part in found():
+                    count += part.messages if isinstance(part, Step) else 1
+            read.append((count, str(error.value)))
+        assert read[0] == read[1]
+        assert read[0][0] > 0
 
 
-@pytest.mark.parametrize("late", [3, 9])
+@pytest.mark.parametrize("late", [3, WINDOW, WINDOW + 1])
 def test_a_message_after_blocks_of_its_step_is_refused(late: int) -> None:
     steps = [[Record.of(message) for message in make_step(step)] for step in range(12)]
     block = Step.whole(
@@ -99,3 +99,4 @@ def test_a_message_after_blocks_of_its_step_is_refused(late: int) -> None:
             list(recorded_steps(run, "bag"))
         errors.append(str(error.value))
     assert errors[0] == errors[1]
+    assert errors[0].endswith("follows step 11, out of order") == (late >= WINDOW)

@@ -10,7 +10,8 @@ import random
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from itertools import pairwise
+from functools import partial
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -339,6 +340,37 @@ def test_a_merged_bag_says_of_what_it_is_made(whole: Path, tmp_path: Path) -> No
     code, shown = command("info", tmp_path / "new")
     assert code == 0
     assert "merged from" in shown
+
+
+@pytest.mark.parametrize(
+    ("earlier", "later", "same", "ended"),
+    [
+        ("killed", "", "", None),
+        ("", "killed", "killed", "killed"),
+        ("stopped", "killed", "killed", "killed"),
+        ("stopped", "killed", "", None),
+        ("", "killed", "full", "full"),
+    ],
+)
+def test_a_merged_bag_ended_early_if_those_that_end_last_did(
+    earlier: str, later: str, same: str, ended: str | None, whole: Path, tmp_path: Path
+) -> None:
+    messages = [message for message in sent(whole) if message.message.step <= 30]
+    parts = ((messages[:100], earlier), (messages[60:], later), (messages[80:], same))
+    pieces = [piece(whole, tmp_path / str(n), part, aborted=reason) for n, (part, reason) in enumerate(parts)]
+    report = merged(pieces, tmp_path / "new")
+    assert (report.ended_early, open_bag(tmp_path / "new").aborted()) == (ended, ended)
+    assert {step for *_, step in named(report)} == (set() if ended else set(range(31, STEPS + 1)))
+
+
+def test_the_bytes_of_a_merged_bag_do_not_depend_on_the_time_that_merging_takes(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = piece(whole, tmp_path / "one", sent(whole)[:200])
+    merge_bags([one, whole], tmp_path / "fast")
+    monkeypatch.setattr("swarmabs_bag.merge.BagWriter", partial(BagWriter, monotonic=count().__next__))
+    merge_bags([one, whole], tmp_path / "slow")
+    assert [*files(tmp_path / "fast").values()] == [*files(tmp_path / "slow").values()]
 
 
 def test_attachments_of_all_bags_are_kept(whole: Path, tmp_path: Path) -> None:

@@ -29,12 +29,14 @@ from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.info import bag_info, render
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime_world import RealtimeWorld
+from swarmabs_bag.recorder.recording import RealtimeRecording
 from swarmabs_bag.repair import repair_bag
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, STANDING, Message, PlaneState
 from swarmabs_core.publishers import CONTROLLER
+from swarmabs_core.record import Record
 
 MakeBag: TypeAlias = Callable[..., Path]
 
@@ -63,6 +65,21 @@ def test_log_time_is_when_it_was_received_and_publish_time_the_stamp(made: MakeB
     assert "liveliness: manual_by_topic" in qos["/plane/state"]
     assert "nsec: 500000000" in qos["/plane/state"]
     assert "liveliness: automatic" in qos["/swarm/events"]
+
+
+def test_log_times_do_not_go_back_with_the_clock(tmp_path: Path) -> None:
+    recorded = world("quiet")
+    clock = configure.schedule(recorded.scenario, EPOCH)
+    simulated = RealtimeWorld(clock, members(recorded.scenario), plane=True)
+    recording = RealtimeRecording(recorded.scenario, tmp_path / "bag", simulated)
+    planes = [Record.of(PlaneState(clock.begin(step), step, 0.1, 0.0)) for step in range(4)]
+    received = [clock.begin(step) for step in (7, 5, 6, 9)]
+    for record, now in zip(planes, received, strict=True):
+        recording.add(record, now)
+    recording.close()
+    found = list(open_bag(tmp_path / "bag").published())
+    assert [message.time for message in found] == [clock.begin(step) for step in (7, 7, 7, 9)]
+    assert [message.published for message in found] == [clock.begin(step) for step in range(4)]
 
 
 def test_the_date_is_told_a_repetition_is_refused_and_damage_is_repaired(tmp_path: Path, made: MakeBag) -> None:

@@ -224,13 +224,21 @@ def test_packed_states_are_recorded_one_by_one(told: Told, tmp_path: Path) -> No
 
 
 class Heard:
-    """What a recorder in real time hears of a fleet: the messages of 10 ms at a time, then nothing any more."""
+    """What a recorder in real time hears of a fleet: the messages of 10 ms at a time, then nothing any more.
+
+    A signal interrupts a wait while messages arrive. `writers` are the GIDs of writers by what they have written.
+    """
 
     def __init__(
-        self, told: Told, arriving: Sequence[tuple[msg.Topic, int, bytes]], at: Mapping[int, Callable[[], object]]
+        self,
+        told: Told,
+        arriving: Sequence[tuple[msg.Topic, int, bytes]],
+        at: Mapping[int, Callable[[], object]],
+        writers: Mapping[bytes, bytes],
     ) -> None:
-        self._told, self._arriving, self._at = told, deque(arriving), at
+        self._told, self._arriving, self._at, self._writers = told, deque(arriving), at, writers
         self._waiting: dict[msg.Topic, deque[bytes]] = {topic: deque() for topic, _, _ in arriving}
+        self._taken: dict[msg.Topic, bytes] = {}
         self.waits = 0
 
     def wait(self, topics: tuple[msg.Topic, ...], seconds: float) -> bool:
@@ -243,13 +251,16 @@ class Heard:
             topic, _, payload = self._arriving.popleft()
             self._waiting[topic].append(payload)
             heard = True
-        return heard
+        return heard and self.waits not in self._at
 
     def take(self, topic: msg.Topic) -> bytes | None:
-        return self._waiting[topic].popleft() if self._waiting.get(topic) else None
+        if not self._waiting.get(topic):
+            return None
+        self._taken[topic] = self._waiting[topic].popleft()
+        return self._taken[topic]
 
     def writer(self, topic: msg.Topic) -> bytes:
-        return b""
+        return self._writers.get(self._taken[topic], b"")
 
 
 @pytest.fixture
@@ -261,9 +272,10 @@ def recorded(told: Told, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ros: N
     def run(
         arriving: Sequence[tuple[msg.Topic, int, bytes]] = fleet.bag,
         at: Mapping[int, Callable[[], object]] = MappingProxyType({}),
+        writers: Mapping[bytes, bytes] = MappingProxyType({}),
         **values: str,
     ) -> int:
-        heard = Heard(told, arriving, at)
+        heard = Heard(told, arriving, at, writers)
         monkeypatch.setattr(realtime, "Receiver", lambda *_, **__: heard)
         usual = {**parameters(fleet.scenario, tmp_path), "period_ns": str(fleet.scenario.step_ns)}
         words = given(**{**usual, "epoch_ns": str(EPOCH), **values})
@@ -309,6 +321,21 @@ def test_what_is_heard_up_to_the_last_step_is_recorded(
     assert "1 malformed messages were not recorded" in capfd.readouterr().err
 
 
+def test_each_message_is_that_of_its_own_writer(recorded: Callable[..., int], told: Told, tmp_path: Path) -> None:
+    """A second sender contradicts each state of the plane at once: the first one is recorded."""
+    arriving, writers = [], {}
+    for stored in world("brief").bag:
+        arriving.append(stored)
+        if isinstance(stored.message, msg.PlaneState):
+            forged = encode(stored.message._replace(angle=0.5))
+            arriving.append(stored._replace(payload=forged))
+            writers |= {stored.payload: b"1" * 16, forged: b"2" * 16}
+    assert recorded(arriving, writers=writers, last_step="40") == 0
+    planes = [payload for _, _, payload in open_bag(tmp_path / "bag").messages((msg.PLANE_STATE,))]
+    assert planes == [s.payload for s in world("brief").bag if s.topic is msg.PLANE_STATE and s.message.step <= 40]
+    assert told.of("done")[0]["figures"]["realtime"]["dropped"] == {"repeated": 0, "different": 41, "refused": 0}
+
+
 FALLEN = "t = 0.3 s, step 30: the plane's angle is 1.5 rad"
 
 
@@ -346,7 +373,8 @@ def test_the_recording_of_a_fleet_ends_when_it_is_told_to_and_a_run_fails_with_i
     assert done["complete"] == (aborted is None)
     for said, expected in ((done["problem"], problem), (bag.aborted(), aborted)):
         assert (said or "").startswith(expected or "") and bool(said) == bool(expected)
-    assert 0 < bag.message_count == done["figures"]["messages"] <= len(arriving)
+    heard = sum(stored.time <= told.now for stored in arriving)
+    assert 0 < bag.message_count == done["figures"]["messages"] == heard, "also what arrives while it is stopped"
     assert [event for event, _ in told.reports][:2] == ["ready", "ready"]
     assert len(told.of("failed")) == (wait > 20)
     seconds = (told.now - EPOCH) // SECOND

@@ -1,6 +1,6 @@
 from contextlib import suppress
 from functools import cache
-from math import inf, isfinite
+from math import inf, isfinite, nan
 from random import Random
 from typing import Any
 
@@ -308,6 +308,7 @@ def test_of_two_senders_the_first_is_recorded_and_two_events_tell_of_all_steps(
     begun, ended = ((at, said) for at, said in told)
     assert begun == (10, Dispute(SECOND_WRITER, topic.name, robot, 10 + min(0, lead), None))
     assert ended == (299 + QUIET_STEPS + 1, Dispute(SECOND_WRITER, topic.name, robot, None, 299 + max(0, lead)))
+    assert [m.value for _, m in found if isinstance(m, msg.SwarmEvent)] == [1.0, 290.0], "messages in dispute"
     health = kept.writers.warned(Health(Level.OK, "recording"))
     assert "a second sender speaks for" in health.text and health.level is Level.WARN
 
@@ -378,6 +379,13 @@ def test_what_is_of_another_swarm_or_time_is_refused(message: msg.Message, reaso
     assert kept.refused == 2
 
 
+def test_messages_are_recorded_up_to_an_age() -> None:
+    kept = Kept()
+    assert kept.take(PLANE, CLOCK.begin(5 + MEMORY)) == (PLANE,)
+    (event,) = kept.take(PLANE._replace(angle=0.2), CLOCK.begin(5 + MEMORY + 1))
+    assert isinstance(event, msg.SwarmEvent) and "a step far from now" in event.detail
+
+
 def test_memory_is_bounded_whatever_the_clock_does() -> None:
     kept = Kept()
     for step in (*range(5 * MEMORY), 10**6, 10**9, 10**9 + 1, 3):
@@ -403,6 +411,21 @@ def test_the_error_counts_in_the_time_of_the_law() -> None:
     assert summary["messages"] == 24
 
 
+def test_a_state_of_the_plane_waits_for_its_answer_while_a_hundred_others_come() -> None:
+    waiting = figures(*(PLANE._replace(step=step) for step in range(101)))
+    waiting.add(Record.of(BASIS._replace(step=0, begun=0)))
+    assert waiting.figures()["final_error"] is None
+    waiting.add(Record.of(BASIS._replace(step=1, begun=0)))
+    assert waiting.figures()["final_error"] is not None
+
+
+def test_a_position_that_is_no_number_is_not_passed_over() -> None:
+    metrics = RunFigures(lambda _: 0.0)
+    for distance, largest in ((0.5, 0.5), (0.7, 0.7), (0.6, 0.7), (nan, None)):
+        metrics.reach(distance)
+        assert metrics.figures()["max_abs_position"] == largest
+
+
 def test_the_first_state_of_a_fallen_plane_is_named() -> None:
     found = figures(*(PLANE._replace(step=step, angle=-1.4999) for step in range(100)))
     assert not found.fallen
@@ -426,9 +449,11 @@ def test_losses_ages_and_stops() -> None:
     robots = [ROBOT._replace(step=step, broadcast_step=3) for step in (5, 6, 9)]
     robots += [ROBOT._replace(step=step + 100, agent_id=1, broadcast_step=msg.NEVER) for step in (5, 6, 9)]
     planes = [PLANE._replace(step=step) for step in (2, 4)]
-    said: dict[str, Any] = figures(*robots, *planes, EVENT._replace(kind=msg.EventKind.SAFE_STOP)).realtime()
+    asked = [ASKED, ASKED._replace(mode=msg.Mode.STOP)]  # two of one step
+    said: dict[str, Any] = figures(*robots, *planes, *asked, EVENT._replace(kind=msg.EventKind.SAFE_STOP)).realtime()
     assert said["losses"]["swarm/agent_state"] == {"received": 6, "missing": 4}
     assert said["losses"]["plane/state"] == {"received": 2, "missing": 1}
+    assert said["losses"]["swarm/desired_abstract_state"] == {"received": 2, "missing": 0}
     assert said["losses"]["swarm/abstract_state"] == {"received": 0, "missing": 0}
     assert said["broadcast_ages"] == {"2": 1, "3": 1, "6": 1}
     assert said["safe_stops"] == 1
@@ -441,9 +466,12 @@ def of(participant: bytes, entity: int) -> bytes:
 
 def test_an_event_waits_until_more_is_heard_of_its_process_and_strangers_events_are_dropped_and_told() -> None:
     kept, strange = Kept(), EVENT._replace(detail="forged")
+    others = EVENT._replace(step=4), EVENT._replace(detail="another")
     assert kept.take(EVENT, CLOCK.begin(5), of(FIRST, 7)) == ()
     assert kept.take(strange, CLOCK.begin(5), of(SECOND, 7)) == ()
-    assert kept.take(ROBOT, CLOCK.begin(5), of(FIRST, 4)) == (ROBOT, EVENT)
+    for event in (*others, EVENT):
+        assert kept.take(event, CLOCK.begin(5), of(FIRST, 7)) == ()
+    assert kept.take(ROBOT, CLOCK.begin(5), of(FIRST, 4)) == (ROBOT, EVENT, *others), "each once, in order of arrival"
     later = EVENT._replace(step=6)
     assert kept.take(later, CLOCK.begin(6), of(FIRST, 7)) == (later,)
     assert kept.take(PLANE._replace(angle=9.0), CLOCK.begin(6), of(SECOND, 3)) != (), "nobody believes it"

@@ -79,13 +79,17 @@ def topics_in(folder: Path) -> dict[str, int]:
 
 @pytest.fixture
 def foreign(tmp_path: Path) -> Path:
-    """Return the folder of a bag as rosbag2 writes it: a topic without messages is in the summary section only."""
+    """Return the folder of a bag as rosbag2 writes it.
+
+    A topic without messages is in the summary section only, and one has two publishers with channels of their own.
+    """
     folder = tmp_path / "foreign"
     folder.mkdir()
     with Recorded(folder / "foreign_0.mcap", chunk_size=1000) as bag:
-        chatter = bag.channel("/chatter", topic_type_hash="RIHS01_ab")
+        offered = ("[]", "[{depth: 3}]")
+        chatter = [bag.channel("/chatter", topic_type_hash="RIHS01_ab", offered_qos_profiles=qos) for qos in offered]
         for number in range(100):
-            bag.message(chatter, b"\0\1\0\0%04d" % number, 10 * number)
+            bag.message(chatter[number % 3 // 2], b"\0\1\0\0%04d" % number, 10 * number)
         bag.writer.flush()  # what is defined from here on is in no chunk
         bag.channel("/silent", "std_msgs/msg/Empty", topic_type_hash="RIHS01_cd")
     describe(folder, {"/chatter": 100, "/silent": 0})

@@ -305,6 +305,18 @@ def test_error_is_remembered_until_abort(tmp_path: Path, run: list[Message], dis
     assert (open_bag(tmp_path / "bag").message_count, open_bag(tmp_path / "bag").aborted()) == (0, "first")
 
 
+def test_a_file_that_cannot_be_begun_is_not_there(tmp_path: Path, run: list[Message], disk: Disk) -> None:
+    split = Split(nanoseconds=STEPS_PER_FILE * PERIOD)
+    writer = bag_writer(tmp_path / "bag", {"scenario.yaml": SCENARIO}, chunk_bytes=2000, split=split)
+    write_all(writer, [message for message in run if message.step < STEPS_PER_FILE])
+    disk.free = 0
+    with pytest.raises(BagWriteError, match=r"bag_1\.mcap: No space left"):
+        writer.write(*plane(STEPS_PER_FILE))
+    assert [path.name for path in (tmp_path / "bag").iterdir()] == ["bag_0.mcap"]
+    writer.abort("full")
+    assert beginning_kept(tmp_path / "bag", run) > 60
+
+
 def test_a_lost_end_of_the_file_costs_its_last_chunks(tmp_path: Path, run: list[Message], disk: Disk) -> None:
     kept = []
     for reserve in (RESERVE, 0):
