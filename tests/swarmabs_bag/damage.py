@@ -18,9 +18,9 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Message, MessageIndex, Metadata, Schema
 from mcap.stream_reader import StreamReader
-from tests.swarmabs_bag.mcap_files import MAGIC, chunk, record, sealed, split
+from tests.swarmabs_bag.mcap_files import MAGIC, chunk, inner_records, record, sealed, split
 
-from swarmabs_bag.mcap.records import RecordError, encoded, inner_records, read_records, uncompress
+from swarmabs_bag.mcap.records import RecordError, encoded, read_records, uncompress
 from swarmabs_bag.run.metadata import load_yaml
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.cdr import encode
@@ -178,7 +178,7 @@ def change_records(bag: bytes, draw: random.Random) -> bytes:
     if draw.random() < 0.7:
         place = draw.choice(places)
         data = uncompress(split(bag)[place])
-        inner = [(opcode, bytearray(data[begin:end])) for opcode, begin, end in inner_records(data, 0)]
+        inner = [(opcode, bytearray(content)) for opcode, content in inner_records(data)]
         _change(inner, draw)
         end = draw.choice((b"", b"", b"\x05", b"\x05" + b"\xff" * 8))
         made = chunk(_stored(inner) + end, draw.choice(("zstd", "zstd", "lz4", "")), crc=draw.choice((None, 0)))

@@ -74,6 +74,16 @@ def chunk(
     return record(Opcode.CHUNK, head + text(compression.encode()) + struct.pack("<Q", len(packed)) + packed)
 
 
+def inner_records(data: bytes) -> list[tuple[int, bytes]]:
+    """Return opcode and content of each record in the content of a chunk."""
+    records, position = [], 0
+    while position < len(data):
+        opcode, length = struct.unpack_from("<BQ", data, position)
+        records.append((opcode, data[position + 9 : position + 9 + length]))
+        position += 9 + length
+    return records
+
+
 def split(bag: bytes) -> list[Record]:
     """Return the records of the data section."""
     return [found for found in read_records(BytesIO(bag), len(MAGIC), len(bag)) if found.opcode != Opcode.DATA_END]

@@ -15,10 +15,10 @@ from mcap.opcode import Opcode
 from tests.processes import SEARCH_PATH
 from tests.swarmabs_bag.answers import read_everywhere
 from tests.swarmabs_bag.fuzz import KINDS
-from tests.swarmabs_bag.mcap_files import chunk, joined, record, sealed, split
+from tests.swarmabs_bag.mcap_files import chunk, inner_records, joined, record, sealed, split
 
 from swarmabs_bag.arrays import available_memory
-from swarmabs_bag.mcap.records import inner_records, uncompress
+from swarmabs_bag.mcap.records import uncompress
 from swarmabs_bag.reader import open_bag
 
 SIZE, ALLOWED, PART = (2**20 * number for number in (96, 32, 4))
@@ -81,9 +81,7 @@ def test_large_bag_is_described_and_iterated_over_but_not_loaded(bag: Path, tmp_
     """It is several times larger than what the program is allowed: one chunk again and again, not compressed."""
     records = split((bag / "bag_0.mcap").read_bytes())
     data = b"".join(uncompress(found) for found in records if found.opcode == Opcode.CHUNK)
-    messages = b"".join(
-        record(opcode, data[begin:end]) for opcode, begin, end in inner_records(data, 0) if opcode == Opcode.MESSAGE
-    )
+    messages = b"".join(record(opcode, content) for opcode, content in inner_records(data) if opcode == Opcode.MESSAGE)
     one = chunk(data + messages * (PART // len(messages)), "", crc=0, times=(0, 400_000_000))
     file = tmp_path / "x.mcap"
     file.write_bytes(sealed(joined(records[:1]) + one * (SIZE // len(one))))

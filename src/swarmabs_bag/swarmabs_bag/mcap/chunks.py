@@ -5,17 +5,18 @@ from __future__ import annotations
 import struct
 import zlib
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Chunk
 
-from swarmabs_bag.mcap.records import HEAD_SIZE
+from swarmabs_bag.mcap.records import MESSAGE_HEAD_SIZE
+from swarmabs_bag.mcap.stored import UINT32, UINT64, index_entries, plain_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -29,7 +30,12 @@ _SEQUENCE_MASK = 2**32 - 1
 
 def _message_head(channel: int, size: int) -> bytes:
     """Return opcode, length and channel of a message record with a payload of this size."""
-    return _MESSAGE_HEAD.pack(Opcode.MESSAGE, _BEFORE_PAYLOAD - HEAD_SIZE + size, channel)
+    return _MESSAGE_HEAD.pack(Opcode.MESSAGE, MESSAGE_HEAD_SIZE + size, channel)
+
+
+def message_index(channel: int, entries: bytes | bytearray) -> bytes:
+    """Return the message index record of a channel in a chunk."""
+    return _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries
 
 
 class Column(NamedTuple):
@@ -62,14 +68,17 @@ class _Group(NamedTuple):
 @lru_cache(maxsize=64)
 def _group(columns: tuple[tuple[int, int, int], ...]) -> _Group:
     """Return a group of columns, each given by channel, number of messages and size of a payload."""
-    fields: list[Any] = []
-    for number, (_, count, size) in enumerate(columns):
-        record: list[Any] = [("head", f"V{_MESSAGE_HEAD.size}"), ("sequence", "<u4"), ("times", "<u8", (2,))]
-        fields.append((str(number), np.dtype([*record, ("payload", f"V{size}")]), (count,)))
+    layout = np.dtype([(str(number), _record(size), (count,)) for number, (_, count, size) in enumerate(columns)])
     channels, counts, sizes = np.array(columns, dtype=np.int64).T
     sizes = np.repeat(_BEFORE_PAYLOAD + sizes, counts)
     ends = np.cumsum(sizes)
-    return _Group(np.dtype(fields), np.repeat(channels, counts), ends - sizes, ends)
+    return _Group(layout, np.repeat(channels, counts), ends - sizes, ends)
+
+
+def _record(size: int) -> np.dtype[np.void]:
+    """Return the layout of a message record with a payload of this size."""
+    head, payload = plain_bytes(_MESSAGE_HEAD.size), plain_bytes(size)
+    return np.dtype([("head", head), ("sequence", UINT32), ("times", UINT64, (2,)), ("payload", payload)])
 
 
 class MessageRecords:
@@ -86,9 +95,11 @@ class MessageRecords:
     ----------
     data : memoryview
         The records.
+    channels, times, begins, ends : ndarray, (K * M,)
+        Of each message the channel, the log time in ns, and where its record begins and ends in `data`.
     """
 
-    __slots__ = ("_begins", "_channels", "_ends", "_times", "data")
+    __slots__ = ("begins", "channels", "data", "ends", "times")
 
     def __init__(self, times: NDArray[np.int64], columns: Sequence[Column]) -> None:
         group = _group(tuple((c.channel, c.payloads.shape[1], c.payloads.itemsize) for c in columns))
@@ -98,42 +109,21 @@ class MessageRecords:
             records["head"] = np.void(_message_head(channel, size))
             records["sequence"] = np.arange(sequence, sequence + payloads.size).reshape(records.shape) & _SEQUENCE_MASK
             records["times"] = times[:, np.newaxis, np.newaxis]
-            records["payload"] = payloads.view(f"V{size}").reshape(records.shape)
+            records["payload"] = payloads.view(plain_bytes(size)).reshape(records.shape)
         self.data = memoryview(rows.view(np.uint8))
         starts = np.arange(len(times))[:, np.newaxis] * rows.itemsize
-        self._begins, self._ends = (starts + group.begins).ravel(), (starts + group.ends).ravel()
-        self._channels, self._times = group.channels, times
+        self.begins, self.ends = (starts + group.begins).ravel(), (starts + group.ends).ravel()
+        self.channels = np.tile(group.channels, len(times))
+        self.times = np.repeat(times, len(group.channels))
 
     def __len__(self) -> int:
         """Return the number of messages."""
-        return len(self._ends)
+        return len(self.ends)
 
     def until(self, first: int, size: int) -> int:
         """Return the message after the one from `first` on with whose record they exceed a size, bytes."""
-        exceeding = int(np.searchsorted(self._ends, int(self._begins[first]) + size, side="right"))
+        exceeding = int(np.searchsorted(self.ends, int(self.begins[first]) + size, side="right"))
         return min(max(exceeding, first) + 1, len(self))
-
-    def stored(self, first: int, stop: int) -> memoryview:
-        """Return the records of messages `first` to `stop` - 1."""
-        return self.data[int(self._begins[first]) : int(self._ends[stop - 1])]
-
-    def times(self, first: int, stop: int) -> NDArray[np.int64]:
-        """Return the log times of the groups of messages `first` to `stop` - 1, ns."""
-        count = len(self._channels)
-        return self._times[first // count : (stop - 1) // count + 1]
-
-    def entries(self, first: int, stop: int, offset: int) -> Iterator[tuple[int, bytes]]:
-        """Yield each channel of messages `first` to `stop` - 1, in order, with the entries of its message index.
-
-        `offset` is that of the first record in its chunk.
-        """
-        groups, places = np.divmod(np.arange(first, stop), len(self._channels))
-        channels = self._channels[places]
-        entries = np.empty((stop - first, 2), dtype=np.int64)
-        entries[:, 0] = self._times[groups]
-        entries[:, 1] = self._begins[first:stop] - (self._begins[first] - offset)
-        for channel in dict.fromkeys(channels[: len(self._channels)].tolist()):
-            yield channel, entries[channels == channel].tobytes()
 
 
 def group_size(columns: Sequence[Column]) -> int:
@@ -155,10 +145,7 @@ class Contents(NamedTuple):
 
     def indexes(self) -> list[tuple[int, bytes]]:
         """Return the channels with their message index records."""
-        return [
-            (channel, _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(listed), channel, len(listed)) + listed)
-            for channel, listed in self.entries.items()
-        ]
+        return [(channel, message_index(channel, entries)) for channel, entries in self.entries.items()]
 
     def packed(self) -> Chunk:
         """Return the chunk record, compressed as the mcap library compresses it."""
@@ -210,11 +197,12 @@ class ChunkBuilder:
     def add_records(self, records: MessageRecords, first: int) -> int:
         """Add message `first` and those after it until the chunk is full; return the number of the next one."""
         stop = records.until(first, self._limit - len(self._data))
-        times = records.times(first, stop)
+        times, begins = records.times[first:stop], records.begins[first:stop]
         self._cover(int(np.min(times)), int(np.max(times)))
-        for channel, entries in records.entries(first, stop, len(self._data)):
+        offsets = begins - begins[0] + len(self._data)
+        for channel, entries in index_entries(records.channels[first:stop], times, offsets).items():
             self._index(channel, entries)
-        self._data += records.stored(first, stop)
+        self._data += records.data[int(begins[0]) : int(records.ends[stop - 1])]
         return stop
 
     def take(self) -> Contents:

@@ -93,7 +93,7 @@ class McapFile:
     def finish(self, description: str) -> None:
         """Write the current chunk, rosbag2's description, the summary section and the end of the file."""
         self.flush()
-        for piece in ending(self._index, description, with_empty_groups=True):
+        for piece in ending(self._index, description):
             self._output.write(piece)
 
     def _put(self, record: bytes) -> None:

@@ -398,19 +398,18 @@ def _check_summary_crc(stream: BinaryIO, footer: Footer, footer_start: int) -> N
         raise RecordError(footer.summary_start, "the CRC of the summary section does not match")
 
 
-def ending(index: FileIndex, description: str, *, with_empty_groups: bool = False) -> Iterator[bytes]:
+def ending(index: FileIndex, description: str) -> Iterator[bytes]:
     """Yield the bytes that complete a file with these records: rosbag2's description and the `tail`."""
     record = encoded(Metadata(name=RECORD_NAME, metadata={RECORD_KEY: description}))
     index.take(Record(index.data_end, Opcode.METADATA, record[HEAD_SIZE:]))
     yield record
-    yield from tail(index, with_empty_groups=with_empty_groups)
+    yield from tail(index)
 
 
-def tail(index: FileIndex, *, with_empty_groups: bool = False) -> Iterator[bytes]:
+def tail(index: FileIndex) -> Iterator[bytes]:
     """Yield the end of a file with the records of `index`: end of the data section, summary section, footer.
 
-    Its position is `FileIndex.data_end`. The summary section may also state the place of groups without records, as the
-    mcap library does.
+    Its position is `FileIndex.data_end`. As by the mcap library, the place of groups without records is stated too.
     """
     data_end = encoded(DataEnd(data_section_crc=index.crc))
     yield data_end
@@ -426,11 +425,10 @@ def tail(index: FileIndex, *, with_empty_groups: bool = False) -> Iterator[bytes
     summary, offsets = bytearray(), bytearray()
     for opcode, records in groups:
         group = b"".join(map(encoded, records))
-        if group or with_empty_groups:
-            offsets += encoded(
-                SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
-            )
-            summary += group
+        offsets += encoded(
+            SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
+        )
+        summary += group
     offsets_start = start + len(summary)
     summary += offsets
     head = _FOOTER_HEAD.pack(Opcode.FOOTER, _FOOTER_SIZE - HEAD_SIZE, start, offsets_start)

@@ -14,7 +14,7 @@ _RESERVE_STEP = 2**16
 
 
 class RecordFile:
-    """A new file as the output stream of an MCAP writer, which buffers writes until `commit`.
+    """A new file of complete records, which buffers writes until `commit`.
 
     A failed commit is undone by truncating the file to the previous one. Between two commits the file therefore always
     ends with a complete record, even if the process is killed. A file that exists, or cannot be created, raises
@@ -24,33 +24,21 @@ class RecordFile:
     def __init__(self, path: Path) -> None:
         self.raw = path.open("x+b", buffering=0)
         self._pending: list[bytes] = []
-        self._pending_size = 0
         self.committed = 0
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: bytes) -> None:
         """Buffer the bytes of one or more complete records."""
-        if data:
-            self._pending.append(data)
-            self._pending_size += len(data)
-        return len(data)
+        self._pending.append(data)
 
     @property
     def pending(self) -> bool:
         """Whether there are uncommitted writes."""
         return bool(self._pending)
 
-    def tell(self) -> int:
-        """Return the position after all writes, committed or not."""
-        return self.committed + self._pending_size
-
-    def flush(self) -> None:
-        """Do nothing: only `commit` writes to the file."""
-
     def commit(self) -> None:
         """Pass all buffered writes to the operating system; after an `OSError` none of them is in the file."""
         data = memoryview(b"".join(self._pending))
         self._pending.clear()
-        self._pending_size = 0
         try:
             self.raw.seek(self.committed)
             done = 0
@@ -64,7 +52,6 @@ class RecordFile:
     def cut(self, end: int) -> None:
         """Truncate the file at `end`, if the disk still allows it."""
         self._pending.clear()
-        self._pending_size = 0
         self.committed = end
         with suppress(OSError):
             self.raw.truncate(end)

@@ -29,6 +29,9 @@ MAGIC = b"\x89MCAP0\r\n"
 HEAD_SIZE = 9
 """Bytes of a record before its content: opcode and length."""
 
+MESSAGE_HEAD_SIZE = 22
+"""Bytes of a message's content before its payload: channel, sequence number, log and publish time."""
+
 MAX_SIZE = 2**28
 """Size, bytes, above which records and uncompressed chunks count as damaged."""
 
@@ -210,20 +213,6 @@ def uncompressed(compression: str, data: bytes, size: int, *, cut_off: bool = Fa
     if compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1 - cut_off))
     raise ValueError(f"unknown compression {compression!r}")
-
-
-def inner_records(data: bytes, offset: int) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, begin and end of the content of each record in the chunk at `offset`."""
-    position, size, unpack = 0, len(data), _HEAD.unpack_from
-    while position < size:
-        if position + HEAD_SIZE > size:
-            raise RecordError(offset, "the chunk ends within the head of a record")
-        opcode, length = unpack(data, position)
-        begin = position + HEAD_SIZE
-        position = begin + length
-        if position > size:
-            raise RecordError(offset, f"a record of {length} bytes exceeds its chunk")
-        yield opcode, begin, position
 
 
 def indexed_channel(record: Record) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from swarmabs_bag.mcap.records import HEAD_SIZE, RecordError, StoredMessage
+from swarmabs_bag.mcap.records import HEAD_SIZE, MESSAGE_HEAD_SIZE, RecordError, StoredMessage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -17,18 +17,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-_HEAD = np.dtype(
+UINT16, UINT32, UINT64 = (np.dtype(kind).newbyteorder("<") for kind in (np.uint16, np.uint32, np.uint64))
+"""Numbers as they are stored in a file."""
+
+MESSAGE_HEAD = np.dtype(
     [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel_id", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
+        ("opcode", np.uint8),
+        ("length", UINT64),
+        ("channel_id", UINT16),
+        ("sequence", UINT32),
+        ("log_time", UINT64),
+        ("publish_time", UINT64),
     ]
 )
-_LEAST = _HEAD.itemsize - HEAD_SIZE
-"""Bytes of a message record without a payload."""
+"""The bytes of a message record before its payload."""
 _LENGTH = struct.Struct("<xQ")
 
 
@@ -49,12 +51,12 @@ class StoredMessages:
 
     def __init__(self, data: bytes, heads: NDArray[np.void], begins: NDArray[np.int64]) -> None:
         self.data, self.heads, self.begins = data, heads, begins
-        self.sizes = heads["length"].astype(np.int64) - _LEAST
+        self.sizes = heads["length"].astype(np.int64) - MESSAGE_HEAD_SIZE
 
     @classmethod
     def at(cls, data: bytes, starts: NDArray[np.int64]) -> Self:
         """Return the messages whose records start at these places in the data."""
-        return cls(data, _at(data, starts, _HEAD), starts + _HEAD.itemsize)
+        return cls(data, _at(data, starts, MESSAGE_HEAD), starts + MESSAGE_HEAD.itemsize)
 
     def __getitem__(self, selected: slice | NDArray[np.bool_]) -> Self:
         """Return some of the messages, in the same data."""
@@ -84,10 +86,10 @@ class StoredMessages:
 
     def renumber(self, numbers: Mapping[int, int]) -> None:
         """Replace the numbers of channels; those not given stay."""
-        known = self.heads["channel_id"].copy()
+        before = self.heads["channel_id"].copy()
         for old, new in numbers.items():
             if old != new:
-                self.heads["channel_id"][known == old] = new
+                self.heads["channel_id"][before == old] = new
 
     def add_to(self, statistics: Statistics) -> None:
         """Count the messages in statistics without messages."""
@@ -105,42 +107,74 @@ class StoredMessages:
 
     def gathered(self, begins: NDArray[np.int64], size: int) -> bytes:
         """Return the joined bytes of payloads of a size (bytes) that begin at places in the data."""
-        return _at(self.data, begins, np.dtype(f"V{size}")).tobytes()
+        return _at(self.data, begins, plain_bytes(size)).tobytes()
+
+    def index_entries(self) -> dict[int, bytes]:
+        """Return the entries of the message indexes by channel."""
+        return index_entries(self.heads["channel_id"], self.heads["log_time"], self.begins - MESSAGE_HEAD.itemsize)
+
+
+class InnerRecord(NamedTuple):
+    """A record in a chunk: opcode, and where its content begins and ends."""
+
+    opcode: int
+    begin: int
+    end: int
 
 
 class ChunkContent(NamedTuple):
-    """The records in a chunk: messages, the others with opcode, begin and end, and why not all could be read."""
+    """The records in a chunk: messages, the others, where they end, and why not all could be read."""
 
     messages: StoredMessages
-    others: list[tuple[int, int, int]]
+    others: list[InnerRecord]
+    end: int
     problem: RecordError | None
 
     @classmethod
     def of(cls, data: bytes, offset: int) -> ChunkContent:
         """Return the records in the chunk at `offset` of a file, up to the first that is cut off."""
-        found, position, size, unpack = [], 0, len(data), _LENGTH.unpack_from
+        positions, position, size, unpack = [], 0, len(data), _LENGTH.unpack_from
         problem = None
         last = size - HEAD_SIZE
         while position <= last:
-            found.append(position)
+            positions.append(position)
             position += HEAD_SIZE + unpack(data, position)[0]
         if position > size:
-            length, position = position - HEAD_SIZE - found[-1], found.pop()
+            length, position = position - HEAD_SIZE - positions[-1], positions.pop()
             problem = RecordError(offset, f"a record of {length} bytes exceeds its chunk")
         elif position < size:
             problem = RecordError(offset, "the chunk ends within the head of a record")
-        starts = np.array(found, dtype=np.int64)
+        starts = np.array(positions, dtype=np.int64)
         opcodes = np.frombuffer(data, dtype=np.uint8)[starts]
         ends = np.append(starts[1:], position)[: len(starts)]
-        short = np.flatnonzero((opcodes == Opcode.MESSAGE) & (ends - starts < _HEAD.itemsize))
+        short = np.flatnonzero((opcodes == Opcode.MESSAGE) & (ends - starts < MESSAGE_HEAD.itemsize))
         if len(short):
+            position = int(starts[short[0]])
             starts, ends, opcodes = starts[: short[0]], ends[: short[0]], opcodes[: short[0]]
             problem = RecordError(offset, "a message record is cut off")
         of_messages = opcodes == Opcode.MESSAGE
         others = [
-            (int(opcodes[n]), int(starts[n]) + HEAD_SIZE, int(ends[n])) for n in np.flatnonzero(~of_messages).tolist()
+            InnerRecord(int(opcodes[n]), int(starts[n]) + HEAD_SIZE, int(ends[n]))
+            for n in np.flatnonzero(~of_messages).tolist()
         ]
-        return cls(StoredMessages.at(data, starts[of_messages]), others, problem)
+        return cls(StoredMessages.at(data, starts[of_messages]), others, position, problem)
+
+
+def plain_bytes(size: int) -> np.dtype[np.void]:
+    """Return the type of so many bytes without a meaning."""
+    return np.dtype((np.void, size))
+
+
+def index_entries(
+    channels: NDArray[np.integer], times: NDArray[np.integer], offsets: NDArray[np.int64]
+) -> dict[int, bytes]:
+    """Return the entries of the message indexes of a chunk by channel: log times (ns), and offsets of the records.
+
+    The channels are in the order of their first messages.
+    """
+    entries = np.empty((len(channels), 2), dtype=UINT64)
+    entries[:, 0], entries[:, 1] = times, offsets
+    return {channel: entries[channels == channel].tobytes() for channel in dict.fromkeys(channels.tolist())}
 
 
 def _at(data: bytes, places: NDArray[np.int64], layout: np.dtype[np.void]) -> NDArray[np.void]:
@@ -148,6 +182,6 @@ def _at(data: bytes, places: NDArray[np.int64], layout: np.dtype[np.void]) -> ND
     size = layout.itemsize
     if not len(places):
         return np.empty(0, dtype=layout)
-    overlapping = np.ndarray((len(data) - size + 1,), dtype=f"V{size}", buffer=data, strides=(1,))
-    found: NDArray[np.void] = overlapping[places].view(layout)
-    return found
+    overlapping = np.ndarray((len(data) - size + 1,), dtype=plain_bytes(size), buffer=data, strides=(1,))
+    rows: NDArray[np.void] = overlapping[places].view(layout)
+    return rows

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import struct
 import zlib
+from math import inf
 from typing import TYPE_CHECKING, BinaryIO
 
-import zstandard
+import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Header, Metadata
+from mcap.records import Channel, Header, Metadata
 
+from swarmabs_bag.mcap.chunks import ChunkBuilder, message_index
 from swarmabs_bag.mcap.index import RECORD_KEY, RECORD_NAME, FileIndex, ending, read_index
 from swarmabs_bag.mcap.records import (
     HEAD_SIZE,
     MAGIC,
+    MESSAGE_HEAD_SIZE,
     Record,
     RecordError,
+    StoredMessage,
     encoded,
-    inner_records,
     message_head,
     parse,
 )
+from swarmabs_bag.mcap.stored import ChunkContent
 from swarmabs_bag.repair.salvage import Damage, Salvage
 from swarmabs_bag.run.channels import bag_topics
 from swarmabs_bag.run.metadata import FileRecord, bag_metadata, dump_yaml
@@ -36,7 +40,6 @@ OWN = "swarmabs"
 
 _PROFILE = "ros2"
 _CHUNK_TIMES = struct.Struct("<QQ")
-_INDEX_ENTRY = struct.Struct("<QQ")
 _CHUNK_BYTES = 2**20
 
 
@@ -92,7 +95,7 @@ class Rebuilt:
         self.gaps: dict[int, int] = {}
         self.description = ""
         self._output = output
-        self._loose = bytearray()
+        self._loose = ChunkBuilder(_CHUNK_BYTES)
         self._expected: dict[int, bytes] = {}
         self._next_sequence: dict[int, int] = {}
         try:
@@ -120,7 +123,8 @@ class Rebuilt:
         elif record.opcode == Opcode.CHUNK:
             self._take_chunk(record, saved.data, cut=saved.cut)
         elif record.opcode == Opcode.MESSAGE:
-            self._take_loose(record.content, record.offset)
+            head = message_head(record.content, 0, len(record.content), record.offset)
+            self._take_loose(StoredMessage(*head, record.content[MESSAGE_HEAD_SIZE:]), record.offset)
         elif record.opcode == Opcode.METADATA and (metadata := parse(Metadata, record)).name == RECORD_NAME:
             self.description = metadata.metadata.get(RECORD_KEY, "")
         else:
@@ -157,32 +161,33 @@ class Rebuilt:
             self._output.commit()
 
     def _take_chunk(self, record: Record, data: bytes, *, cut: bool) -> None:
-        if not self._is_described(data, record.offset):
+        content = ChunkContent.of(data, record.offset)
+        if not self._is_described(content, data):
             self._define()
-        if not cut and self._is_described(data, record.offset):
+        if not cut and self._is_described(content, data):
             self._flush()
-            self._put_chunk(record, data)
+            self._put_chunk(record, content, data)
             return
-        for opcode, begin, end in inner_records(data, record.offset):
-            if opcode == Opcode.MESSAGE:
-                self._take_loose(data[begin:end], record.offset)
-            else:
-                self._put_other(opcode, data[begin:end])
+        for other in content.others:
+            self._put_other(other.opcode, data[other.begin : other.end])
+        for message in content.messages:
+            self._take_loose(message, record.offset)
 
-    def _is_described(self, data: bytes, offset: int) -> bool:
-        """Return whether the channels of all messages in a chunk, and their schemas, are known."""
-        known, schemas = set(self.index.channels), {0, *self.index.schemas}
-        for opcode, begin, _ in inner_records(data, offset):
+    def _is_described(self, content: ChunkContent, data: bytes) -> bool:
+        """Return whether all messages in a chunk follow the definitions of their channels, and these their schemas."""
+        defined: dict[int, float] = dict.fromkeys(self.index.channels, 0)  # where each channel is
+        schemas = {0, *self.index.schemas}
+        for opcode, begin, _ in content.others:
             number = int.from_bytes(data[begin : begin + 2], "little")
             if opcode == Opcode.SCHEMA:
                 schemas.add(number)
             elif opcode == Opcode.CHANNEL:
-                known.add(number)
+                defined.setdefault(number, begin)
                 if int.from_bytes(data[begin + 2 : begin + 4], "little") not in schemas:
                     return False
-            elif opcode == Opcode.MESSAGE and number not in known:
-                return False
-        return True
+        channels, firsts = np.unique(content.messages.heads["channel_id"], return_index=True)
+        begins = content.messages.begins[firsts].tolist()
+        return all(defined.get(number, inf) < begin for number, begin in zip(channels.tolist(), begins, strict=True))
 
     def _put_other(self, opcode: int, content: bytes) -> None:
         """Write a record outside of chunks; a channel whose schema was not found gets none."""
@@ -198,8 +203,9 @@ class Rebuilt:
     def _has_schema(self, channel: Channel) -> bool:
         return channel.schema_id in {0, *self.index.schemas}
 
-    def _take_loose(self, content: bytes, offset: int) -> None:
-        channel = int.from_bytes(content[:2], "little")
+    def _take_loose(self, message: StoredMessage, offset: int) -> None:
+        """Keep a message outside of chunks, or in a truncated one, for a new chunk."""
+        channel, sequence, log_time, publish_time, payload = message
         if channel not in self.index.channels:
             self._define()
         if channel not in self.index.channels:
@@ -208,9 +214,9 @@ class Rebuilt:
             if last is None or (last.offset, last.problem) != (offset, problem):
                 self.damage.append(Damage(offset, 0, problem))
             return
-        self._loose += Record(offset, Opcode.MESSAGE, content).stored
+        self._loose.add(channel, sequence, (log_time, publish_time), payload)
         self.repacked += 1
-        if len(self._loose) >= _CHUNK_BYTES:
+        if self._loose.full:
             self._flush()
 
     def _define(self) -> None:
@@ -229,48 +235,37 @@ class Rebuilt:
         """Write the messages outside of chunks to a new chunk."""
         self.reindexed += bool(self._expected)
         self._expected = {}
-        if not self._loose:
+        if self._loose.empty:
             return
-        data = bytes(self._loose)
-        self._loose.clear()
-        packed = zstandard.ZstdCompressor().compress(data)
-        chunk = Chunk(
-            compression="zstd",
-            data=packed,
-            message_start_time=0,
-            message_end_time=0,
-            uncompressed_crc=zlib.crc32(data),
-            uncompressed_size=len(data),
-        )
-        reindexed = self.reindexed
-        self._put_chunk(Record(self.index.data_end, Opcode.CHUNK, encoded(chunk)[HEAD_SIZE:]), data)
-        self._expected, self.reindexed = {}, reindexed
+        contents = self._loose.take()
+        record = Record(self.index.data_end, Opcode.CHUNK, encoded(contents.packed())[HEAD_SIZE:])
+        data = bytes(contents.data)
+        self._put_chunk(record, ChunkContent.of(data, record.offset), data)
+        self._expected = {}
 
-    def _put_chunk(self, record: Record, data: bytes) -> None:
+    def _put_chunk(self, record: Record, content: ChunkContent, data: bytes) -> None:
         """Write a chunk, with corrected times, and its message indexes."""
-        entries: dict[int, bytearray] = {}  # the library's MessageIndex needs ten times the memory
-        start, end = 2**64, 0
-        for opcode, begin, stop in inner_records(data, record.offset):
-            if opcode == Opcode.MESSAGE:
-                channel, sequence, time, _ = message_head(data, begin, stop, record.offset)
-                entries.setdefault(channel, bytearray()).extend(_INDEX_ENTRY.pack(time, begin - HEAD_SIZE))
-                start, end = min(start, time), max(end, time)
-                self._count_gap(channel, sequence)
-        content = record.content
-        if entries and _CHUNK_TIMES.unpack_from(content) != (start, end):
-            self.reindexed += 1
-            content = _CHUNK_TIMES.pack(start, end) + content[_CHUNK_TIMES.size :]
-        self._put(Opcode.CHUNK, content, data)
+        stored, heads = record.content, content.messages.heads
+        if len(heads):
+            times = int(heads["log_time"].min()), int(heads["log_time"].max())
+            if _CHUNK_TIMES.unpack_from(stored) != times:
+                self.reindexed += 1
+                stored = _CHUNK_TIMES.pack(*times) + stored[_CHUNK_TIMES.size :]
+        self._count_gaps(heads["channel_id"].tolist(), heads["sequence"].tolist())
+        self._put(Opcode.CHUNK, stored, data)
         self._expected = {
-            channel: struct.pack("<HI", channel, len(listed)) + listed for channel, listed in entries.items()
+            channel: message_index(channel, entries)[HEAD_SIZE:]
+            for channel, entries in content.messages.index_entries().items()
         }
-        for content in self._expected.values():
-            self._put(Opcode.MESSAGE_INDEX, content)
+        for index in self._expected.values():
+            self._put(Opcode.MESSAGE_INDEX, index)
 
-    def _count_gap(self, channel: int, sequence: int) -> None:
+    def _count_gaps(self, channels: list[int], sequences: list[int]) -> None:
+        """Count the messages that are missing before those with these channels and sequence numbers."""
         if not self.index.header.library.startswith(OWN):
             return
-        gap = sequence - self._next_sequence.get(channel, 0)
-        if gap > 0:
-            self.gaps[channel] = self.gaps.get(channel, 0) + gap
-        self._next_sequence[channel] = sequence + 1
+        for channel, sequence in zip(channels, sequences, strict=True):
+            gap = sequence - self._next_sequence.get(channel, 0)
+            if gap > 0:
+                self.gaps[channel] = self.gaps.get(channel, 0) + gap
+            self._next_sequence[channel] = sequence + 1

@@ -11,6 +11,7 @@ from functools import cached_property
 from io import BytesIO
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
+import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd
@@ -24,14 +25,13 @@ from swarmabs_bag.mcap.records import (
     UNREADABLE,
     Record,
     RecordError,
-    inner_records,
-    message_head,
     parse,
     read_record,
     record_length,
     uncompress,
     uncompressed,
 )
+from swarmabs_bag.mcap.stored import MESSAGE_HEAD, ChunkContent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -237,12 +237,22 @@ def _cut_chunk(stream: BinaryIO, offset: int, size: int) -> tuple[bytes, int, in
         data = uncompressed(chunk.compression, chunk.data, stated, cut_off=True)
     except UNCOMPRESSING:
         data = b""
-    whole, found = 0, FileIndex()
-    with suppress(RecordError):
-        for opcode, begin, stop in inner_records(data, offset):
-            found.take_inner(opcode, data, (begin, stop), offset)
-            late = opcode == Opcode.MESSAGE and not start <= message_head(data, begin, stop, offset)[2] <= end
-            if late or found.unknown is not None:
-                break
-            whole = stop
-    return data[:whole], start, end
+    return data[: _end_of_valid(ChunkContent.of(data, offset), data, start, end)], start, end
+
+
+def _end_of_valid(content: ChunkContent, data: bytes, start: int, end: int) -> int:
+    """Return where the records of a truncated chunk end that are valid: its messages are from `start` to `end`, ns."""
+    messages, valid = content.messages, content.end
+    times = messages.heads["log_time"]
+    outside = np.flatnonzero((times < start) | (times > end))
+    if len(outside):
+        valid = int(messages.begins[outside[0]]) - MESSAGE_HEAD.itemsize
+    definitions = FileIndex()
+    for opcode, begin, stop in content.others:
+        try:
+            definitions.take_inner(opcode, data, (begin, stop), begin)
+        except RecordError:
+            return min(valid, begin - HEAD_SIZE)
+        if definitions.unknown is not None:
+            return min(valid, begin - HEAD_SIZE)
+    return valid
