@@ -165,7 +165,7 @@ def test_kinds_have_the_colours_of_all_views(short_runs: Path) -> None:
     (run,) = (found.load() for found in find_runs([short_runs], ["arise_het_4"]).values())
     figure = Figure()
     axes = figure.add_subplot()
-    robots_by_kind(axes, run, run.arrays.agents.position)
+    robots_by_kind(axes, run.arrays, run.arrays.agents.position)
     drawn = [line.get_color() for line in axes.lines]
     assert drawn == [
         (SINGLE_INTEGRATOR if kind == Kind.SINGLE_INTEGRATOR else DOUBLE_INTEGRATOR).colour

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_analysis.figures.runs import RecordedRun
+    from swarmabs_core.arrays import RunArrays, SystemArrays
 
+    AnyArrays = RunArrays | SystemArrays
     Floats = NDArray[np.float64]
     Pair = tuple[Axes, Axes]
 
@@ -42,7 +44,7 @@ def draw_three_swarms(runs: Sequence[RecordedRun]) -> Figure:
     left, middle, right = panels.T
     parents = [parent_state(axes, run) for axes, run in zip(left, runs, strict=True)]
     for axes, run in zip(middle, runs, strict=True):
-        each_robot(axes, run, run.arrays.agents.position, "p")
+        each_robot(axes, run.arrays, run.arrays.agents.position, "p")
         axes.set_ylabel(_POSITION, labelpad=2.0)
     errors = [abstract_error(axes, run) for axes, run in zip(right, runs, strict=True)]
     same_limits(parents)
@@ -72,7 +74,7 @@ def draw_large_swarms(runs: Sequence[RecordedRun]) -> Figure:
     parents = [parent_state(axes, run) for axes, run in zip(panels[::2], runs, strict=True)]
     same_limits(parents)
     for pair, axes, run, letters in zip(parents, panels[1::2], runs, ("ab", "cd"), strict=True):
-        robots_by_kind(axes, run, run.arrays.agents.position)
+        robots_by_kind(axes, run.arrays, run.arrays.agents.position)
         axes.set_ylabel(_POSITION, labelpad=2.0)
         count = len(run.arrays.agents.ids)
         above(pair[0], f"{letters[0]}) {count} robots", _named(*pair))
@@ -96,20 +98,20 @@ def parent_state(axes: Axes, run: RecordedRun) -> Pair:
     return axes, other
 
 
-def each_robot(axes: Axes, run: RecordedRun, values: Floats, symbol: str) -> None:
+def each_robot(axes: Axes, arrays: AnyArrays, values: Floats, symbol: str) -> None:
     """Draw a quantity of a few robots, shape (n+1, N), in colours of kinds and dashes of robots, with their names."""
-    lines = robots_by_kind(axes, run, values)
-    for line, dashes, number in zip(lines, cycle(ROBOT_DASHES), run.arrays.agents.ids.tolist(), strict=False):
+    lines = robots_by_kind(axes, arrays, values)
+    for line, dashes, number in zip(lines, cycle(ROBOT_DASHES), arrays.agents.ids.tolist(), strict=False):
         line.set(linewidth=1.1, linestyle=dashes, label=f"{symbol}{str(number).translate(SUBSCRIPTS)}")
 
 
-def robots_by_kind(axes: Axes, run: RecordedRun, values: Floats) -> list[Line2D]:
+def robots_by_kind(axes: Axes, arrays: AnyArrays, values: Floats) -> list[Line2D]:
     """Draw a quantity of many robots, shape (n+1, N), as thin lines coloured by kind, and return the lines."""
-    agents = run.arrays.agents
+    agents = arrays.agents
     lines = []
     for column in range(len(agents.ids)):
         colour = KINDS[max(agents.kind[:, column].tolist())].colour
-        lines += axes.plot(run.arrays.time, values[:, column], color=colour, linewidth=0.4)
+        lines += axes.plot(arrays.time, values[:, column], color=colour, linewidth=0.4)
     return lines
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from swarmabs_analysis.figures.responses import SUBSCRIPTS, same_limits
-from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY, ROBOT_DASHES, SOLID
+from swarmabs_analysis.figures.responses import each_robot, robots_by_kind, same_limits
+from swarmabs_analysis.figures.style import BLACK, DASHED, DOTTED, GREY
 from swarmabs_analysis.report.percentile_bands import density, draw_bands
 from swarmabs_bag.shown.colours import ABSENT, ERROR, FAILED, PLANE, REFERENCE, SAFE_STOP, TORQUE
 from swarmabs_core.messages import EventKind, said
@@ -22,6 +22,7 @@ from swarmabs_core.theory.constraint_sets import ConstraintSets
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import FigureBase
     from numpy.typing import NDArray
@@ -75,9 +76,9 @@ class Mark(NamedTuple):
     colour: str
     dashes: Dashes
 
-    def look(self) -> dict[str, Any]:
-        """Return the keyword arguments for matplotlib."""
-        return {"color": self.colour, "linestyle": self.dashes, "linewidth": 0.9, "label": self.label}
+    def draw(self, across: Callable[..., Line2D]) -> None:
+        """Draw it by `Axes.axhline` or `Axes.axvline`."""
+        across(self.place, color=self.colour, linestyle=self.dashes, linewidth=0.9, label=self.label)
 
 
 def lines_over_time(
@@ -100,9 +101,9 @@ def lines_over_time(
             values = np.where(line.values > 0, line.values, np.nan) if positive else line.values
             axes.plot(time, values, color=line.colour, linestyle=line.dashes, label=line.label)
         if level is not None:
-            axes.axhline(level.place, **level.look())
+            level.draw(axes.axhline)
         if moment is not None:
-            axes.axvline(moment.place, **moment.look())
+            moment.draw(axes.axvline)
         axes.set_ylabel(label)
         if positive:
             _by_decades(axes, np.concatenate([line.values for line in lines]))
@@ -161,21 +162,11 @@ def _robots(axes: Axes, recorded: Recorded, values: Floats, symbol: str) -> Sequ
     count = len(recorded.arrays.agents.ids)
     if count > MANY:
         return draw_bands(axes, recorded, values)
-    agents, drawn = recorded.arrays.agents, set()
-    for column, number in enumerate(agents.ids.tolist()):
-        kind = max(agents.kind[:, column].tolist())
-        if np.isfinite(values[:, column]).any():
-            drawn.add(kind)
-        axes.plot(
-            recorded.arrays.time,
-            values[:, column],
-            color=KINDS[kind].colour,
-            linestyle=ROBOT_DASHES[column % len(ROBOT_DASHES)] if count <= NAMED else SOLID,
-            linewidth=1.1 if count <= NAMED else 0.4,
-            label=f"{symbol}{str(number).translate(SUBSCRIPTS)}",
-        )
     if count <= NAMED:
+        each_robot(axes, recorded.arrays, values, symbol)
         return axes.lines
+    robots_by_kind(axes, recorded.arrays, values)
+    drawn = set(recorded.arrays.agents.kind[:, np.isfinite(values).any(axis=0)].ravel().tolist())
     return [Line2D([], [], color=kind.colour, label=said(kind.kind)) for kind in KINDS.values() if kind.kind in drawn]
 
 
@@ -291,7 +282,8 @@ def abstract_space(recorded: Recorded, masses: Sequence[float]) -> Draw:
 
 
 def _space(axes: Axes, recorded: Recorded, masses: Sequence[float]) -> None:
-    arrays, plane, manifold = recorded.arrays, recorded.scenario.plane, recorded.scenario.manifold
+    scenario, arrays = recorded.run.scenario, recorded.run.arrays
+    plane, manifold = scenario.plane, scenario.manifold
     states = (arrays.abstract, arrays.desired)
     torques = np.concatenate([state.torque for state in states])
     inertias = np.concatenate([state.inertia for state in states])
@@ -344,7 +336,7 @@ def _by_decades(axes: Axes, values: Floats) -> None:
         axes.set_yscale("log")
 
 
-def _legend(axes: Axes, entries: Sequence[Any]) -> None:
+def _legend(axes: Axes, entries: Sequence[Artist]) -> None:
     named = [one for one in entries if not str(one.get_label()).startswith("_")]
     if named:
         axes.legend(
@@ -380,17 +372,17 @@ def _mark_events(axes: Axes, recorded: Recorded) -> None:
     for event in recorded.swarm.events:
         if 0.0 <= recorded.swarm.time_of(event) <= end:
             times[_EVENT_COLOURS.get(event.kind, GREY)].add(recorded.swarm.time_of(event))
-    few = sum(len(found) for colour, found in times.items() if colour != GREY) <= _FEW_MARKS
+    few = sum(len(moments) for colour, moments in times.items() if colour != GREY) <= _FEW_MARKS
     scale = axes.xaxis.get_transform()
     first, last = scale.transform(np.array([0.0, end]))
-    for colour, found in sorted(times.items()):
+    for colour, moments in sorted(times.items()):
         marked = colour != GREY
-        every = np.array(sorted(found))
-        places = np.floor(_MOST_MARKS * (scale.transform(every) - first) / (last - first))
-        every = every[np.unique(places, return_index=True)[1]]
+        shown = np.array(sorted(moments))
+        places = np.floor(_MOST_MARKS * (scale.transform(shown) - first) / (last - first))
+        shown = shown[np.unique(places, return_index=True)[1]]
         axes.plot(
-            every,
-            np.ones(len(every)),
+            shown,
+            np.ones(len(shown)),
             transform=edge,
             linestyle="none",
             marker="v" if marked else "|",
@@ -401,5 +393,5 @@ def _mark_events(axes: Axes, recorded: Recorded) -> None:
             clip_on=False,
             zorder=5.0 if marked else 4.0,
         )
-        for time in sorted(found) if marked and few else ():
+        for time in sorted(moments) if marked and few else ():
             axes.axvline(time, color=colour, linewidth=0.7, linestyle=DOTTED, zorder=0.6)

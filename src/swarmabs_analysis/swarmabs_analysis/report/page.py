@@ -102,8 +102,8 @@ def page(recorded: Recorded, panels: Sequence[Panel]) -> str:
 
 def _environment() -> Environment:
     """Return the environment of the templates, which escapes every value."""
-    made = templates("swarmabs_analysis.report")
-    made.filters |= {
+    environment = templates("swarmabs_analysis.report")
+    environment.filters |= {
         "counted": counted,
         "digits": format,
         "exact": repr,
@@ -114,7 +114,7 @@ def _environment() -> Environment:
         "sentence": sentence,
         "shown": shown,
     }
-    return made
+    return environment
 
 
 def lowest(values: NDArray[np.float64]) -> float | None:
@@ -131,15 +131,17 @@ def _number(value: object) -> float | None:
 
 def _realtime(recorded: Recorded) -> list[Row]:
     """Return losses, ages of the broadcasts followed and missed periods, as rows."""
-    found = recorded.realtime
-    if found is None:
+    realtime = recorded.realtime
+    if realtime is None:
         return []
     rows: list[Row] = [
         (f"missing messages of {topic}", f"{loss['missing']:,} of {loss['received'] + loss['missing']:,}")
-        for topic, loss in found["losses"].items()
+        for topic, loss in realtime["losses"].items()
     ]
-    rows += [(f"broadcasts followed at an age of {age} steps", f"{n:,}") for age, n in found["broadcast_ages"].items()]
-    rows.append(("safe stops", f"{found['safe_stops']:,}"))
+    rows += [
+        (f"broadcasts followed at an age of {age} steps", f"{n:,}") for age, n in realtime["broadcast_ages"].items()
+    ]
+    rows.append(("safe stops", f"{realtime['safe_stops']:,}"))
     timing = (recorded.summary or {}).get("realtime")
     missed = timing.get("missed_periods") if isinstance(timing, dict) else None
     for name, periods in (missed if isinstance(missed, dict) else {}).items():
@@ -182,11 +184,10 @@ def _group(recorded: Recorded, kind: str, robot: int, group: list[SwarmEvent], *
 
 def _versions(recorded: Recorded) -> list[Row]:
     """Return the versions and the machine recorded in the bag, as rows."""
-    found = recorded.provenance
-    versions = found.get("versions")
+    versions = recorded.provenance.get("versions")
     named = {str(name): value for name, value in versions.items()} if isinstance(versions, dict) else {}
     rows: list[Row] = [(shown(name), shown(value)) for name, value in sorted(named.items())]
     for name, key in (("machine", "machine"), ("byte order", "byte_order"), ("arithmetic", "arithmetic")):
-        if key in found:
-            rows.append((name, shown(found[key])))
+        if key in recorded.provenance:
+            rows.append((name, shown(recorded.provenance[key])))
     return rows

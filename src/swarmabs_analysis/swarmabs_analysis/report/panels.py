@@ -216,8 +216,8 @@ def _zooms(recorded: Recorded) -> Iterator[Panel]:
             moments.setdefault(begin, []).append(f"{at:g} s: {who}{said_event(event)}{_set(recorded, event)}")
 
     def largest(moment: float) -> float:
-        found = error[(time >= moment) & (time <= moment + AFTER)]
-        return float(np.nanmax(found, initial=0.0))
+        errors = error[(time >= moment) & (time <= moment + AFTER)]
+        return float(np.nanmax(errors, initial=0.0))
 
     for number, moment in enumerate(sorted(sorted(moments, key=largest, reverse=True)[:MOST_ZOOMS])):
         first, *others = moments[moment]

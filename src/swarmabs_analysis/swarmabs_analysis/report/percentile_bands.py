@@ -55,13 +55,13 @@ def draw_bands(axes: Axes, recorded: Recorded, values: Floats) -> list[Line2D | 
 
 def _draw_band(axes: Axes, recorded: Recorded, values: Floats, colour: str) -> None:
     time: list[float] = []
-    found: list[Floats] = []
+    bands: list[Floats] = []
     for rows, _ in _columns(axes, recorded):
         lines = percentiles(values[rows])
         if lines is not None:
             time.append(float(recorded.arrays.time[rows].mean()))
-            found.append(lines)
-    lowest, low, lower, middle, upper, high, highest = np.array(found).T
+            bands.append(lines)
+    lowest, low, lower, middle, upper, high, highest = np.array(bands).T
     axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0.0)
     axes.fill_between(time, lower, upper, color=colour, alpha=0.35, linewidth=0.0)
     for edge in (lowest, highest):
@@ -86,8 +86,8 @@ def density(axes: Axes, recorded: Recorded) -> QuadMesh:
     for rows, end in _columns(axes, recorded):
         position, mass = agents.position[rows], agents.mass[rows]
         there = np.isfinite(position) & np.isfinite(mass)
-        found, _ = np.histogram(position[there], bins=edges, weights=mass[there])
-        masses.append(found / len(position) / (edges[1] - edges[0]) / 1e3)
+        binned, _ = np.histogram(position[there], bins=edges, weights=mass[there])
+        masses.append(binned / len(position) / (edges[1] - edges[0]) / 1e3)
         kept.append(end)
     fade = LinearSegmentedColormap.from_list("mass", [(*to_rgb(GREY), 0.0), (*to_rgb(GREY), 1.0)])
     mesh = axes.pcolormesh([float(time[0]), *kept], edges, np.array(masses).T, cmap=fade, rasterized=True)

@@ -158,11 +158,11 @@ def _inlined(root: ET.Element, key: str) -> ET.Element:
             elif name == "href" and value.startswith("#"):
                 value = f"#{key}-{value[1:]}"
             elif name in {"d", "x", "y", "transform"}:
-                value = _NUMBER.sub(lambda found: f"{float(found[0]):.2f}", _UPRIGHT.sub("", value))
+                value = _NUMBER.sub(lambda digits: f"{float(digits[0]):.2f}", _UPRIGHT.sub("", value))
                 if not value:
                     continue
             elif name == "style":
-                value = _COLOUR.sub(lambda found: _variable(found[0]), _FONT.sub("", value))
+                value = _COLOUR.sub(lambda colour: _variable(colour[0]), _FONT.sub("", value))
             element.set(name, _REFERENCE.sub(rf"url(#{key}-\1)", value))
     for parent in list(root.iter()):
         for child in list(parent):

@@ -20,6 +20,8 @@ from swarmabs_bag.realtime_world import realtime_figures
 from swarmabs_bag.run.figures import RunFigures, Tracking, tracking_of
 from swarmabs_bag.shown.recorded_swarm import recorded_swarm
 from swarmabs_config import configure
+from swarmabs_config.scenario import Scenario
+from swarmabs_core.arrays import RunArrays
 from swarmabs_core.messages import EVENTS, STANDING, EventKind
 from swarmabs_core.steering import DISTURBANCE
 from swarmabs_core.theory.constraint_sets import ConstraintSets
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_bag.shown.recorded_swarm import RecordedSwarm
+    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.arrays import SystemArrays
     from swarmabs_core.plant import Plane
     from swarmabs_core.sensing import PlaneSensor, RobotSensor
     from swarmabs_core.systems import SystemTables
@@ -87,16 +91,20 @@ class Recorded:
 
     @property
     def run(self) -> RecordedRun:
-        """Scenario and arrays, as the figures of the paper take them."""
-        return RecordedRun(self.scenario, self.arrays)
+        """Scenario and arrays of a run on the plane, as the figures of the paper take them."""
+        scenario, arrays = self.scenario, self.arrays
+        assert isinstance(scenario, Scenario)  # noqa: S101 - only what shows the plane's own data asks
+        assert isinstance(arrays, RunArrays)  # noqa: S101
+        return RecordedRun(scenario, arrays)
 
     @property
-    def scenario(self) -> Any:
+    def scenario(self) -> AnyScenario:
         """The scenario of the run."""
-        return self.swarm.scenario
+        scenario: AnyScenario = self.swarm.scenario
+        return scenario
 
     @property
-    def arrays(self) -> Any:
+    def arrays(self) -> RunArrays | SystemArrays:
         """The recorded steps."""
         return self.swarm.arrays
 
@@ -108,7 +116,7 @@ class Recorded:
     @property
     def plane(self) -> Plane | None:
         """The plane, if it is the parent system: what only the plane has is shown if it is there."""
-        return getattr(self.scenario, "plane", None)
+        return self.scenario.plane if isinstance(self.scenario, Scenario) else None
 
     @cached_property
     def tracking(self) -> Tracking:
@@ -189,7 +197,8 @@ class Recorded:
     @property
     def torque(self) -> Floats:
         """The torque of the weights on the plane at each step, N m; dead robots count, robots that left do not."""
-        return np.asarray(np.nansum(self.masses * self.swarm.coordinates[..., 0], axis=1) * self.scenario.plane.gravity)
+        gravity = self.run.scenario.plane.gravity
+        return np.asarray(np.nansum(self.masses * self.swarm.coordinates[..., 0], axis=1) * gravity)
 
     def spans(self) -> Iterator[tuple[int, int, tuple[float, ...]]]:
         """Yield spans of rows [begin, end) with the same robots on the plane, and their masses, kg."""
@@ -204,7 +213,7 @@ class Recorded:
     @cached_property
     def margins(self) -> Margins:
         """The distances to the constraints; A_A is that of all robots on the plane."""
-        arrays, plane = self.arrays, self.scenario.plane
+        arrays, plane = self.run.arrays, self.run.scenario.plane
         rows = np.arange(0, len(arrays.step), max(1, -(-len(arrays.step) // _MOST_ROWS)))
         actual, desired = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
         for begin, end, masses in self.spans():
@@ -212,9 +221,9 @@ class Recorded:
                 continue
             sets = ConstraintSets(masses, plane.length, plane.gravity)
             chosen = np.flatnonzero((rows >= begin) & (rows < end))
-            for found, state in ((actual, arrays.abstract), (desired, arrays.desired)):
+            for distances, state in ((actual, arrays.abstract), (desired, arrays.desired)):
                 pairs = zip(state.torque[rows[chosen]].tolist(), state.inertia[rows[chosen]].tolist(), strict=True)
-                found[chosen] = [
+                distances[chosen] = [
                     clearance(sets, torque, inertia).upper if np.isfinite(torque) and np.isfinite(inertia) else np.nan
                     for torque, inertia in pairs
                 ]
@@ -239,7 +248,7 @@ class Recorded:
     @property
     def estimated(self) -> bool:
         """Whether the recorded torque of the swarm is an estimate from the plane's motion."""
-        return self.plane is not None and self.scenario.observer.type == "parent_response"
+        return self.plane is not None and self.run.scenario.observer.type == "parent_response"
 
     @property
     def falsified_note(self) -> str:
@@ -261,7 +270,7 @@ class Recorded:
     @property
     def sensed(self) -> bool:
         """Whether robots on the plane measure their states with imperfect sensors."""
-        return self.plane is not None and _imperfect(self.scenario.swarm.sensor)
+        return self.plane is not None and _imperfect(self.run.scenario.swarm.sensor)
 
 
 def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | None = None) -> Recorded:
@@ -275,9 +284,9 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
     realtime = realtime_figures(bag, swarm.scenario) if is_realtime(bag) else None
     if realtime is None:
         count = sum(map(len, tables.values())) + messages.divided + len(swarm.events) + len(bag.family.once)
-        metrics = {**_metrics(swarm, arrays), "messages": count}
-        unknown = metrics["final_error"] is None and tracking_of(swarm.scenario).followed
-        metrics["digest"] = None if unknown else digest_of(tables)
+        figures = _metrics(swarm)
+        unknown = figures["final_error"] is None and tracking_of(swarm.scenario).followed
+        metrics = {**figures, "messages": count, "digest": None if unknown else digest_of(tables)}
     else:
         metrics = {**realtime.figures(), "digest": None}
     counts = {topic.name: len(tables[topic]) for topic in bag.family.main}
@@ -299,21 +308,21 @@ def _imperfect(sensor: PlaneSensor | RobotSensor) -> bool:
     return any((*sensor.noise, *sensor.resolution))
 
 
-def _metrics(swarm: Any, arrays: Any) -> dict[str, Any]:
+def _metrics(swarm: RecordedSwarm) -> dict[str, float | int | None]:
     """Return the figures of the run, by the same arithmetic as during the recording."""
-    scenario, tracking = swarm.scenario, tracking_of(swarm.scenario)
-    found = RunFigures(configure.reference(scenario), tracking)
+    arrays, scenario = swarm.arrays, swarm.scenario
+    figures = RunFigures(configure.reference(scenario), tracking_of(scenario))
     states = zip(arrays.time.tolist(), arrays.step.tolist(), arrays.parent.tolist(), strict=True)
     for time, step, state in states:
         if not np.isnan(state[0]):
-            found.follow(step, round(time * 1e9) / 1e9, tuple(state))
+            figures.follow(step, round(time * 1e9) / 1e9, tuple(state))
     for event in swarm.events:
-        found.strays.hear(event, event.stamp / 1e9)
+        figures.strays.hear(event, event.stamp / 1e9)
     coordinates = np.abs(arrays.vector("agents", "coordinates"))
     there = coordinates[arrays.agents.kind > 0]
     if there.size:
-        found.reach(float(there.max()))
-    return found.figures()
+        figures.reach(float(there.max()))
+    return figures.figures()
 
 
 def _summary(bag: Path, digest: object) -> tuple[Mapping[str, Any] | None, str]:
@@ -323,17 +332,17 @@ def _summary(bag: Path, digest: object) -> tuple[Mapping[str, Any] | None, str]:
         if bag.resolve().parent.name != "bag" or not file.is_file():
             return None, "not recorded: a bag contains no wall time, and the summary.json of its run is missing"
         with file.open("rb") as stream:
-            found = _mapping(stream.read(_LONGEST_JSON))
+            summary = _mapping(stream.read(_LONGEST_JSON))
     except OSError as error:
         return None, f"not known: summary.json cannot be read ({error.strerror})"
-    if found.get("digest") != digest:
+    if summary.get("digest") != digest:
         return None, "not known: the digest in the run folder's summary.json differs, so it belongs to another run"
-    return found, "from summary.json of the run folder; the bag itself contains no wall time"
+    return summary, "from summary.json of the run folder; the bag itself contains no wall time"
 
 
 def _mapping(data: bytes) -> dict[str, Any]:
     try:
-        found = json.loads(data)
+        document = json.loads(data)
     except (ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return document if isinstance(document, dict) else {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from swarmabs_bag.run.figures import RunFigures, tracking_of
 from swarmabs_config import configure
@@ -16,6 +16,8 @@ from swarmabs_run.simulation import simulated_steps
 if TYPE_CHECKING:
     from swarmabs_config.scenario import AnyScenario
 
+Row: TypeAlias = "dict[str, float | int | str | bool | None]"
+"""Results of a case by name."""
 OUTCOMES = ("settled", "unsettled", "off_plane", "failed", "refused")
 """Possible outcomes of a case, from best to worst."""
 LONGEST_REASON = 300
@@ -37,17 +39,15 @@ def evaluate(task: Task) -> str:
     The row holds ``case``, ``status`` (ok, failed, refused), ``reason``, ``outcome``, ``digest`` and the results. A
     case that fails has the figures up to its failure; one with an invalid scenario (``refused``) has none.
     """
-    row: dict[str, Any] = {"case": task.case, "status": "ok", "reason": None}
+    row: Row = {"case": task.case, "status": "ok", "reason": None}
     try:
         scenario = parse_scenario(task.scenario, overrides=task.overrides)
     except InputError as error:
-        row.update(status="refused", reason=str(error), outcome="refused")
+        row.update(status="refused", reason=str(error)[:LONGEST_REASON], outcome="refused")
     else:
         row.update(_run(scenario))
         if isinstance(scenario, Scenario):
             row.update(_estimates(scenario, task.angle_max))
-    if row["reason"] is not None:
-        row["reason"] = row["reason"][:LONGEST_REASON]
     return json.dumps(row, allow_nan=False)
 
 
@@ -56,7 +56,7 @@ def lost(index: int, reason: str) -> str:
     return json.dumps({"case": index, "status": "failed", "reason": reason, "outcome": "failed"})
 
 
-def _run(scenario: AnyScenario) -> dict[str, Any]:
+def _run(scenario: AnyScenario) -> Row:
     """Simulate a scenario, and return figures, status and outcome."""
     reason = None
     run = RunFigures(configure.reference(scenario), tracking_of(scenario))
@@ -79,19 +79,19 @@ def _run(scenario: AnyScenario) -> dict[str, Any]:
         "max_abs_angle": run.max_abs_shown,
         "digest": run.summary()["digest"],
         "status": "ok" if reason is None else "failed",
-        "reason": reason,
+        "reason": None if reason is None else reason[:LONGEST_REASON],
         "outcome": outcome,
     }
 
 
-def _estimates(scenario: Scenario, angle_max: float) -> dict[str, Any]:
+def _estimates(scenario: Scenario, angle_max: float) -> Row:
     """Return whether the initial state is in the estimates of the region of attraction."""
-    found = estimate(setting(scenario, angle_max))
-    if found is None:
+    region = estimate(setting(scenario, angle_max))
+    if region is None:
         return {}
-    squared = found.error_squared(scenario.plane.angle, scenario.plane.angular_velocity)
+    squared = region.error_squared(scenario.plane.angle, scenario.plane.angular_velocity)
     return {
         "initial_error_squared": squared,
-        "in_printed_estimate": squared <= found.printed,
-        "in_corrected_estimate": squared <= found.corrected,
+        "in_printed_estimate": squared <= region.printed,
+        "in_corrected_estimate": squared <= region.corrected,
     }

@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 from hashlib import sha256
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import dask
 from distributed import Client, Future, LocalCluster
@@ -122,7 +122,7 @@ class Executor:
 
     def _row(self, future: Future[str], index: int) -> str:
         """Return the row of a case; workers that died have already been replaced."""
-        error: Any = future.exception()
+        error = future.exception()
         if isinstance(error, KilledWorker):
             return lost(index, f"{error.allowed_failures + 1} worker processes died while computing it")
         if error is not None:
@@ -206,7 +206,7 @@ class SchedulerExecutor(Executor):
         """Raise `InputError` if a worker would compute different results."""
         try:
             self._connected.wait_for_workers(1, timeout=_FIRST_WORKER)
-            workers = {name: Identity(*found) for name, found in self._connected.run(identity).items()}
+            workers = {name: Identity(*answer) for name, answer in self._connected.run(identity).items()}
         except LateError as error:
             raise InputError(f"the scheduler at {address} has no workers; start some with 'dask worker'") from error
         except (ImportError, AttributeError) as error:

@@ -11,7 +11,7 @@ import os
 import time
 from collections import Counter
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
 from swarmabs_analysis.sweep.study import SCENARIO_FILE, Study
 from swarmabs_bag.run_folder import new_run_folder, next_run_folder
@@ -28,9 +28,26 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+    from swarmabs_analysis.sweep.evaluate import Row
+
 SWEEP_FILE, RESULTS_FILE = "sweep.yaml", "results.parquet"
 _SYNC_EVERY = 1.0
 """Time whose results a power failure may lose, s; a crash of this process loses none."""
+
+
+class Summary(TypedDict):
+    """The content of ``summary.json``; times in s."""
+
+    sweep: str
+    cases: int
+    finished: int
+    outcomes: dict[str, int]
+    engine: str
+    wall_time: float
+    computed: int
+    cases_per_second: float | None
+    status: str
+    reason: str | None
 
 
 class SweepFolder:
@@ -41,17 +58,17 @@ class SweepFolder:
         self.results, self.summary = path / RESULTS_FILE, path / "summary.json"
         self.journal = path / "cases.jsonl"
         """The finished cases of an incomplete sweep."""
-        self.rows: dict[int, dict[str, Any]] = {}
+        self.rows: dict[int, Row] = {}
         """The finished cases by index."""
         self.outcomes: Counter[str] = Counter()
         """Number of finished cases by outcome."""
         self._journal = -1
         self._synced = time.monotonic()
 
-    def complete(self) -> dict[str, Any] | None:
+    def complete(self) -> Summary | None:
         """Return the summary of a complete sweep, otherwise None."""
         try:
-            summary = json.loads(self.summary.read_bytes())
+            summary: Summary = json.loads(self.summary.read_bytes())
         except (OSError, ValueError):
             return None
         return summary if self.results.exists() and summary.get("status") == "ok" else None
@@ -112,7 +129,7 @@ class SweepFolder:
         RunError
             If the disk is full or fails.
         """
-        row: dict[str, Any] = json.loads(line)
+        row = json.loads(line)
         try:
             _write_all(self._journal, f"{line}\n".encode())
             now = time.monotonic()
@@ -147,8 +164,8 @@ def make_folder(study: Study, path: Path | None, parent: Path) -> SweepFolder:
     """
     if path is not None and (path / SWEEP_FILE).is_file():
         raise InputError(f"{path} already contains a sweep; continue it with --resume, or name another folder")
-    made = new_run_folder(path) if path is not None else next_run_folder(parent, study.sweep.name)
-    folder = SweepFolder(made.path)
+    run_folder = new_run_folder(path) if path is not None else next_run_folder(parent, study.sweep.name)
+    folder = SweepFolder(run_folder.path)
     # The file of the sweep comes last: without it there is nothing to resume.
     for name, text in _files(study):
         folder.write_whole(folder.path / name, text.encode())
@@ -165,14 +182,14 @@ def find_folder(study: Study, path: Path) -> SweepFolder:
     """
     for name, text in _files(study):
         try:
-            found = (path / name).read_bytes()
+            content = (path / name).read_bytes()
         except OSError as error:
             raise InputError(
                 f"{path / name} cannot be read: {error.strerror}; start again in another folder"
             ) from error
-        if found != text.encode():
+        if content != text.encode():
             pairs = zip_longest(
-                found.decode(errors="replace").splitlines(keepends=True), text.splitlines(keepends=True)
+                content.decode(errors="replace").splitlines(keepends=True), text.splitlines(keepends=True)
             )
             line = next((number for number, (one, other) in enumerate(pairs, 1) if one != other), 1)
             raise InputError(

@@ -30,11 +30,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from swarmabs_analysis.sweep.evaluate import Row
     from swarmabs_analysis.sweep.study import Study
     from swarmabs_config.scenario import Scenario
 
     Floats = NDArray[np.float64]
-    Rows = Mapping[int, Mapping[str, Any]]
+    Rows = Mapping[int, Row]
 
 NAME = "region"
 ANGLE, ANGULAR_VELOCITY = "plane.angle", "plane.angular_velocity"
@@ -139,10 +140,10 @@ def _subject(study: Study, rows: Rows) -> _Subject:
     if panels is not None and panels not in numbers and len(choices[panels] or ()) > _FEW_PANELS:
         panels = None
     upright = [row for row in rows.values() if OUTCOMES.index(row["outcome"]) < _OFF_PLANE]
-    known = {name: sum(row.get(name) is not None for row in upright) for name in sweep.results}
+    counts = {name: sum(row.get(name) is not None for row in upright) for name in sweep.results}
     drawable = metrics_of(PLANE_TRACKING)
     metric = next(
-        (name for name, count in known.items() if name in drawable and 2 * count >= max(len(upright), 1)), None
+        (name for name, count in counts.items() if name in drawable and 2 * count >= max(len(upright), 1)), None
     )
     return _Subject(axes, panels, metric)
 
@@ -203,9 +204,9 @@ def _draw(study: Study, rows: Rows, subject: _Subject) -> Figure:
 
 def _cases(study: Study, rows: Rows, subject: _Subject) -> _Cases:
     values = [case.values for case in study.cases()]
-    found = [rows[index] for index in range(len(values))]
-    outcome = np.array([OUTCOMES.index(row["outcome"]) for row in found])
-    result = np.array([row.get(subject.metric or "") for row in found], dtype=float)
+    ordered = [rows[index] for index in range(len(values))]
+    outcome = np.array([OUTCOMES.index(row["outcome"]) for row in ordered])
+    result = np.array([row.get(subject.metric or "") for row in ordered], dtype=float)
     return _Cases(
         [np.array([float(one[path]) for one in values]) for path in subject.axes],
         np.where(outcome < _OFF_PLANE, result, np.nan),
@@ -239,17 +240,17 @@ def _label(scenario: Scenario, path: str, value: str = "") -> str:
 
 def _scale(result: Floats) -> Normalize:
     """Return the common scale of the results, logarithmic if they span decades."""
-    known = result[np.isfinite(result)]
-    low, high = (float(np.min(known)), float(np.max(known))) if len(known) else (0.0, 1.0)
+    finite = result[np.isfinite(result)]
+    low, high = (float(np.min(finite)), float(np.max(finite))) if len(finite) else (0.0, 1.0)
     return LogNorm(low, high) if 0.0 < _DECADES * low < high else Normalize(low, high)
 
 
 def _curve(axes: Axes, cases: _Cases, scale: Normalize) -> None:
     """Draw results over one parameter, as bands where cases share a value; mark other outcomes below."""
-    place, known = cases.places[0], np.isfinite(cases.result)
+    place, finite = cases.places[0], np.isfinite(cases.result)
     if cases.repeated:
-        values = np.unique(place[known])
-        quantiles = [np.quantile(cases.result[known & (place == value)], _QUANTILES) for value in values]
+        values = np.unique(place[finite])
+        quantiles = [np.quantile(cases.result[finite & (place == value)], _QUANTILES) for value in values]
         lowest, low, middle, high, highest = np.reshape(quantiles, (-1, len(_QUANTILES))).T
         for lower, upper, (colour, _) in zip((lowest, low), (highest, high), _BANDS, strict=True):
             axes.fill_between(values, lower, upper, color=colour, linewidth=0.0)
@@ -277,10 +278,10 @@ def _fields(axes: Axes, cases: _Cases, scale: Normalize) -> None:
     np.maximum.at(worst, (line, column), cases.outcome)
     median = np.full(worst.shape, np.nan)
     field = line * len(columns) + column
-    known = np.flatnonzero(np.isfinite(cases.result))
-    known = known[np.argsort(field[known], kind="stable")]
-    there, begins = np.unique(field[known], return_index=True)
-    median.flat[there] = [np.median(part) for part in np.split(cases.result[known], begins[1:]) if len(part)]
+    finite = np.flatnonzero(np.isfinite(cases.result))
+    finite = finite[np.argsort(field[finite], kind="stable")]
+    there, begins = np.unique(field[finite], return_index=True)
+    median.flat[there] = [np.median(part) for part in np.split(cases.result[finite], begins[1:]) if len(part)]
     drawn = np.isfinite(median)
     colours = ListedColormap([LOOKS[name][0] for name in OUTCOMES])
     norm = BoundaryNorm(np.arange(len(OUTCOMES) + 1) - 0.5, len(OUTCOMES))
@@ -298,9 +299,9 @@ def _markers(axes: Axes, cases: _Cases, scale: Normalize) -> None:
     """Draw a marker for each case: the shape shows the outcome, the colour the result, if any."""
     x, y = (_moved_apart(place) for place in cases.places)
     for number, name in enumerate(OUTCOMES):
-        for known in (False, True):
-            chosen = (cases.outcome == number) & (np.isfinite(cases.result) == known)
-            look = _marker(name, len(x)) | ({"c": cases.result[chosen], "cmap": MAP, "norm": scale} if known else {})
+        for coloured in (False, True):
+            chosen = (cases.outcome == number) & (np.isfinite(cases.result) == coloured)
+            look = _marker(name, len(x)) | ({"c": cases.result[chosen], "cmap": MAP, "norm": scale} if coloured else {})
             axes.scatter(x[chosen], y[chosen], **look)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from swarmabs_analysis.sweep.evaluate import OUTCOMES
 from swarmabs_analysis.sweep.table import table_files
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_analysis.sweep.executor import Executor
-    from swarmabs_analysis.sweep.folder import SweepFolder
+    from swarmabs_analysis.sweep.folder import Summary, SweepFolder
     from swarmabs_analysis.sweep.study import Study
 
 
 def run_sweep(
     study: Study, folder: SweepFolder, executor: Executor, on_progress: Callable[[Counter[str]], None]
-) -> dict[str, Any]:
+) -> Summary:
     """Compute the cases that are not finished yet, write tables, pictures and summary, and return the summary.
 
     Its ``status`` is ok, failed or interrupted; in the latter cases the finished cases are kept, and another start
@@ -54,7 +54,7 @@ def run_sweep(
     folder.read()  # an interrupt may come between writing a row and counting it
     wall_time = time.monotonic() - begun
     computed = len(folder.rows) - before
-    summary = {
+    summary: Summary = {
         "sweep": study.sweep.name,
         "cases": study.sweep.count,
         "finished": len(folder.rows),

@@ -119,8 +119,8 @@ class Distribution(Model):
     def _check_one(self) -> Distribution:
         given = [name for name in type(self).model_fields if getattr(self, name) is not None]
         if len(given) != 1:
-            found = " and ".join(given) or "none"
-            raise problem(f"expected one of uniform, normal and choice, found {found}", "keep exactly one")
+            names = " and ".join(given) or "none"
+            raise problem(f"expected one of uniform, normal and choice, found {names}", "keep exactly one")
         return self
 
     def draw(self, chance: float) -> Any:

@@ -24,40 +24,37 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from swarmabs_analysis.sweep.evaluate import Row
     from swarmabs_analysis.sweep.study import Study
     from swarmabs_bag.run.figures import Tracking
     from swarmabs_config.scenario import AnyScenario
 
-_KINDS = {
-    **dict.fromkeys(("case", "seed", "messages"), pa.int64()),
-    **dict.fromkeys(("status", "outcome", "reason", "digest"), pa.string()),
-    **dict.fromkeys(("in_printed_estimate", "in_corrected_estimate"), pa.bool_()),
-}
-"""Types of columns that do not hold floating-point numbers."""
-
-
 _TYPES = {"double": "float64"}
 """Types of Arrow that exports name otherwise."""
-_MEANINGS = {
-    "case": "number of the case",
-    "settled_at": "first time after which the error stays within the tolerance; missing if it does not",
-    "final_error": "reference minus state at the end",
-    "rms_error": "root mean square of the error",
-    "max_abs_position": "largest distance of a robot from the origin",
-    "max_abs_angle": "largest absolute value of the tracked quantity",
-    "messages": "number of messages",
-    "initial_error_squared": "square of z at the start",
-    "in_printed_estimate": "whether the start is within the estimate as printed",
-    "in_corrected_estimate": "whether the start is within the corrected estimate",
-    "status": "ok, failed or refused",
-    "outcome": "settled, unsettled, off_plane, failed or refused",
-    "reason": "why it failed or was refused; otherwise missing",
-    "seed": "seed of the scenario",
-    "digest": "digest of the run",
+_COLUMNS = {
+    "case": (pa.int64(), "number of the case"),
+    "settled_at": (
+        pa.float64(),
+        "first time after which the error stays within the tolerance; missing if it does not",
+    ),
+    "final_error": (pa.float64(), "reference minus state at the end"),
+    "rms_error": (pa.float64(), "root mean square of the error"),
+    "max_abs_position": (pa.float64(), "largest distance of a robot from the origin"),
+    "max_abs_angle": (pa.float64(), "largest absolute value of the tracked quantity"),
+    "messages": (pa.int64(), "number of messages"),
+    "initial_error_squared": (pa.float64(), "square of z at the start"),
+    "in_printed_estimate": (pa.bool_(), "whether the start is within the estimate as printed"),
+    "in_corrected_estimate": (pa.bool_(), "whether the start is within the corrected estimate"),
+    "status": (pa.string(), "ok, failed or refused"),
+    "outcome": (pa.string(), "settled, unsettled, off_plane, failed or refused"),
+    "reason": (pa.string(), "why it failed or was refused; otherwise missing"),
+    "seed": (pa.int64(), "seed of the scenario"),
+    "digest": (pa.string(), "digest of the run"),
 }
+"""Type and meaning of the columns that are no parameters."""
 
 
-def table_files(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> dict[str, bytes]:
+def table_files(study: Study, rows: Mapping[int, Row]) -> dict[str, bytes]:
     """Return the files of the table by name: Parquet, CSV, MATLAB, and the description of its columns."""
     table = results_table(study, rows)
     columns = _columns(study, table)
@@ -81,7 +78,7 @@ def metrics_of(tracking: Tracking) -> dict[str, str]:
     return labels | {"initial_error_squared": "|z|² at the start"}
 
 
-def results_table(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> Any:
+def results_table(study: Study, rows: Mapping[int, Row]) -> pa.Table:
     """Return the results as a table of Arrow: one row per case in order; all cases must be finished.
 
     Columns are ``case``, the parameters by their paths, the results, ``status``, ``outcome``, ``reason``, ``seed`` and
@@ -89,10 +86,11 @@ def results_table(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> Any:
     contains the sweep and its scenario.
     """
     cases = list(study.cases())
-    found = [{**rows[case.index], "case": case.index, "seed": case.seed} for case in cases]
+    complete = [{**rows[case.index], "case": case.index, "seed": case.seed} for case in cases]
 
-    def column(name: str) -> Any:
-        return pa.array([row.get(name) for row in found], _KINDS.get(name, pa.float64()))
+    def column(name: str) -> pa.Array:
+        kind, _ = _COLUMNS[name]
+        return pa.array([row.get(name) for row in complete], kind)
 
     columns = {"case": column("case")}
     columns |= {path: _parameter([case.values[path] for case in cases]) for path in study.sweep.parameters}
@@ -102,43 +100,43 @@ def results_table(study: Study, rows: Mapping[int, Mapping[str, Any]]) -> Any:
     return pa.table(columns).replace_schema_metadata(described)
 
 
-def parquet(table: Any) -> bytes:
+def parquet(table: pa.Table) -> bytes:
     """Return ``results.parquet``; equal tables give equal bytes."""
     file = io.BytesIO()
     pq.write_table(table, file, compression="zstd")
     return file.getvalue()
 
 
-def csv(table: Any) -> bytes:
+def csv(table: pa.Table) -> bytes:
     """Return ``results.csv``: a line of names, then one per case; numbers with every digit, null as an empty field."""
     file = io.BytesIO()
     write_csv(table, file)
     return file.getvalue()
 
 
-def _columns(study: Study, table: Any) -> list[Column]:
+def _columns(study: Study, table: pa.Table) -> list[Column]:
     """Return type, unit and meaning of each column."""
     scenario = parse_scenario(study.scenario)
     metrics = metrics_of(tracking_of(scenario))
     units = {name: label.partition(", ")[2] for name, label in metrics.items()}
-    found = []
+    columns = []
     for field in table.schema:
         kind, name = _TYPES.get(str(field.type), str(field.type)), field.name
         if name in study.sweep.parameters:
-            described = unit_of(scenario, name), "parameter"
+            unit, meaning = unit_of(scenario, name), "parameter"
         else:
-            described = units.get(name, ""), _MEANINGS[name]
-        found.append(Column(name, kind, *described))
-    return found
+            unit, (_, meaning) = units.get(name, ""), _COLUMNS[name]
+        columns.append(Column(name, kind, unit, meaning))
+    return columns
 
 
-def _with_units(table: Any, columns: Sequence[Column]) -> Any:
+def _with_units(table: pa.Table, columns: Sequence[Column]) -> pa.Table:
     """Return a table of Arrow with unit and meaning in the metadata of each column, as exports have them."""
     fields = [field.with_metadata(column.metadata) for field, column in zip(table.schema, columns, strict=True)]
     return table.cast(pa.schema(fields, table.schema.metadata))
 
 
-def _mat(study: Study, table: Any, columns: Sequence[Column]) -> bytes:
+def _mat(study: Study, table: pa.Table, columns: Sequence[Column]) -> bytes:
     """Return ``results.mat``: the columns in a struct, their units in another, and the texts of sweep and scenario."""
     file = io.BytesIO()
     write_mat(
@@ -153,7 +151,7 @@ def _mat(study: Study, table: Any, columns: Sequence[Column]) -> bytes:
     return file.getvalue()
 
 
-def _array(column: Any) -> NDArray[Any]:
+def _array(column: pa.ChunkedArray) -> NDArray[np.generic]:
     """Return a column as an array; a missing number is NaN, a missing text empty."""
     values = column.to_pylist()
     if pa.types.is_string(column.type):
@@ -161,7 +159,7 @@ def _array(column: Any) -> NDArray[Any]:
     return np.array([np.nan if value is None else value for value in values])
 
 
-def _parameter(values: Sequence[Any]) -> Any:
+def _parameter(values: Sequence[Any]) -> pa.Array:
     """Return the column of a parameter in the simplest type that fits all its values."""
     kinds = {type(value) for value in values if value is not None}
     if kinds == {int} and all(abs(value) < 2**63 for value in values if value is not None):
