@@ -170,7 +170,7 @@ def test_initial_abstract_error() -> None:
     printed = (0.0273, 0.0288)
     assert pytest.approx(printed, abs=5e-5) == (MASS @ POSITION, MASS @ POSITION**2)
 
-    config = ControllerConfig(10_000_000, CURVE)
+    config = ControllerConfig(10_000_000, manifold=CURVE)
     parent = Controller(config, config.desired_states(StateFeedback(K1, K2)))
     (desired,) = parent.handle(PlaneState(0, 0, 0.1, 0.0))
     assert isinstance(desired, DesiredAbstractState)

@@ -7,7 +7,14 @@ the plane, and any system of an installed package.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, runtime_checkable
+
+from swarmabs_core.declaration import part, same, setting
+from swarmabs_core.faults import Falsification, InjectedFault
+from swarmabs_core.membership import Change
+from swarmabs_core.settings import LifeSpan, Run
+from swarmabs_core.steering import StepChange
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -16,8 +23,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from swarmabs_core.faults import Falsification, InjectedFault
-    from swarmabs_core.membership import Change
     from swarmabs_core.messages import (
         AbstractState,
         AnyBroadcast,
@@ -27,7 +32,6 @@ if TYPE_CHECKING:
         DesiredAbstractState,
         Family,
         Messages,
-        PlaneState,
         StandingState,
         SwarmAbstract,
         SwarmAuxiliary,
@@ -35,8 +39,6 @@ if TYPE_CHECKING:
         SwarmEvent,
         Topic,
     )
-    from swarmabs_core.settings import LifeSpan
-    from swarmabs_core.steering import StepChange
     from swarmabs_core.systems.interface import Quantity
 
     Observed: TypeAlias = tuple[AbstractState | SwarmAbstract, AuxiliaryState | SwarmAuxiliary]
@@ -57,7 +59,7 @@ class Observation(Protocol):
         step: int,
         moving: Sequence[AnyRobotState],
         standing: Sequence[AnyRobotState],
-        watched: PlaneState | None,
+        watched: AnyParentState | None,
     ) -> Observed:
         """Return abstract and auxiliary state at a step, with a time stamp (ns)."""
         ...
@@ -71,7 +73,7 @@ class Observation(Protocol):
 class TableObservation(Protocol):
     """An observation of which the states of all robots may be the rows of a table."""
 
-    def observed_all(self, stamp: int, step: int, robots: NDArray[np.void], watched: PlaneState | None) -> Observed:
+    def observed_all(self, stamp: int, step: int, robots: NDArray[np.void], watched: AnyParentState | None) -> Observed:
         """Do what `Observation.observed` does; robots that stand have their status."""
         ...
 
@@ -174,135 +176,107 @@ class Body(Protocol):
         """Set the command of a step from the broadcasts; brake if asked to stop or reset."""
         ...
 
-    def move(self, watched: PlaneState | None) -> None:
+    def move(self, watched: AnyParentState | None) -> None:
         """Move for a period under the command."""
         ...
 
 
-class NodeConfig(Protocol):
-    """What the configurations of all nodes have."""
+@dataclass(frozen=True)
+class NodeConfig:
+    """What the configurations of all nodes have; `family` are the topics of the swarm."""
 
-    @property
-    def family(self) -> Family:
-        """The topics of the swarm."""
-        ...
+    period_ns: int = same(Run, "period_ns")
+    last_step: int | None = same(Run, "last_step")
+
+    family: ClassVar[Family]
 
     @property
     def system_hash(self) -> int | None:
         """Hash of the description of the parent system, which the messages carry; None on the plane."""
-        ...
-
-    @property
-    def period_ns(self) -> int:
-        """Control period, ns."""
-        ...
-
-    @property
-    def last_step(self) -> int | None:
-        """Last step of the run."""
-        ...
+        return None
 
 
-class CoordinatorConfig(NodeConfig, Protocol):
+@dataclass(frozen=True)
+class CoordinatorConfig(NodeConfig):
     """What the configurations of the nodes have that know the robots."""
 
-    @property
-    def members(self) -> tuple[int, ...]:
-        """Ids of all robots that ever take part."""
-        ...
-
-    @property
-    def schedule(self) -> tuple[Change, ...]:
-        """Scheduled changes of the membership."""
-        ...
+    members: tuple[int, ...] = same(Run, "members")
+    schedule: tuple[Change, ...] = same(Run, "schedule")
 
 
-class ObserverConfig(CoordinatorConfig, Protocol):
+@dataclass(frozen=True)
+class ObserverConfig(CoordinatorConfig):
     """Configuration of an observer."""
 
-    @property
-    def division(self) -> int:
-        """Number of steps from a change of the membership on in which it tells how the abstract state divides."""
-        ...
+    division: int = same(Run, "division")
 
     def observation(self) -> Observation:
         """Return how it observes the swarm."""
-        ...
+        raise NotImplementedError
 
 
-class ControllerConfig(CoordinatorConfig, Protocol):
+@dataclass(frozen=True)
+class ControllerConfig(CoordinatorConfig):
     """Configuration of a parent controller's node."""
 
-    @property
-    def division(self) -> int:
-        """Number of steps from a change of the membership on in which the observer tells how the state divides."""
-        ...
-
-    @property
-    def recording_window(self) -> int:
-        """Number of steps that the run may be ahead of the recorder; 0: not recorded."""
-        ...
-
-    @property
-    def offsets(self) -> tuple[StepChange, ...]:
-        """Offsets of the reference."""
-        ...
+    division: int = same(Run, "division")
+    recording_window: int = setting(
+        0, "number of steps that the run may be ahead of the recorder; 0: not recorded", minimum=0
+    )
+    offsets: tuple[StepChange, ...] = setting(
+        (),
+        "offsets of the law's reference, {unit}, each 'STEP VALUE' from a step on, such as '500 0.1'",
+        unit="rad",
+        make=StepChange.parse,
+    )
 
     def desired_states(self) -> DesiredStates:
         """Return what generates the desired abstract state."""
-        ...
+        raise NotImplementedError
 
 
-class ParentConfig(CoordinatorConfig, Protocol):
+@dataclass(frozen=True)
+class ParentConfig(CoordinatorConfig):
     """Configuration of a simulated parent system."""
 
-    @property
-    def falsifications(self) -> tuple[Falsification, ...]:
-        """Falsified states of robots."""
-        ...
-
-    @property
-    def torques(self) -> tuple[StepChange, ...]:
-        """Disturbances."""
-        ...
+    seed: int = same(Run, "seed")
+    falsifications: tuple[Falsification, ...] = setting(
+        (),
+        "falsified states of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'",
+        name="lies",
+        make=Falsification.parse,
+    )
+    torques: tuple[StepChange, ...] = setting(
+        (),
+        "constant torques that disturb the plane, {unit}, each 'STEP VALUE' from a step on, such as '500 0.1'",
+        unit="N m",
+        make=StepChange.parse,
+    )
 
     @property
     def coordinates(self) -> tuple[Quantity, ...]:
         """The coordinates of a robot, with their ends."""
-        ...
+        raise NotImplementedError
 
     def motion(self) -> Motion:
         """Return the parent at its initial state."""
-        ...
+        raise NotImplementedError
 
 
-class AgentConfig(NodeConfig, Protocol):
-    """Configuration of a robot."""
+@dataclass(frozen=True)
+class AgentConfig(NodeConfig):
+    """Configuration of a robot in lockstep."""
 
-    @property
-    def agent_id(self) -> int:
-        """Id of the robot."""
-        ...
-
-    @property
-    def life(self) -> LifeSpan:
-        """The steps in which it takes part."""
-        ...
-
-    @property
-    def faults(self) -> tuple[InjectedFault, ...]:
-        """Injected faults."""
-        ...
-
-    @property
-    def seed(self) -> int:
-        """Seed of random faults and noise."""
-        ...
+    agent_id: int = setting(1, "id of the robot, 1 to 65535", minimum=1, maximum=65535)
+    life: LifeSpan = part(LifeSpan, name="")
+    faults: tuple[InjectedFault, ...] = setting(
+        (), "injected faults, each 'KIND FIRST END VALUE...', such as 'loss 0 -1 0.2'", make=InjectedFault.parse
+    )
+    seed: int = same(Run, "seed")
 
     def refuse_contradictions(self) -> None:
-        """Raise `InputError` if settings contradict each other."""
-        ...
+        """Raise `InputError` if settings contradict each other that no other check compares."""
 
     def body(self) -> Body:
         """Return the robot at its initial state."""
-        ...
+        raise NotImplementedError

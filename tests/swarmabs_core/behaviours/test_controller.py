@@ -39,7 +39,7 @@ class Given:
 
 def controller(torques: list[float], *, window: int = 0, last_step: int | None = None) -> tuple[Controller, Given]:
     law = Given(torques)
-    config = ControllerConfig(PERIOD_NS, MANIFOLD, recording_window=window, last_step=last_step)
+    config = ControllerConfig(PERIOD_NS, last_step, manifold=MANIFOLD, recording_window=window)
     return Controller(config, config.desired_states(law)), law
 
 

@@ -20,7 +20,7 @@ MEMBERS = (1, 2, 3, 4)
 
 
 def observer(*schedule: Change, last_step: int | None = None) -> Observer:
-    return Observer(ObserverConfig(MEMBERS, PERIOD_NS, 9.81, 1.0, schedule, last_step))
+    return Observer(ObserverConfig(PERIOD_NS, last_step, members=MEMBERS, schedule=schedule))
 
 
 def robots(step: int = 0, without: tuple[int, ...] = ()) -> list[msg.AgentState]:
@@ -47,7 +47,7 @@ def sums(node: Observer, messages: Sequence[msg.Message]) -> tuple[msg.AbstractS
 
 def test_sums_by_hand() -> None:
     """Two robots of 0.5 kg at +-0.1 m, one of them a double integrator."""
-    node = Observer(ObserverConfig((1, 2), PERIOD_NS, 10.0, 1.0))
+    node = Observer(ObserverConfig(PERIOD_NS, members=(1, 2), gravity=10.0))
     first = agent_state(1, kind=msg.Kind.DOUBLE_INTEGRATOR, damping=2.0, position=0.1, velocity=0.2)
     abstract, auxiliary = sums(node, [first, agent_state(2, position=-0.1, velocity=0.4)])
     assert abstract[:3] == (0, 0, 2)
@@ -122,7 +122,7 @@ def test_only_active_robots_are_in_the_s_and_d_sums(status: msg.Status) -> None:
     states[2] = states[2]._replace(status=status)
     abstract, auxiliary = sums(observer(), states)
     everybody, _ = sums(observer(), robots())
-    without = Observer(ObserverConfig((1, 2, 4), PERIOD_NS, 9.81, 1.0))
+    without = Observer(ObserverConfig(PERIOD_NS, members=(1, 2, 4)))
     _, others = sums(without, robots(without=(3,)))
     assert abstract == everybody
     assert auxiliary[:9] == others[:9]
@@ -150,7 +150,7 @@ MODEL = (0.5, Friction(0.01, 30.0, 20.0, 0.02, 30.0, 1.0), 50.0)
 def watcher(*schedule: Change, last_step: int | None = None) -> Observer:
     """Return an observer that watches the plane."""
     inertia, friction, bandwidth = MODEL
-    config = ObserverConfig(MEMBERS, PERIOD_NS, 9.81, 1.0, schedule, last_step)
+    config = ObserverConfig(PERIOD_NS, last_step, members=MEMBERS, schedule=schedule)
     return Observer(replace(config, type="parent_response", inertia=inertia, friction=friction, bandwidth=bandwidth))
 
 
@@ -202,7 +202,7 @@ def test_end_of_a_robot_is_announced_before_the_plane_answers(*, planned: bool) 
 
 
 def test_packed_states_follow_what_is_announced_and_precede_the_sums() -> None:
-    config = ObserverConfig(MEMBERS, PERIOD_NS, 9.81, 1.0, (Change(0, 2, ChangeKind.KILL),))
+    config = ObserverConfig(PERIOD_NS, members=MEMBERS, schedule=(Change(0, 2, ChangeKind.KILL),))
     node = PackedObserver(config)
     states = robots(0)
     packed, *sums = feed(node, states[::-1])

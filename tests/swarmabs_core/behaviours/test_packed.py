@@ -14,7 +14,7 @@ from tests.swarmabs_core.helpers import PERIOD_NS, agent_state, builtin, singly
 from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
-from swarmabs_core import messages as msg, plant
+from swarmabs_core import messages as msg
 from swarmabs_core.arrays import canonical_table, layout_of
 from swarmabs_core.behaviours import Observer, Parent
 from swarmabs_core.behaviours.packed import PackedObserver, PackedParent
@@ -131,9 +131,9 @@ def test_any_numbers_give_the_same_bits(seed: int) -> None:
     draw = Random(seed)
     ids = tuple(range(1, draw.choice((2, 5, 33))))
     schedule = (Change(1, ids[-1], ChangeKind.KILL),) if seed % 2 and len(ids) > 1 else ()
-    config = ObserverConfig(ids, PERIOD_NS, 9.81, 1.0, schedule)
+    config = ObserverConfig(PERIOD_NS, members=ids, schedule=schedule)
     observers = Observer(config), PackedObserver(config)
-    body = PlaneConfig(ids, PERIOD_NS, plant.Plane(), schedule)
+    body = PlaneConfig(PERIOD_NS, members=ids, schedule=schedule)
     parents = Parent(body), PackedParent(body)
     for step in range(4):
         there = ids[: len(ids) - bool(schedule and step > 1)]
@@ -189,7 +189,7 @@ STATES = [agent_state(i, 0, position=0.1 * i) for i in range(1, 5)]
 def test_what_is_refused_is_refused_with_the_same_words(wrong: msg.AgentState | bytes, place: int) -> None:
     payloads = [*map(encode, STATES)]
     payloads.insert(place, wrong if isinstance(wrong, bytes) else encode(wrong))
-    config = ObserverConfig((1, 2, 3, 4), PERIOD_NS, 9.81, 1.0)
+    config = ObserverConfig(PERIOD_NS, members=(1, 2, 3, 4))
     observers = Observer(config), PackedObserver(config)
     expected = outcome(lambda: single(observers[0], msg.AGENT_STATE, payloads))
     found = outcome(lambda: together(observers[1], msg.AGENT_STATE, payloads))
@@ -212,7 +212,7 @@ def test_states_of_another_system_are_refused_by_both_nodes() -> None:
 
 
 def test_a_robot_that_stays_silent_is_missing_and_one_that_repeats_itself_is_not_counted_twice() -> None:
-    config = ObserverConfig((1, 2, 3, 4), PERIOD_NS, 9.81, 1.0)
+    config = ObserverConfig(PERIOD_NS, members=(1, 2, 3, 4))
     node = PackedObserver(config)
     for number in (1, 2, 1, 1, 2):
         assert node.hear_all(msg.AGENT_STATE, [encode(STATES[number])]) == ()
@@ -225,9 +225,12 @@ def test_a_robot_that_stays_silent_is_missing_and_one_that_repeats_itself_is_not
 
 
 def test_a_leaving_robot_ends_in_the_same_step() -> None:
-    config = ObserverConfig((1, 2, 3, 4), PERIOD_NS, 9.81, 1.0)
+    config = ObserverConfig(PERIOD_NS, members=(1, 2, 3, 4))
     observers = Observer(config), PackedObserver(config)
-    parents = Parent(PlaneConfig((1, 2, 3, 4), PERIOD_NS)), PackedParent(PlaneConfig((1, 2, 3, 4), PERIOD_NS))
+    parents = (
+        Parent(PlaneConfig(PERIOD_NS, members=(1, 2, 3, 4))),
+        PackedParent(PlaneConfig(PERIOD_NS, members=(1, 2, 3, 4))),
+    )
     for step in range(3):
         there = [state for state in STATES if step < 2 or state.agent_id != 3]
         states = [state._replace(step=step, stamp=step * PERIOD_NS) for state in there]

@@ -195,7 +195,7 @@ def test_what_is_published_is_measured_and_what_is_integrated_is_true() -> None:
 
 
 def test_packed_states_count_like_single_ones_and_only_where_they_are_expected() -> None:
-    alone, packed = plane(), PackedParent(PlaneConfig((1, 2, 3), PERIOD_NS, PLANE))
+    alone, packed = plane(), PackedParent(PlaneConfig(PERIOD_NS, members=(1, 2, 3), plane=PLANE))
     assert packed.awaits() == (msg.SWARM_STATES, msg.EVENTS)
     assert packed.missing() == (0, ("abstraction_observer",))
     for step in range(3):

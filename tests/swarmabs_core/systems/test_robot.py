@@ -20,7 +20,7 @@ def rotor(thrust: float) -> tuple[SystemRobot, SwarmBroadcast, SwarmBroadcast]:
     usable = usable._replace(desired=usable.desired._replace(mean_rate=(1e3, 0.0)))
     singular = usable._replace(auxiliary=usable.auxiliary._replace(gram=(0.0, 0.0, 0.0)))
     config = SystemAgentConfig(
-        "lift",
+        system="lift",
         kind=Kind.FIRST_ORDER_LAG,
         coordinates=(thrust,),
         constants=states[0].constants,

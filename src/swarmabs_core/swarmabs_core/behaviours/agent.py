@@ -21,11 +21,11 @@ from swarmabs_core.messages import (
     TOPIC_OF,
     Action,
     AnyBroadcast,
+    AnyParentState,
     AnyRobotState,
     Message,
     Messages,
     Mode,
-    PlaneState,
     Status,
     Steering,
     SwarmEvent,
@@ -121,8 +121,7 @@ class Agent:
         topic = TOPIC_OF[type(message)]
         if topic not in self.needs:
             raise UnexpectedMessageError(f"agent {self._config.agent_id}", message)
-        if self._system is not None:
-            refuse_other_system(message, self._system)
+        refuse_other_system(message, self._system)
         if isinstance(message, Steering):
             self._steer(message)
             return ()
@@ -190,10 +189,10 @@ class Agent:
         family = self._config.family
         return cast("AnyBroadcast", heard.get(family.packed) or packed_broadcasts(family, heard.__getitem__))
 
-    def _watched(self, heard: dict[Topic, Message]) -> PlaneState | None:
-        """Return the state of the plane, if it acts on the robot."""
+    def _watched(self, heard: dict[Topic, Message]) -> AnyParentState | None:
+        """Return the state of the parent, if it acts on the robot."""
         topic = self._body.watched
-        return None if topic is None else cast("PlaneState", heard[topic])
+        return None if topic is None else cast("AnyParentState", heard[topic])
 
     def _decide(self) -> Messages:
         """Update command, broadcast step and status; return the events."""

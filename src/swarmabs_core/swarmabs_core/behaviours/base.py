@@ -93,15 +93,15 @@ class OtherSystemError(ProtocolError):
         super().__init__(f"{source}: refused in step {message.step}, because its parent system has another description")
 
 
-def refuse_other_system(message: Message, system: int) -> None:
-    """Accept a message of a parent system with this hash.
+def refuse_other_system(message: Message, system: int | None) -> None:
+    """Accept a message of a parent system with this hash; there is none on the plane.
 
     Raises
     ------
     OtherSystemError
         If it is one of another parent system.
     """
-    if getattr(getattr(message, "abstract", message), "system", system) != system:
+    if system is not None and getattr(getattr(message, "abstract", message), "system", system) != system:
         raise OtherSystemError(message)
 
 

@@ -80,8 +80,7 @@ class Controller:
 
         With packed broadcasts, also take those of the observer, and return the packed one once all three are known.
         """
-        if self._system is not None:
-            refuse_other_system(message, self._system)
+        refuse_other_system(message, self._system)
         if isinstance(message, PARENT_STATES):
             if is_new(message, self._parent, self._step, self._family.parent.name):
                 self._parent = message

@@ -15,12 +15,13 @@ from swarmabs_core.behaviours.base import (
 from swarmabs_core.errors import InStep, RunError
 from swarmabs_core.membership import Membership
 from swarmabs_core.messages import (
+    PARENT_STATES,
     ROBOT_STATES,
+    AnyParentState,
     AnyRobotState,
     EventKind,
     Message,
     Messages,
-    PlaneState,
     Steering,
     SwarmEvent,
     Topic,
@@ -48,7 +49,7 @@ class Observer:
         self._config = config
         self._system = config.system_hash
         self._observation: Observation = config.observation()
-        self._plane: PlaneState | None = None
+        self._parent: AnyParentState | None = None
         self._announced = -1
         self._membership = Membership(config.members, config.schedule)
         self._gathering = self._gather()
@@ -84,13 +85,12 @@ class Observer:
         If the torque is estimated from the plane's motion, the plane's state is awaited, too.
         """
         watched = self._observation.watched
-        if self._system is not None:
-            refuse_other_system(message, self._system)
+        refuse_other_system(message, self._system)
         if isinstance(message, ROBOT_STATES):
             self._gathering.add(message)
-        elif isinstance(message, PlaneState) and watched is not None:
-            if is_new(message, self._plane, self._gathering.step, watched.name):
-                self._plane = message
+        elif isinstance(message, PARENT_STATES) and watched is not None:
+            if is_new(message, self._parent, self._gathering.step, watched.name):
+                self._parent = message
         else:
             raise UnexpectedMessageError("observer", message)
         return self._proceed()
@@ -145,7 +145,7 @@ class Observer:
         if self._announced < self._gathering.step:
             self._announced = self._gathering.step
             events = self._announce()
-        if self._observation.watched is not None and self._plane is None:
+        if self._observation.watched is not None and self._parent is None:
             return events
         return (*events, *self._sum_up())
 
@@ -157,14 +157,16 @@ class Observer:
         if not self._finished() and not self._membership.publishing(self._gathering.step):
             raise RunError(f"step {self._gathering.step}: no robot is left in the run")
         self._previous = states
-        watched, self._plane = self._plane, None
+        watched, self._parent = self._parent, None
         with InStep(step):
             observed = self._observed(stamp, step, states, watched)
             if not self._membership.divides(step, config.division):
                 return observed
             return (*observed, self._observation.divided(stamp, step, (*states, *self._standing.values())))
 
-    def _observed(self, stamp: int, step: int, states: Sequence[AnyRobotState], watched: PlaneState | None) -> Observed:
+    def _observed(
+        self, stamp: int, step: int, states: Sequence[AnyRobotState], watched: AnyParentState | None
+    ) -> Observed:
         return self._observation.observed(stamp, step, states, self.standing, watched)
 
     def _announce(self) -> Messages:

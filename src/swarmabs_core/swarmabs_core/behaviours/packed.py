@@ -30,7 +30,7 @@ from swarmabs_core.model import TableMotion, TableObservation
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from swarmabs_core.messages import Message, Messages, PlaneState, SwarmEvent, Topic
+    from swarmabs_core.messages import AnyParentState, Message, Messages, SwarmEvent, Topic
     from swarmabs_core.model import Observed, ObserverConfig, ParentConfig
 
 
@@ -176,7 +176,9 @@ class PackedObserver(Observer):
         data = states.table.tobytes() if isinstance(states, TableStates) else b"".join(map(encode, states))
         return (*super()._announce(), SwarmStates(step * self._config.period_ns, step, data))
 
-    def _observed(self, stamp: int, step: int, states: Sequence[AnyRobotState], watched: PlaneState | None) -> Observed:
+    def _observed(
+        self, stamp: int, step: int, states: Sequence[AnyRobotState], watched: AnyParentState | None
+    ) -> Observed:
         if isinstance(states, TableStates) and self._tables is not None:
             still = np.frombuffer(b"".join(map(encode, self.standing)), states.table.dtype)
             with np.errstate(all="ignore"):

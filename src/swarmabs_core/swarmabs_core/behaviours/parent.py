@@ -78,8 +78,7 @@ class Parent:
         return self._proceed()
 
     def _take(self, message: Message) -> None:
-        if self._system is not None:
-            refuse_other_system(message, self._system)
+        refuse_other_system(message, self._system)
         if isinstance(message, ROBOT_STATES):
             self._gathering.add(message)
         elif isinstance(message, SwarmEvent):

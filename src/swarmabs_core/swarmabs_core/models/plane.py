@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from math import copysign
 from typing import TYPE_CHECKING, ClassVar, cast
 
+from swarmabs_core import model
 from swarmabs_core.abstraction import Weight, divided_load, observed, summed
 from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
 from swarmabs_core.events import EventCode
-from swarmabs_core.faults import Falsification
 from swarmabs_core.manifold import Manifold
-from swarmabs_core.membership import Change
 from swarmabs_core.messages import (
     PLANE_FAMILY,
     PLANE_STATE,
@@ -41,7 +40,6 @@ from swarmabs_core.plant import (
 from swarmabs_core.ranges import lane
 from swarmabs_core.sensing import measured_plane
 from swarmabs_core.settings import Run
-from swarmabs_core.steering import StepChange
 from swarmabs_core.summation import column_sums
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_core.systems.kinds import KINDS
@@ -67,17 +65,12 @@ CURVED_FROM = 0.25
 """Lag, in control periods, above which a cubic describes a single integrator's path better than a line."""
 
 
-@dataclass(frozen=True, slots=True)
-class ObserverConfig:
+@dataclass(frozen=True)
+class ObserverConfig(model.ObserverConfig):
     """Configuration of the observer, including the properties of the plane that its torque estimate requires."""
 
-    members: tuple[int, ...] = same(Run, "members")
-    period_ns: int = same(Run, "period_ns")
     gravity: float = same(Plane, "gravity")
     ksd: float = same(SwarmGains, "ksd")
-    schedule: tuple[Change, ...] = same(Run, "schedule")
-    last_step: int | None = same(Run, "last_step")
-    division: int = same(Run, "division")
     type: str = setting(
         "sum",
         "source of the torque: the sum over the robots, or the plane's motion",
@@ -88,38 +81,22 @@ class ObserverConfig:
     bandwidth: float = same(ParentResponse, "bandwidth")
 
     family: ClassVar[Family] = PLANE_FAMILY
-    system_hash: ClassVar[None] = None
 
     def observation(self) -> PlaneObservation:
         """Return how it observes the swarm."""
         return PlaneObservation(self)
 
 
-@dataclass(frozen=True, slots=True)
-class ControllerConfig:
+@dataclass(frozen=True)
+class ControllerConfig(model.ControllerConfig):
     """Configuration of the parent controller's node."""
 
-    period_ns: int = same(Run, "period_ns")
     manifold: Manifold = part(Manifold)
     gravity: float = same(Plane, "gravity")
     gains: SwarmGains = part(SwarmGains)
-    recording_window: int = setting(
-        0, "number of steps that the run may be ahead of the recorder; 0: not recorded", minimum=0
-    )
-    last_step: int | None = same(Run, "last_step")
-    members: tuple[int, ...] = same(Run, "members")
-    schedule: tuple[Change, ...] = same(Run, "schedule")
-    division: int = same(Run, "division")
-    offsets: tuple[StepChange, ...] = setting(
-        (),
-        "offsets of the law's reference, {unit}, each 'STEP VALUE' from a step on, such as '500 0.1'",
-        unit="rad",
-        make=StepChange.parse,
-    )
     law: ParentLaw = part(ParentLaw, name="")
 
     family: ClassVar[Family] = PLANE_FAMILY
-    system_hash: ClassVar[None] = None
 
     def desired_states(self, law: ParentController | None = None) -> DesiredStateGenerator:
         """Return what generates the desired abstract state, by default with the configured law."""
@@ -127,32 +104,14 @@ class ControllerConfig:
         return DesiredStateGenerator(self.period_ns, self.manifold, law, SwarmOnPlane(self.gravity, self.gains))
 
 
-@dataclass(frozen=True, slots=True)
-class PlaneConfig:
+@dataclass(frozen=True)
+class PlaneConfig(model.ParentConfig):
     """Configuration of the simulated plane."""
 
-    members: tuple[int, ...] = same(Run, "members")
-    period_ns: int = same(Run, "period_ns")
     plane: Plane = part(Plane, name="", without=("robot_gravity",))
-    schedule: tuple[Change, ...] = same(Run, "schedule")
-    last_step: int | None = same(Run, "last_step")
-    seed: int = same(Run, "seed")
     actuator_lag: float = same(Run, "actuator_lag")
-    falsifications: tuple[Falsification, ...] = setting(
-        (),
-        "falsified states of robots, each 'AGENT lie FIRST END OFFSET FACTOR FACTOR'",
-        name="lies",
-        make=Falsification.parse,
-    )
-    torques: tuple[StepChange, ...] = setting(
-        (),
-        "constant torques that disturb the plane, {unit}, each 'STEP VALUE' from a step on, such as '500 0.1'",
-        unit="N m",
-        make=StepChange.parse,
-    )
 
     family: ClassVar[Family] = PLANE_FAMILY
-    system_hash: ClassVar[None] = None
 
     @property
     def coordinates(self) -> tuple[Quantity, ...]:
@@ -185,7 +144,7 @@ class PlaneObservation:
         step: int,
         moving: Sequence[AnyRobotState],
         standing: Sequence[AnyRobotState],
-        watched: PlaneState | None,
+        watched: AnyParentState | None,
     ) -> tuple[AbstractState, AuxiliaryState]:
         """Return abstract and auxiliary state at a step, with a time stamp (ns)."""
         robots = cast("Sequence[AgentState]", (*moving, *standing))
@@ -194,7 +153,7 @@ class PlaneObservation:
         return self._estimated(observed(stamp, step, weights, followers, *self._constants), watched)
 
     def observed_all(
-        self, stamp: int, step: int, robots: NDArray[np.void], watched: PlaneState | None
+        self, stamp: int, step: int, robots: NDArray[np.void], watched: AnyParentState | None
     ) -> tuple[AbstractState, AuxiliaryState]:
         """Do what `observed` does for robots that are the rows of a table."""
         active = robots[robots["status"] == Status.ACTIVE]
@@ -207,12 +166,12 @@ class PlaneObservation:
         return self._estimated(summed(stamp, step, len(robots), columns, self._constants, column_sums), watched)
 
     def _estimated(
-        self, sums: tuple[AbstractState, AuxiliaryState], plane: PlaneState | None
+        self, sums: tuple[AbstractState, AuxiliaryState], watched: AnyParentState | None
     ) -> tuple[AbstractState, AuxiliaryState]:
         """Replace the torque by its estimate, if it is estimated."""
-        if self._estimator is None or plane is None:
+        if self._estimator is None or watched is None:
             return sums
-        abstract, auxiliary = sums
+        plane, (abstract, auxiliary) = cast("PlaneState", watched), sums
         torque, rate = self._estimator.update(plane.angle, plane.angular_velocity, abstract.inertia)
         return abstract._replace(torque=torque, torque_rate=rate), auxiliary
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, cast
 
+from swarmabs_core import model
 from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.drive import Lag
 from swarmabs_core.elementary import sin
 from swarmabs_core.errors import InputError
-from swarmabs_core.faults import InjectedFault
 from swarmabs_core.messages import (
     PLANE_FAMILY,
     PLANE_KINDS,
@@ -17,7 +17,6 @@ from swarmabs_core.messages import (
     AgentState,
     Family,
     Kind,
-    PlaneState,
     Topic,
     word,
 )
@@ -26,19 +25,19 @@ from swarmabs_core.parameters import Settings
 from swarmabs_core.plant import Plane
 from swarmabs_core.robot_controller import Decision, Limits, RobotController
 from swarmabs_core.sensing import RobotSensor
-from swarmabs_core.settings import LifeSpan, Run
+from swarmabs_core.settings import Run
 from swarmabs_core.swarm_law import LAWS, PAPER, Robot, SwarmGains
 
 if TYPE_CHECKING:
     from swarmabs_core.drive import Drive
-    from swarmabs_core.messages import AnyBroadcast, AnyRobotState, Broadcast
+    from swarmabs_core.messages import AnyBroadcast, AnyParentState, AnyRobotState, Broadcast, PlaneState
 
 
 @dataclass(frozen=True, slots=True)
 class RobotConfig:
     """Configuration of a robot in lockstep and in real time."""
 
-    agent_id: int = setting(1, "id of the robot, 1 to 65535", minimum=1, maximum=65535)
+    agent_id: int = same(model.AgentConfig, "agent_id")
     kind: Kind = setting(
         PLANE_KINDS[0],
         "dynamics of the robot",
@@ -76,23 +75,15 @@ class RobotConfig:
                     raise InputError(f"parameter {name}: not applicable to a single integrator", "omit it")
 
 
-@dataclass(frozen=True, slots=True)
-class AgentConfig(RobotConfig):
+@dataclass(frozen=True)
+class AgentConfig(RobotConfig, model.AgentConfig):
     """Configuration of a robot in lockstep."""
 
-    period_ns: int = same(Run, "period_ns")
-    life: LifeSpan = part(LifeSpan, name="")
-    faults: tuple[InjectedFault, ...] = setting(
-        (), "injected faults, each 'KIND FIRST END VALUE...', such as 'loss 0 -1 0.2'", make=InjectedFault.parse
-    )
-    seed: int = same(Run, "seed")
     feels_gravity: bool = same(Plane, "robot_gravity")
-    last_step: int | None = same(Run, "last_step")
     sensor: RobotSensor = part(RobotSensor)
     actuator_lag: float = same(Run, "actuator_lag")
 
     family: ClassVar[Family] = PLANE_FAMILY
-    system_hash: ClassVar[None] = None
 
     def body(self, drive: Drive | None = None) -> PlaneRobot:
         """Return the robot at its initial state, by default with the ideal drive of its kind."""
@@ -168,11 +159,11 @@ class PlaneRobot:
             return Outcome(decision.problem, held=decision.held)
         return FOLLOWS if decision.command == decision.wanted else Outcome(beyond=decision.wanted)
 
-    def move(self, watched: PlaneState | None) -> None:
+    def move(self, watched: AnyParentState | None) -> None:
         """Move for a period under the command and, if configured, gravity."""
         force = self._command
         if watched is not None:
-            force += self._weight(watched)
+            force += self._weight(cast("PlaneState", watched))
         self._position, self._velocity = self._drive.advance(self._position, self._velocity, force)
         if self._lag is not None:
             gap = self._actual - self._command

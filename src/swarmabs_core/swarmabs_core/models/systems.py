@@ -7,10 +7,9 @@ from functools import cached_property
 from math import inf, isfinite
 from typing import TYPE_CHECKING, ClassVar, cast
 
+from swarmabs_core import model
 from swarmabs_core.declaration import choice, part, same, setting
 from swarmabs_core.events import EventCode
-from swarmabs_core.faults import Falsification, InjectedFault
-from swarmabs_core.membership import Change
 from swarmabs_core.messages import (
     SYSTEM_FAMILY,
     Family,
@@ -25,12 +24,9 @@ from swarmabs_core.messages import (
     word,
 )
 from swarmabs_core.model import Outcome
-from swarmabs_core.models.plane import ControllerConfig, PlaneConfig
-from swarmabs_core.models.plane_robot import AgentConfig
 from swarmabs_core.parameters import Settings
 from swarmabs_core.robot_controller import BRAKING_TIME, NOT_FINITE
 from swarmabs_core.sensing import ParentSensor
-from swarmabs_core.settings import LifeSpan, Run
 from swarmabs_core.steering import StepChange
 from swarmabs_core.summation import exact_sum
 from swarmabs_core.systems.desired import Requests, SystemDesiredState
@@ -46,7 +42,6 @@ if TYPE_CHECKING:
         AnyBroadcast,
         AnyParentState,
         AnyRobotState,
-        PlaneState,
         SwarmAbstract,
         SwarmAuxiliary,
         SwarmBroadcast,
@@ -60,7 +55,7 @@ HELD = EventCode.NO_FOLLOWER.text.format(why=" (the Gram matrix vanishes)")
 
 
 @dataclass(frozen=True)
-class OfSystem:
+class OfSystem(model.NodeConfig):
     """What every node on a parent system knows about it."""
 
     system: str = choice(SYSTEMS.find, SYSTEMS.built_in, "", "parent system, provided by an installed package")
@@ -80,14 +75,9 @@ class OfSystem:
 
 
 @dataclass(frozen=True)
-class SystemObserverConfig(OfSystem):
+class SystemObserverConfig(OfSystem, model.ObserverConfig):
     """Configuration of the observer on any parent system."""
 
-    members: tuple[int, ...] = same(Run, "members")
-    period_ns: int = same(Run, "period_ns")
-    schedule: tuple[Change, ...] = same(Run, "schedule")
-    last_step: int | None = same(Run, "last_step")
-    division: int = same(Run, "division")
     curvature: bool = setting(default=False, description="whether robots need the curvature of the abstract state")
 
     def observation(self) -> SystemObservation:
@@ -96,17 +86,10 @@ class SystemObserverConfig(OfSystem):
 
 
 @dataclass(frozen=True)
-class SystemControllerConfig(OfSystem):
+class SystemControllerConfig(OfSystem, model.ControllerConfig):
     """Configuration of the node of a parent system's controller."""
 
-    period_ns: int = same(Run, "period_ns")
-    recording_window: int = same(ControllerConfig, "recording_window")
-    last_step: int | None = same(Run, "last_step")
-    members: tuple[int, ...] = same(Run, "members")
-    schedule: tuple[Change, ...] = same(Run, "schedule")
-    division: int = same(Run, "division")
     gains: SystemGains = part(SystemGains)
-    offsets: tuple[StepChange, ...] = same(ControllerConfig, "offsets")
     requests: Requests = part(Requests)
 
     def desired_states(self) -> SystemDesiredState:
@@ -115,17 +98,11 @@ class SystemControllerConfig(OfSystem):
 
 
 @dataclass(frozen=True)
-class SystemParentConfig(OfSystem):
+class SystemParentConfig(OfSystem, model.ParentConfig):
     """Configuration of a simulated parent system."""
 
-    members: tuple[int, ...] = same(Run, "members")
-    period_ns: int = same(Run, "period_ns")
-    schedule: tuple[Change, ...] = same(Run, "schedule")
-    last_step: int | None = same(Run, "last_step")
-    seed: int = same(Run, "seed")
     sensor: ParentSensor = part(ParentSensor)
-    falsifications: tuple[Falsification, ...] = same(PlaneConfig, "falsifications", name="lies")
-    torques: tuple[StepChange, ...] = same(PlaneConfig, "torques", name="disturbances")
+    torques: tuple[StepChange, ...] = same(model.ParentConfig, "torques", name="disturbances")
 
     @property
     def coordinates(self) -> tuple[Quantity, ...]:
@@ -151,7 +128,7 @@ class SystemObservation:
         step: int,
         moving: Sequence[AnyRobotState],
         standing: Sequence[AnyRobotState],
-        watched: PlaneState | None = None,  # noqa: ARG002 - there is no plane
+        watched: AnyParentState | None = None,  # noqa: ARG002 - nothing of it is needed
     ) -> tuple[SwarmAbstract, SwarmAuxiliary]:
         """Return abstract and auxiliary state at a step, with a time stamp (ns)."""
         robots = cast("Sequence[RobotState]", (*moving, *standing))
@@ -206,10 +183,9 @@ class SystemMotion:
 
 
 @dataclass(frozen=True)
-class SystemAgentConfig(OfSystem):
+class SystemAgentConfig(OfSystem, model.AgentConfig):
     """Configuration of a robot on any parent system."""
 
-    agent_id: int = same(AgentConfig, "agent_id")
     kind: Kind = setting(
         Kind.SINGLE_INTEGRATOR,
         "dynamics of the robot",
@@ -220,11 +196,6 @@ class SystemAgentConfig(OfSystem):
     coordinates: tuple[float, ...] = setting((0.0,), "initial coordinates")
     velocities: tuple[float, ...] = setting((), "initial velocities; none: at rest", item=0.0)
     constants: tuple[float, ...] = setting((), "constants in the order of the system", item=0.0)
-    period_ns: int = same(Run, "period_ns")
-    life: LifeSpan = part(LifeSpan, name="")
-    faults: tuple[InjectedFault, ...] = same(AgentConfig, "faults")
-    seed: int = same(Run, "seed")
-    last_step: int | None = same(Run, "last_step")
     gains: SystemGains = part(SystemGains)
     force_law: str = setting(
         "second_order",
@@ -237,9 +208,6 @@ class SystemAgentConfig(OfSystem):
         above=0.0,
         unset=0.0,
     )
-
-    def refuse_contradictions(self) -> None:
-        """Accept everything: the check of the system covers it."""
 
     def law(self) -> RobotLaw:
         """Return the law of the robot."""
@@ -326,6 +294,6 @@ class SystemRobot:
         )
         return Outcome(beyond=next(u for u, held in zip(wanted, self._command, strict=True) if u != held))
 
-    def move(self, watched: PlaneState | None = None) -> None:  # noqa: ARG002 - there is no plane
+    def move(self, watched: AnyParentState | None = None) -> None:  # noqa: ARG002 - it does not act on robots
         """Move for a period under the command."""
         self._q, self._velocity = self._law.advance(self._q, self._velocity, self._command)
