@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_config.graph import Endpoints, requested
-from swarmabs_config.scenario import load_scenario
-from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, NEVER, RECORDING_PROGRESS, RecordingProgress
-from swarmabs_core.parameters import Parameter
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.runner import LockstepProgram, Settings
+from swarmabs_ros.settings import ScenarioFile
 from swarmabs_run.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -21,7 +18,7 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Message, Messages, Topic
     from swarmabs_ros.status import StatusChannel
 
-PARAMETERS = (Parameter("scenario_file", "", "file of the resolved scenario"),)
+PARAMETERS = (ScenarioFile,)
 
 IN_FLIGHT = 3000
 """Limit of messages in flight: the capacity of a socket buffer."""
@@ -70,16 +67,8 @@ class Feeder:
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:
-    """Return behaviour and endpoints.
-
-    Raises
-    ------
-    InputError
-        If no scenario is given.
-    """
-    if not settings.text("scenario_file"):
-        raise InputError("parameter scenario_file: give the file of the resolved scenario")
-    scenario = load_scenario(Path(settings.text("scenario_file")))
+    """Return behaviour and endpoints; raises `InputError` if no scenario is given."""
+    scenario = settings.declared(ScenarioFile).load()
     singly = (step for steps in Simulation(scenario).steps() for step in steps.singly())
     steps = [[record.message for record in step.records] for step in singly]
     subscriptions = {RECORDING_PROGRESS: requested(RECORDING_PROGRESS, depth=1)}

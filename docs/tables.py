@@ -44,11 +44,12 @@ from swarmabs_core.declaration import parameters_of
 from swarmabs_core.events import EventCode
 from swarmabs_core.messages import TOPICS
 from swarmabs_core.parameters import Parameter
-from swarmabs_core.realtime.drives import TOPIC
+from swarmabs_core.realtime.instruments import TopicSettings
 from swarmabs_core.systems.interface import TABLES, Constant, Need, ParentController, ParentSystem, Quantity, Tracked
 from swarmabs_ros.parameters import BySystem
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON
+from swarmabs_ros.settings import LockstepSettings, RealtimeSettings
 from swarmabs_run.steering import node as steering
 from swarmabs_view.protocol import json_schema
 
@@ -139,11 +140,11 @@ def bounds(parameter: Parameter) -> str:
     return "; ".join(found)
 
 
-def parameters(declared: Iterable[Parameter | type | BySystem[object]], without: Iterable[Parameter] = ()) -> str:
+def parameters(declared: Iterable[type | BySystem[object]], without: Iterable[Parameter] = ()) -> str:
     """Return the table of a node's parameters on the plane, `without` the common ones."""
     names = {each.name for each in without}
     parts = (each.plane if isinstance(each, BySystem) else each for each in declared)
-    found = (p for each in parts for p in ((each,) if isinstance(each, Parameter) else parameters_of(each)))
+    found = (p for each in parts for p in parameters_of(each))
     rows = ((code(p.name), value(p.default), bounds(p), p.text) for p in found if p.name not in names)
     return table(("parameter", "default", "allowed", "meaning"), rows)
 
@@ -471,10 +472,10 @@ def all_tables() -> dict[str, str]:
         "trajectories": variants(TRAJECTORY_CONFIGS, "type"),
         "observers": variants(OBSERVERS, "type"),
         "faults": variants(FAULT_KINDS, "kind"),
-        "common": parameters(COMMON),
+        "common": parameters((LockstepSettings,)),
         "plane_sim": parameters(plane_sim.node.PARAMETERS, without=COMMON),
         "plane_driver": parameters(plane_sim.driver.PARAMETERS, without=REALTIME_COMMON),
-        "topic drive": parameters(TOPIC.settings),
+        "topic drive": parameters((TopicSettings,)),
         "abstraction_observer": parameters(abstraction_observer.node.PARAMETERS, without=COMMON),
         "parent_controller": parameters(parent_controller.node.PARAMETERS, without=COMMON),
         "controller parameters": controller_parameters(),
@@ -484,7 +485,7 @@ def all_tables() -> dict[str, str]:
         "losses": losses(),
         "recorder": parameters(recorder.PARAMETERS),
         "steering": parameters(steering.PARAMETERS),
-        "realtime common": parameters(REALTIME_COMMON),
+        "realtime common": parameters((RealtimeSettings,)),
         "realtime plane_sim": parameters(plane_sim.realtime.PARAMETERS, without=REALTIME_COMMON),
         "realtime abstraction_observer": parameters(abstraction_observer.realtime.PARAMETERS, without=REALTIME_COMMON),
         "realtime parent_controller": parameters(parent_controller.realtime.PARAMETERS, without=REALTIME_COMMON),

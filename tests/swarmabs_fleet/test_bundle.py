@@ -21,6 +21,7 @@ from swarmabs_core.parameters import resolve
 from swarmabs_fleet.bundle import deploy, host_bundle
 from swarmabs_fleet.host_plan import HostPlan
 from swarmabs_fleet.parameters import parameters
+from swarmabs_ros.parameters import table_of
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -42,7 +43,7 @@ def test_the_recorder_takes_what_it_is_told(name: str, own: tuple[tuple[int, ...
     """Also where robots have bodies or limits of their own."""
     loaded = example(name)
     plans = {node.name: node for node in node_plans(loaded.fleet)}
-    taken = resolve(recorder.PARAMETERS, parameters(loaded, plans[RECORDER]), owner="recorder")
+    taken = resolve(table_of({}, (), recorder.PARAMETERS), parameters(loaded, plans[RECORDER]), owner="recorder")
     assert [name for name, node in plans.items() if "memory" in parameters(loaded, node)] == [OBSERVER]
     assert (taken["driven"], taken["own_limits"]) == own
 

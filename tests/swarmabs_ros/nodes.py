@@ -8,7 +8,7 @@ import rclpy
 
 from swarmabs_core.messages import DesiredAbstractState
 from swarmabs_core.parameters import Parameter, Value, resolve
-from swarmabs_ros.parameters import declare, given_values, table_of
+from swarmabs_ros.parameters import Table, declare, given_values, table_of
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON, Settings
 from swarmabs_ros.start import SwarmNode
@@ -33,7 +33,7 @@ def given(**values: str) -> list[str]:
     return [word for name, text in values.items() for word in ("-p", f"{name.replace('__', '.')}:={text}")]
 
 
-def _settings(common: tuple[Parameter, ...], table: tuple[Parameter | type, ...], /, **values: Value) -> Settings:
+def _settings(common: tuple[Parameter, ...], table: Table, /, **values: Value) -> Settings:
     """Return settings as a node would have them that was given these parameters; double underscores stand for dots."""
     named = {name.replace("__", "."): value for name, value in values.items()}
     return Settings(resolve(table_of(named, common, table), named, owner="the node"))
@@ -42,7 +42,7 @@ def _settings(common: tuple[Parameter, ...], table: tuple[Parameter | type, ...]
 settings_from, realtime_settings_from = partial(_settings, COMMON), partial(_settings, REALTIME_COMMON)
 
 
-def declared_by(arguments: list[str], common: tuple[Parameter, ...], table: tuple[Parameter | type, ...]) -> Settings:
+def declared_by(arguments: list[str], common: tuple[Parameter, ...], table: Table) -> Settings:
     """Return what a node sees that is started with a command line, by way of ROS; it needs the fixture `ros`."""
     with started_node(*arguments) as node:
         return Settings(declare(node, table_of(given_values(node), common, table)))

@@ -17,6 +17,7 @@ from swarmabs_config.graph import CONTROLLER, LOCKSTEP, NODES, OBSERVER, PLANE, 
 from swarmabs_core.errors import InputError
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.models import ControllerConfig
+from swarmabs_ros.settings import LockstepSettings
 from swarmabs_ros.start import PROFILES, check_profiles, main
 
 PROGRAMS = [program for path in sorted((ROOT / "src").glob("*/setup.cfg")) for program in programs(path.parent.name)]
@@ -67,7 +68,8 @@ def test_a_wrong_command_line_is_refused_too(name: str, words: list[str], capfd:
 
 
 def test_a_configuration_is_made_of_the_settings_of_its_parts_and_a_run_may_have_no_end() -> None:
-    assert [settings_from((), last_step=step).last_step() for step in (-1, 0, 3000)] == [None, 0, 3000]
+    told = [settings_from((), last_step=step).declared(LockstepSettings) for step in (-1, 0, 3000)]
+    assert [settings.last_step for settings in told] == [None, 0, 3000]
     settings = settings_from(controller.PARAMETERS, plane__inertia=0.7, manifold__offset=0.3, controller__type="lqr")
     config = settings.declared(ControllerConfig)
     assert (config.law.inertia, config.manifold) == (0.7, Manifold(offset=0.3))

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial, partialmethod
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,10 +25,9 @@ from std_srvs.srv import Trigger
 from tests.swarmabs_ros.nodes import COMMAND_LINE, given
 
 from swarmabs_config.graph import DIAGNOSTICS, PLANE, REALTIME, endpoints
-from swarmabs_core.declaration import parameters_of
+from swarmabs_core.declaration import parameters_of, part, setting
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS, Message, Messages, Topic
-from swarmabs_core.parameters import Parameter
 from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Schedule, Sender
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_ros import managed as managed_module, realtime_runner, status
@@ -351,6 +351,12 @@ HUNG = RunError("the drive hangs")
 FORBIDDEN = 13.0
 
 
+@dataclass(frozen=True, slots=True)
+class Gains:
+    gains: SwarmGains = part(SwarmGains)
+    mass: float = setting(0.5, "mass", unit="kg")
+
+
 class Loop:
     """What is asked of a loop, and what it raises."""
 
@@ -383,7 +389,7 @@ class Managed:
         self.node, self.loop = node, Loop()
         self.sent: list[str] = []
         status = SimpleNamespace(send=lambda event, **_: self.sent.append(event))
-        table = (*parameters_of(SwarmGains, prefix="gains."), Parameter("mass", 0.5, "mass, kg"))
+        table = parameters_of(Gains)
         values = {parameter.name: parameter.default for parameter in table}
         gains = gains_among(table, ("gains",))
         declare_values(node, table, values, gains)
@@ -393,7 +399,7 @@ class Managed:
         node.prepare(lambda: spec, endpoints(PLANE, REALTIME, robots=4), Schedule(10_000_000), *parts)
 
     def _tune(self, settings: Settings) -> Callable[[], None]:
-        ksd = settings.number("gains.ksd")
+        ksd = settings.declared(Gains).gains.ksd
         if ksd == FORBIDDEN:
             raise InputError("the law cannot have it")
         return lambda: self.loop.asked.append(f"ksd {ksd}")
@@ -483,7 +489,7 @@ def test_gains_are_set_until_the_node_is_active_and_used_from_its_activation_on(
     managed.trigger("deactivate", "activate")
     assert managed.loop.asked[5:] == ["deactivate", "activate"], "the gains are the same"
     settings = managed.tuning.settings
-    assert (settings.number("gains.ksd"), managed.node.get_parameter("gains.ksd").value) == (5.0, 5.0)
+    assert (settings.declared(Gains).gains.ksd, managed.node.get_parameter("gains.ksd").value) == (5.0, 5.0)
 
 
 @pytest.mark.parametrize(

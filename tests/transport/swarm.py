@@ -24,6 +24,7 @@ from swarmabs_core.steering import STEERER
 from swarmabs_ros.announcements import send_events
 from swarmabs_ros.lockstep import Lockstep, NodeSpec, Wait
 from swarmabs_ros.runner import Settings
+from swarmabs_ros.settings import LockstepSettings
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
 from swarmabs_run.run import DEFAULTS, RunOptions
 from swarmabs_run.steering.node import steering_config
@@ -150,7 +151,7 @@ class Swarm:
             spec = NodeSpec(self.steerer, on_idle=self.steerer.release)
         else:
             spec = role.make(reports)
-        inbox = Inbox(role.endpoints.subscriptions)
+        inbox, common = Inbox(role.endpoints.subscriptions), role.settings.declared(LockstepSettings)
         node: Node
         publishers = {
             topic: Outbox(topic, lambda t, data: self._publish(node, t, data)) for topic in role.endpoints.publications
@@ -161,9 +162,9 @@ class Swarm:
             cast("Any", publishers),
             cast("Any", reports),
             topics=tuple(role.endpoints.subscriptions),
-            stall_timeout=role.settings.number("stall_timeout"),
-            repeat_after=role.settings.number("repeat_after"),
-            repeat_steps=role.settings.integer("repeat_steps"),
+            stall_timeout=common.stall_timeout,
+            repeat_after=common.repeat_after,
+            repeat_steps=common.repeat_steps,
             clock=lambda: self.now,
         )
         node = Node(role.name, role, reports, loop, spec, inbox, loop.activity())

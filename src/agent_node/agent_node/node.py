@@ -10,18 +10,19 @@ from swarmabs_core.behaviours import Agent
 from swarmabs_core.models import AgentConfig, SystemAgentConfig
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
-from swarmabs_ros.runner import PACKED, STEERED, LockstepProgram, Settings
+from swarmabs_ros.runner import LockstepProgram, Settings
+from swarmabs_ros.settings import Variant
 from swarmabs_ros.status import StatusChannel
 
 CONFIG: BySystem[model.AgentConfig] = BySystem(AgentConfig, SystemAgentConfig)
-PARAMETERS = (CONFIG, PACKED, STEERED)
+PARAMETERS = (CONFIG, Variant)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour."""
-    config = settings.chosen(CONFIG)
+    config, variant = settings.chosen(CONFIG), settings.declared(Variant)
     config.refuse_contradictions()
-    return NodeSpec(Agent(config, packed=settings.flag(PACKED.name), steered=settings.flag(STEERED.name)))
+    return NodeSpec(Agent(config, packed=variant.packed, steered=variant.steered))
 
 
 main = LockstepProgram(ROBOT, PARAMETERS, make)

@@ -10,14 +10,15 @@ from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig
 from swarmabs_core.realtime.base import AGENT_PHASE
 from swarmabs_core.realtime.drives import DRIVES, Body
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.realtime_runner import OWN_TOPICS, RealtimeProgram
+from swarmabs_ros.realtime_runner import RealtimeProgram
+from swarmabs_ros.settings import RobotTopics
 
 if TYPE_CHECKING:
     from swarmabs_core.realtime.drives import Drive
     from swarmabs_core.realtime.instruments import TopicSettings
     from swarmabs_ros.runner import Settings
 
-PARAMETERS = (RealtimeAgentConfig, OWN_TOPICS)
+PARAMETERS = (RealtimeAgentConfig, RobotTopics)
 GAINS = ("gains", "law")
 
 

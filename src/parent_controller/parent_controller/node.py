@@ -10,18 +10,19 @@ from swarmabs_core.behaviours import Controller, Steered
 from swarmabs_core.models import ControllerConfig, SystemControllerConfig
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
-from swarmabs_ros.runner import PACKED, STEERED, LockstepProgram, Settings
+from swarmabs_ros.runner import LockstepProgram, Settings
+from swarmabs_ros.settings import Variant
 from swarmabs_ros.status import StatusChannel
 
 CONFIG: BySystem[model.ControllerConfig] = BySystem(ControllerConfig, SystemControllerConfig)
-PARAMETERS = (CONFIG, PACKED, STEERED)
+PARAMETERS = (CONFIG, Variant)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour; reject offsets of the reference if the law does not support them."""
-    config = settings.chosen(CONFIG)
-    controller = Controller(config, packed=settings.flag(PACKED.name))
-    return NodeSpec(Steered(controller) if settings.flag(STEERED.name) else controller)
+    variant = settings.declared(Variant)
+    controller = Controller(settings.chosen(CONFIG), packed=variant.packed)
+    return NodeSpec(Steered(controller) if variant.steered else controller)
 
 
 main = LockstepProgram(CONTROLLER, PARAMETERS, make)

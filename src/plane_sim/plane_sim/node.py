@@ -13,22 +13,23 @@ from swarmabs_core.behaviours import Parent, Steered
 from swarmabs_core.models import PlaneConfig, SystemParentConfig
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.parameters import BySystem
-from swarmabs_ros.runner import PACKED, STEERED, LockstepProgram, Settings
+from swarmabs_ros.runner import LockstepProgram, Settings
+from swarmabs_ros.settings import Variant
 from swarmabs_ros.status import StatusChannel
 
 CONFIG: BySystem[model.ParentConfig] = BySystem(PlaneConfig, SystemParentConfig)
-PARAMETERS = (CONFIG, PACKED, STEERED)
+PARAMETERS = (CONFIG, Variant)
 
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - this node has nothing to report
     """Return the behaviour."""
-    parent = _parent(settings)
-    return NodeSpec(Steered(parent) if settings.flag(STEERED.name) else parent)
+    variant = settings.declared(Variant)
+    parent = _parent(settings.chosen(CONFIG), packed=variant.packed)
+    return NodeSpec(Steered(parent) if variant.steered else parent)
 
 
-def _parent(settings: Settings) -> Parent:
-    config = settings.chosen(CONFIG)
-    if not settings.flag(PACKED.name):
+def _parent(config: model.ParentConfig, *, packed: bool) -> Parent:
+    if not packed:
         return Parent(config)
     from swarmabs_core.behaviours.packed import PackedParent  # noqa: PLC0415 - only packed runs need numpy
 

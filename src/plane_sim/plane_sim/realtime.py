@@ -9,12 +9,13 @@ from swarmabs_config.graph import PLANE
 from swarmabs_core.realtime.base import PLANE_PHASE
 from swarmabs_core.realtime.plane import RealtimePlane, RealtimePlaneConfig
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
-from swarmabs_ros.realtime_runner import OWN_TOPICS, RealtimeProgram
+from swarmabs_ros.realtime_runner import RealtimeProgram
+from swarmabs_ros.settings import RobotTopics
 
 if TYPE_CHECKING:
     from swarmabs_ros.runner import Settings
 
-PARAMETERS = (RealtimePlaneConfig, OWN_TOPICS)
+PARAMETERS = (RealtimePlaneConfig, RobotTopics)
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it does not use the node

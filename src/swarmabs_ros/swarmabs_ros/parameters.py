@@ -11,14 +11,13 @@ from rclpy.parameter import Parameter as RosParameter
 
 from swarmabs_core.declaration import parameters_of
 from swarmabs_core.errors import InputError
-from swarmabs_core.parameters import Parameter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from rclpy.node import Node
 
-    from swarmabs_core.parameters import Value
+    from swarmabs_core.parameters import Parameter, Value
 
 
 ConfigT_co = TypeVar("ConfigT_co", covariant=True)
@@ -27,12 +26,6 @@ SIM_TIME = "use_sim_time"
 NO_SIM_TIME = f"parameter {SIM_TIME}: no ROS clock determines the steps of a swarm; omit it"
 _OF_RCLPY = (SIM_TIME, "start_type_description_service", "qos_overrides.")
 """Parameters that every node of rclpy may have."""
-
-
-def choose(table: tuple[Parameter, ...], *names: str) -> tuple[Parameter, ...]:
-    """Return parameters of a table by name."""
-    by_name = {parameter.name: parameter for parameter in table}
-    return tuple(by_name[name] for name in names)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +40,8 @@ class BySystem(Generic[ConfigT_co]):
         return self.system if "system.type" in given else self.plane
 
 
-Table: TypeAlias = tuple["Parameter | type | BySystem[object]", ...]
-"""Parameters of a node, and declarations from which further ones follow."""
+Table: TypeAlias = tuple["type | BySystem[object]", ...]
+"""The declarations from which the parameters of a node follow."""
 
 
 def given_values(node: Node) -> dict[str, object]:
@@ -57,14 +50,14 @@ def given_values(node: Node) -> dict[str, object]:
 
 
 def table_of(given: Mapping[str, object], common: tuple[Parameter, ...], own: Table) -> tuple[Parameter, ...]:
-    """Return the parameters of a node: those common to all nodes, its own, and those from declarations.
+    """Return the parameters of a node: those common to all nodes, and those of its own declarations.
 
     Given values may select parts that add parameters. Raises `InputError` if there is no such part.
     """
     by_name = {parameter.name: parameter for parameter in common}
     for declared in own:
-        entry = declared.chosen(given) if isinstance(declared, BySystem) else declared
-        for parameter in (entry,) if isinstance(entry, Parameter) else parameters_of(entry, given):
+        declaration = declared.chosen(given) if isinstance(declared, BySystem) else declared
+        for parameter in parameters_of(declaration, given):
             by_name.setdefault(parameter.name, parameter)
     return tuple(by_name.values())
 

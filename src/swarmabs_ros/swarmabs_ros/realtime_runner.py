@@ -20,12 +20,11 @@ from rclpy.executors import SingleThreadedExecutor
 from swarmabs_config.graph import REALTIME
 from swarmabs_core.declaration import parameters_of
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.parameters import Parameter
-from swarmabs_core.realtime.base import Realtime, Schedule
 from swarmabs_ros.managed import RealtimeNode, one_line
 from swarmabs_ros.parameters import checked, declare_values, given_values, refuse_sim_time, table_of
 from swarmabs_ros.realtime import RealtimeLoop
 from swarmabs_ros.runner import Settings
+from swarmabs_ros.settings import RealtimeSettings
 from swarmabs_ros.start import run_program
 from swarmabs_ros.status import Heartbeat, notify
 from swarmabs_ros.tuning import Tuning, gains_among
@@ -37,36 +36,10 @@ if TYPE_CHECKING:
     from swarmabs_ros.parameters import Table
     from swarmabs_ros.status import StatusChannel
 
-SCHEDULING = Parameter(
-    "scheduling",
-    "other",
-    "scheduling of the node's threads: other, or a real-time class",
-    choices=("other", "fifo", "rr"),
-)
-PRIORITY = Parameter(
-    "priority",
-    50,
-    "priority within a real-time class of the thread that executes the steps; that of all others is one less",
-    minimum=2,
-    maximum=99,
-)
-LOCK_MEMORY = Parameter("lock_memory", default=False, description="whether to keep all memory from being paged out")
 
-COMMON = (
-    *parameters_of(Schedule),
-    Parameter("await_epoch", default=False, description="whether the process that starts the node sends it the epoch"),
-    *(parameter for parameter in parameters_of(Realtime) if parameter.name == "clock_tolerance"),
-    Parameter("autostart", default=True, description="whether to configure and activate the node at once"),
-    SCHEDULING,
-    PRIORITY,
-    LOCK_MEMORY,
-)
+COMMON = parameters_of(RealtimeSettings)
 """Parameters that every node in real time has."""
 
-OWN_TOPICS = Parameter(
-    "own_topics", default=False, description="whether each robot publishes on topics below the name of its own node"
-)
-"""Parameter of robots, and of the nodes that read what robots publish."""
 
 SWITCH_INTERVAL = 0.0005
 """Longest time, s, for which the thread that serves ROS holds the interpreter while a step is due."""
@@ -121,9 +94,10 @@ def _run(
     role: str, node: RealtimeNode, tuning: Tuning, make: Callable[[], RealtimeSpec], status: StatusChannel
 ) -> None:
     settings = tuning.settings
+    common = settings.declared(RealtimeSettings)
     executor = SingleThreadedExecutor(context=node.context)
     loop = RealtimeLoop(node.failed, Heartbeat().beat, on_hang=lambda: _give_up(node))
-    node.prepare(make, settings.endpoints(role, REALTIME), settings.declared(Schedule), loop, executor, status, tuning)
+    node.prepare(make, settings.endpoints(role, REALTIME), common.schedule, loop, executor, status, tuning)
     executor.add_node(node)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: loop.stop())
@@ -138,10 +112,10 @@ def _run(
     sys.setswitchinterval(SWITCH_INTERVAL)
     server.start()
     try:
-        schedule_threads(settings.text(SCHEDULING.name), settings.integer(PRIORITY.name))
-        if settings.flag(LOCK_MEMORY.name):
+        schedule_threads(common.scheduling, common.priority)
+        if common.lock_memory:
             lock_memory()
-        if settings.flag("autostart"):
+        if common.autostart:
             executor.create_task(start)
         else:
             notify("READY=1\nSTATUS=waiting for configuration")
@@ -183,7 +157,7 @@ def schedule_threads(name: str, priority: int) -> None:
                 os.sched_setscheduler(thread, _CLASSES[name], os.sched_param(priority - (thread != own)))
     except OSError as error:
         raise InputError(
-            f"parameter {SCHEDULING.name}: this process may not use {name} priority {priority} ({error.strerror}); "
+            f"parameter scheduling: this process may not use {name} priority {priority} ({error.strerror}); "
             f"allow it (systemd: LimitRTPRIO={priority}; otherwise the capability CAP_SYS_NICE), or use 'other'"
         ) from error
 
@@ -196,7 +170,7 @@ def lock_memory() -> None:
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         raise InputError(
-            f"parameter {LOCK_MEMORY.name}: this process may not lock its memory ({os.strerror(ctypes.get_errno())}); "
+            f"parameter lock_memory: this process may not lock its memory ({os.strerror(ctypes.get_errno())}); "
             "allow it (systemd: LimitMEMLOCK=infinity; otherwise the capability CAP_IPC_LOCK), or use false"
         )
 

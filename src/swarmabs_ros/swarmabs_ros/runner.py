@@ -7,19 +7,19 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
-from swarmabs_config.graph import KEPT_STEPS, LOCKSTEP, Endpoints, endpoints, options_of
+from swarmabs_config.graph import LOCKSTEP, Endpoints, endpoints, options_of
 from swarmabs_core.declaration import DeclarationT, made_of, parameters_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import TOPICS
-from swarmabs_core.parameters import Parameter, SettingError
-from swarmabs_core.settings import Run
+from swarmabs_core.parameters import SettingError
 from swarmabs_ros.endpoints import Receiver, advertise
-from swarmabs_ros.lockstep import FIRST, INTERRUPTED, SLICE, Lockstep
+from swarmabs_ros.lockstep import INTERRUPTED, SLICE, Lockstep
 from swarmabs_ros.parameters import declare, given_values, refuse_sim_time, table_of
+from swarmabs_ros.settings import LockstepSettings
 from swarmabs_ros.start import SwarmNode, run_program
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from rclpy.node import Node
     from rclpy.publisher import Publisher
@@ -31,45 +31,13 @@ if TYPE_CHECKING:
     from swarmabs_ros.parameters import BySystem, Table
     from swarmabs_ros.status import StatusChannel
 
-COMMON = (
-    *(parameter for parameter in parameters_of(Run) if parameter.name in {"period_ns", "last_step"}),
-    Parameter(
-        "stall_timeout",
-        5.0,
-        "duration of a silence that is reported as a stall, {unit}; 0: never",
-        unit="s",
-        minimum=0.0,
-    ),
-    Parameter(
-        "repeat_after",
-        FIRST,
-        "shortest wait for an answer before the last messages are sent again",
-        unit="s",
-        above=0.0,
-    ),
-    Parameter(
-        "repeat_steps",
-        KEPT_STEPS,
-        "largest number of steps whose messages are sent again at once",
-        minimum=1,
-        maximum=KEPT_STEPS,
-    ),
-    Parameter("match", (), "endpoints to wait for before the start, each 'TOPIC NUMBER'; none: start at once"),
-)
-"""Parameters that every node in lockstep has."""
 
-PACKED = Parameter(
-    "packed",
-    default=False,
-    description="whether robots receive the three broadcasts as one message, plane and recorder the robots' states",
-)
-STEERED = Parameter(
-    "steered", default=False, description="whether the run is steered: each step starts with the order for it"
-)
+COMMON = parameters_of(LockstepSettings)
+"""Parameters that every node in lockstep has."""
 
 
 class Settings:
-    """Checked parameter values, accessed by name and type, and the namespace of the node and the swarm."""
+    """Checked parameter values, read as declarations, and the namespace of the node and the swarm."""
 
     def __init__(self, values: Mapping[str, Value], namespace: str = "/") -> None:
         self._values = values
@@ -78,35 +46,6 @@ class Settings:
     def changed(self, values: Mapping[str, Value]) -> Settings:
         """Return these settings with other values of some parameters."""
         return Settings({**self._values, **values}, self.namespace)
-
-    def number(self, name: str) -> float:
-        """Return a number."""
-        return cast("float", self._values[name])
-
-    def integer(self, name: str) -> int:
-        """Return an integer."""
-        return cast("int", self._values[name])
-
-    def text(self, name: str) -> str:
-        """Return a string."""
-        return cast("str", self._values[name])
-
-    def flag(self, name: str) -> bool:
-        """Return a boolean."""
-        return cast("bool", self._values[name])
-
-    def integers(self, name: str) -> tuple[int, ...]:
-        """Return integers."""
-        return cast("tuple[int, ...]", self._values[name])
-
-    def texts(self, name: str) -> tuple[str, ...]:
-        """Return strings."""
-        return cast("tuple[str, ...]", self._values[name])
-
-    def last_step(self) -> int | None:
-        """Return the last step of the run, None if it does not end by itself."""
-        step = self.integer("last_step")
-        return None if step < 0 else step
 
     def chosen(self, declarations: BySystem[DeclarationT]) -> DeclarationT:
         """Return the declaration for the parent system with these values; errors as for `declared`."""
@@ -168,7 +107,7 @@ class LockstepProgram:
 
 
 def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: StatusChannel) -> None:
-    ends = spec.endpoints or settings.endpoints(role, LOCKSTEP)
+    ends, common = spec.endpoints or settings.endpoints(role, LOCKSTEP), settings.declared(LockstepSettings)
     publishers = {topic: advertise(node, topic) for topic in ends.publications}
     inbox = Receiver(node, ends.subscriptions)
     loop = Lockstep(
@@ -177,9 +116,9 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
         publishers,
         status,
         topics=tuple(ends.subscriptions),
-        stall_timeout=settings.number("stall_timeout"),
-        repeat_after=settings.number("repeat_after"),
-        repeat_steps=settings.integer("repeat_steps"),
+        stall_timeout=common.stall_timeout,
+        repeat_after=common.repeat_after,
+        repeat_steps=common.repeat_steps,
     )
     stopped = interrupted = False
 
@@ -192,7 +131,7 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
         signal.signal(number, stop)
     problem: str | None = "the node failed"
     try:
-        expected = _expected(settings)
+        expected = _expected(common.match)
         begun = time.monotonic()
         while not stopped and not _matched(expected, publishers, inbox):
             time.sleep(_look_again(time.monotonic() - begun))
@@ -217,10 +156,11 @@ def _look_again(waited: float) -> float:
     return min(max(SLICE / 20.0, waited / 10.0), SLICE)
 
 
-def _expected(settings: Settings) -> dict[Topic, int]:
+def _expected(match: Iterable[str]) -> dict[Topic, int]:
+    """Return the number of counterparts by topic from the values of the parameter."""
     topics = {topic.name: topic for topic in TOPICS}
     expected = {}
-    for text in settings.texts("match"):
+    for text in match:
         try:
             name, number = text.split()
             expected[topics[name]] = int(number)

@@ -10,6 +10,9 @@ from hypothesis import given as generated, settings as with_settings, strategies
 from tests.swarmabs_core.helpers import builtin
 from tests.swarmabs_ros.nodes import declared_by, started_node
 
+from abstraction_observer.node import StallReaction
+from swarmabs_bag.recorder.node import RecorderSettings
+from swarmabs_bag.recorder.realtime import Clock
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config import configure, realtime
 from swarmabs_config.graph import (
@@ -46,6 +49,7 @@ from swarmabs_ros.lockstep import FIRST
 from swarmabs_ros.parameters import table_of
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON, Settings
+from swarmabs_ros.settings import LockstepSettings
 from swarmabs_run.orchestration.plan import PATIENCE, ProcessPlan, plan
 from swarmabs_run.run import DEFAULTS, RunOptions
 
@@ -131,8 +135,9 @@ def test_nodes_are_configured_as_the_scenario_says(scenario: str, monkeypatch: p
     assert plane.declared(PlaneConfig) == replace(expected, plane=replace(expected.plane, robot_gravity=False))
     observer = settings_of(processes[OBSERVER])
     assert observer.declared(ObserverConfig) == configure.observer_config(loaded)
-    assert observer.text("on_stall") == loaded.lockstep.on_stall
-    assert observer.number("stall_timeout") == plane.number("stall_timeout") == loaded.lockstep.stall_timeout
+    assert observer.declared(StallReaction).on_stall == loaded.lockstep.on_stall
+    timeouts = [settings.declared(LockstepSettings).stall_timeout for settings in (observer, plane)]
+    assert timeouts == [loaded.lockstep.stall_timeout] * 2
     (config,) = made_by(processes[CONTROLLER], "Controller", monkeypatch)
     law = config.law.make(loaded.period, loaded.manifold)
     window = configure.recording_window(loaded)
@@ -159,7 +164,6 @@ def test_nodes_in_real_time_are_configured_as_the_scenario_says(scenario: str, m
     for robot in realtime.agent_configs(loaded, clock):
         settings = settings_of(processes[agent_name(robot.agent_id)])
         assert settings.declared(RealtimeAgentConfig) == robot
-        assert settings.text("drive.type") == "simulated"
     config, make_law = made_by(processes[CONTROLLER], "RealtimeController", monkeypatch)
     assert type(make_law()) is type(configure.parent_controller(loaded))
     assert config == replace(realtime.controller_config(loaded, clock), law=config.law)
@@ -170,9 +174,13 @@ def test_nodes_in_real_time_are_configured_as_the_scenario_says(scenario: str, m
 def test_the_recorder_is_told_where_everything_is(driver: Driver) -> None:
     loaded = scenario_of("pd_het_4")
     settings = settings_of(planned(loaded, driver)[RECORDER])
-    found = [settings.text(name) for name in ("scenario_file", "bag", "logs")]
-    assert found == ["/runs/x/scenario.yaml", "/runs/x/bag", "/runs/x/logs"]
-    assert settings.last_step() == loaded.steps
+    recorder = settings.declared(RecorderSettings)
+    assert (recorder.scenario_file, recorder.bag, recorder.logs) == (
+        "/runs/x/scenario.yaml",
+        "/runs/x/bag",
+        "/runs/x/logs",
+    )
+    assert settings.declared(LockstepSettings if driver is LOCKSTEP else Clock).last_step == loaded.steps
 
 
 @with_ros
@@ -267,7 +275,7 @@ def test_orders_reach_whom_they_concern_and_no_robot_that_is_there() -> None:
     # Who can only be added has no process where nobody steers.
     processes = steerable("{kind: join, at: null, agent: 3}", steered=False)
     assert [p.agents for p in processes.values() if p.agents] == [(1,), (2,), (4,)]
-    assert not any("steered" in p.parameters for p in processes.values())
+    assert not any(p.parameters.get("steered") for p in processes.values())
     assert "steering" not in processes
 
 

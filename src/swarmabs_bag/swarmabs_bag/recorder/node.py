@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_bag.run_folder import Split
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, RECORDER
-from swarmabs_config.scenario import load_scenario
 from swarmabs_core.behaviours.base import UnexpectedMessageError
 from swarmabs_core.cdr import decode, encode
-from swarmabs_core.errors import InputError
+from swarmabs_core.declaration import setting
 from swarmabs_core.messages import (
     EVENTS,
     NEVER,
@@ -33,10 +33,10 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.parameters import Parameter
 from swarmabs_ros.announcements import send_events
 from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
-from swarmabs_ros.runner import PACKED, STEERED, LockstepProgram, Settings
+from swarmabs_ros.runner import LockstepProgram, Settings
+from swarmabs_ros.settings import ScenarioFile, Variant
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -46,13 +46,21 @@ if TYPE_CHECKING:
     from swarmabs_bag.run.step import Step
     from swarmabs_config.scenario import AnyScenario
 
-COMMON = (
-    Parameter("scenario_file", "", "file of the resolved scenario"),
-    Parameter("bag", "", "folder of the bag; empty: only digest and figures are computed"),
-    Parameter("max_bag_size", 0, "size in bytes after which a new file begins; 0: never", minimum=0),
-    Parameter("max_bag_duration_ns", 0, "simulated time in ns after which a new file begins; 0: never", minimum=0),
-    Parameter("logs", "", "folder of the log files to attach at the end"),
-)
+
+@dataclass(frozen=True, slots=True)
+class RecorderSettings(ScenarioFile):
+    """Settings of a recorder."""
+
+    bag: str = setting("", "folder of the bag; empty: only digest and figures are computed")
+    max_bag_size: int = setting(0, "size in bytes after which a new file begins; 0: never", minimum=0)
+    max_bag_duration_ns: int = setting(0, "simulated time in ns after which a new file begins; 0: never", minimum=0)
+    logs: str = setting("", "folder of the log files to attach at the end")
+
+    @property
+    def split(self) -> Split:
+        """When the bag continues in a new file."""
+        return Split(self.max_bag_size, self.max_bag_duration_ns)
+
 
 REPORT_SECONDS = 0.1
 """Time between two reports to the orchestrator, s."""
@@ -61,26 +69,10 @@ GATHER_SECONDS = 0.005, 0.05
 BATCH = 0.25, 0.5
 """Steps of a batch, as parts of the window by which the run may be ahead of the recorder: it must not have to wait."""
 
-PARAMETERS = (
-    *COMMON,
-    PACKED,
-    STEERED,
-)
+PARAMETERS = (RecorderSettings, Variant)
 
 CREDITS = 10
 """Progress messages per window of steps by which the run may be ahead of the recorder."""
-
-
-def scenario_of(settings: Settings) -> Any:
-    """Return the scenario of the recorded run."""
-    if not settings.text("scenario_file"):
-        raise InputError("parameter scenario_file is empty: give the file of the resolved scenario")
-    return load_scenario(Path(settings.text("scenario_file")))
-
-
-def split_of(settings: Settings) -> Split:
-    """Return when the bag continues in a new file."""
-    return Split(settings.integer("max_bag_size"), settings.integer("max_bag_duration_ns"))
 
 
 def log_text(folder: str) -> bytes:
@@ -274,19 +266,18 @@ class Recorder:
 
 def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     """Return the behaviour, the endpoints, and the functions called on idle and on exit."""
-    scenario = scenario_of(settings)
-    bag = settings.text("bag")
-    packed, steered = settings.flag(PACKED.name), settings.flag(STEERED.name)
+    own, variant = settings.declared(RecorderSettings), settings.declared(Variant)
+    scenario = own.load()
     recording = Recording(
         scenario,
-        Path(bag) if bag else None,
+        Path(own.bag) if own.bag else None,
         driver="lockstep",
         namespace=settings.namespace,
-        split=split_of(settings),
-        packed=packed,
-        steered=steered,
+        split=own.split,
+        packed=variant.packed,
+        steered=variant.steered,
     )
-    reporter = Reporter(recording, status, settings.text("logs"))
+    reporter = Reporter(recording, status, own.logs)
     planned = {change.step for change in configure.schedule(scenario)}
 
     def report(steps: range) -> None:
@@ -296,8 +287,8 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         scenario,
         recording,
         report,
-        packed=packed,
-        steered=steered,
+        packed=variant.packed,
+        steered=variant.steered,
         on_events=partial(send_events, status, "recorded"),
     )
     return NodeSpec(

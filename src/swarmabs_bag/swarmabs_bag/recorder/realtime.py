@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,25 +13,26 @@ from typing import TYPE_CHECKING, Any
 from diagnostic_msgs.msg import DiagnosticArray
 
 from swarmabs_bag.realtime_world import RealtimeWorld
-from swarmabs_bag.recorder.node import COMMON as OF_RECORDERS, Reporter, scenario_of, split_of
+from swarmabs_bag.recorder.node import RecorderSettings, Reporter
 from swarmabs_bag.recorder.recording import RealtimeRecording
 from swarmabs_config import configure
 from swarmabs_config.graph import DIAGNOSTICS, REALTIME, RECORDER
-from swarmabs_core.declaration import parameters_of
+from swarmabs_config.scenario import on_plane
+from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
 from swarmabs_core.messages import NEVER
 from swarmabs_core.pair_role import RECORDS, role_values
-from swarmabs_core.parameters import Parameter
-from swarmabs_core.realtime.base import Health, Schedule
+from swarmabs_core.realtime.base import Health, Realtime, Schedule
 from swarmabs_core.realtime.leadership import SINGLE, Pair
 from swarmabs_core.record import Record
+from swarmabs_core.settings import Run
 from swarmabs_ros.endpoints import Receiver
 from swarmabs_ros.lockstep import INTERRUPTED
 from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
-from swarmabs_ros.parameters import choose, declare, refuse_sim_time
+from swarmabs_ros.parameters import declare, refuse_sim_time, table_of
 from swarmabs_ros.realtime import arrived
-from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON, OWN_TOPICS
-from swarmabs_ros.runner import COMMON, Settings
+from swarmabs_ros.runner import Settings
+from swarmabs_ros.settings import RealtimeSettings, RobotTopics
 from swarmabs_ros.start import SwarmNode, run_program
 from swarmabs_ros.status import Heartbeat, notify
 
@@ -44,19 +46,34 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Topic
     from swarmabs_ros.status import StatusChannel
 
-PARAMETERS = (
-    *choose(COMMON, "last_step"),
-    *choose(REALTIME_COMMON, "period_ns", "epoch_ns", "await_epoch", "clock_tolerance"),
-    *OF_RECORDERS,
-    Parameter("bags", "", "folder in which each start creates a new bag folder; used instead of bag"),
-    Parameter(
-        "own_limits", (), "ids of the robots with other limits than the scenario's", minimum=1, maximum=65535, item=0
-    ),
-    Parameter("driven", (), "ids of the robots whose bodies are not simulated", minimum=1, maximum=65535, item=0),
-    Parameter("simulated_plane", default=True, description="whether the plane is simulated"),
-    *choose(parameters_of(Pair), "pair", "paired"),
-    OWN_TOPICS,
-)
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """When a run in real time is recorded."""
+
+    last_step: int | None = same(Run, "last_step")
+    schedule: Schedule = part(Schedule, name="")
+    await_epoch: bool = same(RealtimeSettings, "await_epoch")
+    clock_tolerance: float = same(Realtime, "clock_tolerance")
+
+
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """What is recorded."""
+
+    bags: str = setting("", "folder in which each start creates a new bag folder; used instead of bag")
+    own_limits: tuple[int, ...] = setting(
+        (), "ids of the robots with other limits than the scenario's", minimum=1, maximum=65535, item=0
+    )
+    driven: tuple[int, ...] = setting(
+        (), "ids of the robots whose bodies are not simulated", minimum=1, maximum=65535, item=0
+    )
+    simulated_plane: bool = setting(default=True, description="whether the plane is simulated")
+    pair: str = same(Pair, "rank")
+    paired: bool = same(Pair, "paired")
+
+
+PARAMETERS = (Clock, RecorderSettings, Fleet, RobotTopics)
 
 SLICE = 0.1
 """Longest time between two checks whether the node must stop, s."""
@@ -128,43 +145,41 @@ class RealtimeRecorder:
                 recording.add(record, time.time_ns(), writer)
 
 
-def _folder(settings: Settings, scenario: AnyScenario) -> Path | None:
+def _folder(bag: str, bags: str, scenario: AnyScenario) -> Path | None:
     """Return the folder of the bag; one of many is named after the time at which it is begun."""
-    bag, bags = settings.text("bag"), settings.text("bags")
     if bags:
         return Path(bags) / f"{scenario.name}-{datetime.now(timezone.utc):%Y%m%dT%H%M%S.%fZ}"
     return Path(bag) if bag else None
 
 
 def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
-    scenario = scenario_of(settings)
+    own, clock, fleet = settings.declared(RecorderSettings), settings.declared(Clock), settings.declared(Fleet)
+    scenario = on_plane(own.load(), "real time")
     members = configure.members(scenario)
     subscriptions = settings.endpoints(RECORDER, REALTIME, members=members).subscriptions
-    recorder = RealtimeRecorder(node, subscriptions, status, settings.text("pair"))
-    epoch = settings.integer("epoch_ns")
-    if settings.flag("await_epoch"):
+    recorder = RealtimeRecorder(node, subscriptions, status, fleet.pair)
+    epoch = clock.schedule.epoch_ns
+    if clock.await_epoch:
         status.send("ready")
         epoch = status.wait_for_epoch()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, recorder.stop)
     schedule = Schedule(scenario.step_ns, epoch)
-    if settings.integer("period_ns") != scenario.step_ns:
+    if clock.schedule.period_ns != scenario.step_ns:
         raise InputError(f"parameter period_ns does not match the scenario: set it to {scenario.step_ns}")
-    last = settings.last_step()
-    robots = sorted(set(members) - set(settings.integers("driven")))
-    world = RealtimeWorld(
-        schedule, tuple(robots), settings.flag("simulated_plane"), tuple(settings.integers("own_limits"))
-    )
+    last = clock.last_step
+    robots = sorted(set(members) - set(fleet.driven))
+    world = RealtimeWorld(schedule, tuple(robots), fleet.simulated_plane, fleet.own_limits)
     recording = RealtimeRecording(
         scenario,
-        _folder(settings, scenario),
+        _folder(own.bag, fleet.bags, scenario),
         world,
         last_step=last,
         namespace=settings.namespace,
-        split=split_of(settings),
-        paired=settings.flag("paired"),
+        split=own.split,
+        paired=fleet.paired,
     )
-    reporter = Reporter(recording, status, settings.text("logs"))
+    reporter = Reporter(recording, status, own.logs)
     status.send("ready")
     notify("READY=1\nSTATUS=recording")
     problem: str | None = "the node failed"
@@ -189,7 +204,7 @@ def main(args: list[str] | None = None) -> int:
 
     def body(node: Node, status: StatusChannel) -> None:
         refuse_sim_time(node)
-        _record(node, Settings(declare(node, PARAMETERS), node.get_namespace()), status)
+        _record(node, Settings(declare(node, table_of({}, (), PARAMETERS)), node.get_namespace()), status)
 
     return run_program(RECORDER, SwarmNode, body, args)
 

@@ -34,6 +34,7 @@ from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import FAMILIES, Topic
 from swarmabs_core.steering import STEERER
 from swarmabs_ros.lockstep import FIRST
+from swarmabs_ros.settings import LockstepSettings, Variant
 from swarmabs_run.run import DEFAULTS
 
 if TYPE_CHECKING:
@@ -140,16 +141,20 @@ def _lockstep_plan(
     scenario: AnyScenario, folder: RunFolder, recorder: Parameters, options: RunOptions
 ) -> tuple[ProcessPlan, ...]:
     window = configure.recording_window(scenario)
-    packed: Parameters = {"packed": options.packs(len(scenario.agents))}
+    packed = options.packs(len(scenario.agents))
     common: Parameters = {
-        "period_ns": scenario.step_ns,
-        "last_step": scenario.steps,
-        "stall_timeout": scenario.lockstep.stall_timeout,
-        "repeat_after": max(FIRST, PATIENCE * len(scenario.agents)),
-        "repeat_steps": min(KEPT_STEPS, 2 * window),
+        **values_of(
+            LockstepSettings(
+                scenario.step_ns,
+                scenario.steps,
+                scenario.lockstep.stall_timeout,
+                repeat_after=max(FIRST, PATIENCE * len(scenario.agents)),
+                repeat_steps=min(KEPT_STEPS, 2 * window),
+            )
+        )
     }
     # These nodes begin each step by applying the steering requests for it.
-    obeying = common | packed | ({"steered": True} if options.steered else {})
+    obeying = common | values_of(Variant(packed, options.steered))
     coordinators = {
         PLANE: obeying | values_of(configure.parent_config(scenario)),
         OBSERVER: obeying | values_of(configure.observer_config(scenario)) | {"on_stall": scenario.lockstep.on_stall},
@@ -158,17 +163,14 @@ def _lockstep_plan(
     }
     also = options_for(scenario)
     if options.steered:
-        place = {"scenario_file": str(folder.scenario), "folder": str(folder.path)}
-        coordinators[STEERER] = (
-            common
-            | place
-            | {
-                "step_seconds": options.step_seconds,
-                "paused": options.paused,
-                "restarts": options.restarts,
-            }
-        )
-    robots = tuple(_agent_processes(scenario, common | packed, folder, options))
+        coordinators[STEERER] = common | {
+            "scenario_file": str(folder.scenario),
+            "folder": str(folder.path),
+            "step_seconds": options.step_seconds,
+            "paused": options.paused,
+            "restarts": options.restarts,
+        }
+    robots = tuple(_agent_processes(scenario, common | values_of(Variant(packed)), folder, options))
     spare = count(COORDINATORS + len(robots))
     return (
         *(_coordinator(node, LOCKSTEP, parameters, scenario, also, spare) for node, parameters in coordinators.items()),

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP
-from swarmabs_config.scenario import AnyScenario, load_scenario
+from swarmabs_config.scenario import AnyScenario
 from swarmabs_core.behaviours import Decision, SteeringConfig, SteeringController
 from swarmabs_core.cdr import decode
+from swarmabs_core.declaration import setting
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Change
 from swarmabs_core.messages import PARENT_STATES, Action, Messages, Topic
-from swarmabs_core.parameters import Parameter
 from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE, STEERER
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.runner import LockstepProgram, Settings
+from swarmabs_ros.settings import ScenarioFile
 from swarmabs_ros.status import StatusChannel
 from swarmabs_run.run import SLOWEST_STEP
 from swarmabs_run.steering.server import PAUSES, PUSH, ROBOTS, VALUED, RequestQueue, SteeringServer
@@ -26,20 +28,24 @@ from swarmabs_run.steering.server import PAUSES, PUSH, ROBOTS, VALUED, RequestQu
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-PARAMETERS = (
-    Parameter("scenario_file", "", "file of the resolved scenario"),
-    Parameter("folder", "", "folder of the run, for the socket"),
-    Parameter(
-        "step_seconds",
+
+@dataclass(frozen=True, slots=True)
+class SteeringSettings(ScenarioFile):
+    """Settings of the node."""
+
+    folder: str = setting("", "folder of the run, for the socket")
+    step_seconds: float = setting(
         0.0,
         "shortest wall time of a step on average, {unit}; 0: as fast as possible",
         unit="s",
         minimum=0.0,
         maximum=SLOWEST_STEP,
-    ),
-    Parameter("paused", default=False, description="whether the run is paused at its first step"),
-    Parameter("restarts", default=False, description="whether another run starts when a client asks for it"),
-)
+    )
+    paused: bool = setting(default=False, description="whether the run is paused at its first step")
+    restarts: bool = setting(default=False, description="whether another run starts when a client asks for it")
+
+
+PARAMETERS = (SteeringSettings,)
 
 _NAMES = {action: name for name, action in (*VALUED.items(), *ROBOTS.items()) if name != "leave"}
 
@@ -107,9 +113,10 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
 
     Raises `InputError` if the scenario or the folder is not given, and `RunError` if the folder cannot hold a socket.
     """
-    if not settings.text("scenario_file") or not settings.text("folder"):
+    own = settings.declared(SteeringSettings)
+    if not own.scenario_file or not own.folder:
         raise InputError("parameters scenario_file and folder: give the resolved scenario and the folder of the run")
-    scenario = load_scenario(Path(settings.text("scenario_file")))
+    scenario = own.load()
     config = steering_config(scenario)
 
     def report(decision: Decision) -> None:
@@ -125,7 +132,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
             status.send("restart", action=action)
 
     controller = SteeringController(config)
-    if settings.flag("paused"):
+    if own.paused:
         controller.pause(paused=True)
         act("pause")
     facts = {
@@ -133,12 +140,11 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         "step_time": scenario.step,
         "largest_reference": config.largest_offset,
         "largest_disturbance": config.largest_torque,
-        "restarts": settings.flag("restarts"),
+        "restarts": own.restarts,
     }
     requests = RequestQueue(controller, scenario.step_ns, facts, report, act)
-    SteeringServer(Path(settings.text("folder")), requests).start()
-    seconds = settings.number("step_seconds")
-    hear = Pace(controller, seconds).hear if seconds else None
+    SteeringServer(Path(own.folder), requests).start()
+    hear = Pace(controller, own.step_seconds).hear if own.step_seconds else None
     ends = settings.endpoints(STEERER, LOCKSTEP, *configure.options_for(scenario))
     return NodeSpec(controller, ends, on_idle=requests.work, hear=hear)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +15,11 @@ from swarmabs_bag.run.schemas import message_schema
 from swarmabs_bag.shown.swarm_state import SwarmState
 from swarmabs_config.scenario import load_scenario, on_plane
 from swarmabs_core.cdr import agent_id_of
+from swarmabs_core.declaration import made_of, parameters_of, setting
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import EVENTS, PLANE_FAMILY
-from swarmabs_core.parameters import Parameter
 from swarmabs_ros.endpoints import profile
 from swarmabs_ros.parameters import declare
-from swarmabs_ros.runner import Settings
 from swarmabs_ros.start import SwarmNode, run_program
 from swarmabs_view.listener import Listener
 from swarmabs_view.ports import ADDRESS, need_foxglove
@@ -45,13 +45,20 @@ if TYPE_CHECKING:
     Publish = Callable[[VisualTopic, Any], None]
 
 RATE = 30.0
-PARAMETERS = (
-    Parameter("scenario_file", "", "scenario file with the dimensions of the plane and the robots"),
-    Parameter("rate", RATE, "most frames per second of wall time", above=0.0, maximum=1000.0),
-    Parameter("ros", default=True, description="whether to publish on ROS topics"),
-    Parameter("clock", default=False, description="whether to publish the time of the steps on clock"),
-    Parameter("foxglove_port", -1, "TCP port on 127.0.0.1 for Foxglove, 0: any; -1: none", minimum=-1, maximum=65535),
-)
+
+
+@dataclass(frozen=True, slots=True)
+class ViewSettings:
+    """Settings of the node."""
+
+    scenario_file: str = setting("", "scenario file with the dimensions of the plane and the robots")
+    rate: float = setting(RATE, "most frames per second of wall time", above=0.0, maximum=1000.0)
+    ros: bool = setting(default=True, description="whether to publish on ROS topics")
+    clock: bool = setting(default=False, description="whether to publish the time of the steps on clock")
+    foxglove_port: int = setting(-1, "TCP port on 127.0.0.1 for Foxglove, 0: any; -1: none", minimum=-1, maximum=65535)
+
+
+PARAMETERS = parameters_of(ViewSettings)
 SHARE = 0.2
 """Largest fraction of a core for drawing; expensive frames are drawn less often."""
 REPEAT = 1.0
@@ -68,15 +75,15 @@ def main(args: list[str] | None = None, wait: Callable[[float], bool] | None = N
     """
 
     def body(node: SwarmNode, _: StatusChannel) -> None:
-        settings = Settings(declare(node, PARAMETERS), node.get_namespace())
+        settings = made_of(ViewSettings, declare(node, PARAMETERS))
         scenario = _scenario(settings)
         listener = Listener(node, len(scenario.agents), (PLANE_FAMILY,))
-        publish: list[Publish] = [ros_publisher(node)] if settings.flag("ros") else []
-        port = settings.integer("foxglove_port")
+        publish: list[Publish] = [ros_publisher(node)] if settings.ros else []
+        port = settings.foxglove_port
         if port < 0:
             show(scenario, listener, publish, None, settings, wait or _until_signalled())
             return
-        with FoxgloveServer(port, settings.namespace, listener.topics) as foxglove:
+        with FoxgloveServer(port, node.get_namespace(), listener.topics) as foxglove:
             sys.stderr.write(f"Foxglove: connect to ws://{ADDRESS}:{foxglove.port}\n")
             show(scenario, listener, [*publish, foxglove.publish], foxglove, settings, wait or _until_signalled())
 
@@ -154,7 +161,7 @@ def show(
     listener: Listener,
     publishers: Sequence[Publish],
     foxglove: FoxgloveServer | None,
-    settings: Settings,
+    settings: ViewSettings,
     wait: Callable[[float], bool],
 ) -> None:
     """Show the swarm: a frame for each new step, at a limited rate."""
@@ -162,7 +169,7 @@ def show(
     for publish in publishers:
         publish(*description(scene, scenario.plane.inertia))
     repeated = time.monotonic()
-    period, pause, shown = 1.0 / settings.number("rate"), 0.0, None
+    period, pause, shown = 1.0 / settings.rate, 0.0, None
     while not wait(pause):
         begun = time.monotonic()
         for own, payload in _hear(listener, swarm):
@@ -171,7 +178,7 @@ def show(
         frame = scene.frame(swarm)
         if frame is not None and frame.step != shown:
             shown = frame.step
-            for topic, message in translator.messages(frame, clock=settings.flag("clock")):
+            for topic, message in translator.messages(frame, clock=settings.clock):
                 for publish in publishers:
                     publish(topic, message)
         if foxglove is not None and begun - repeated >= REPEAT:
@@ -190,10 +197,10 @@ def _hear(listener: Listener, swarm: SwarmState) -> list[tuple[Topic, bytes]]:
     return [(topic, payload) for (topic, _), payload in newest.items()]
 
 
-def _scenario(settings: Settings) -> Scenario:
-    if not settings.text("scenario_file"):
+def _scenario(settings: ViewSettings) -> Scenario:
+    if not settings.scenario_file:
         raise InputError("parameter scenario_file is empty: give the scenario file")
-    return on_plane(load_scenario(Path(settings.text("scenario_file"))), "the RViz scene").resolved()
+    return on_plane(load_scenario(Path(settings.scenario_file)), "the RViz scene").resolved()
 
 
 def _until_signalled() -> Callable[[float], bool]:
