@@ -1,9 +1,11 @@
-"""``python other_platform.py ARGUMENT...``: the command line on a Python without what only Linux or only POSIX has.
+"""``python other_platform.py COMMAND...``: command lines on a Python without what only Linux or only POSIX has.
 
-It stands in for Windows and macOS, as far as names go: these modules and functions are absent there.
+The first that fails ends it, with its exit code. It stands in for Windows and macOS, as far as names go: these modules
+and functions are absent there.
 """
 
 import os
+import shlex
 import signal
 import sys
 import time
@@ -30,7 +32,10 @@ def main() -> int:
     from swarmabs_run.orchestration import run_files  # noqa: PLC0415
 
     run_files.start_of = lambda _: None  # /proc
-    return command()
+    for line in sys.argv[1:]:
+        if code := command(shlex.split(line)):
+            return code
+    return 0
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import json
 import os
 import re
-import shutil
+import shlex
 import subprocess
 import sys
 from email import message_from_bytes
@@ -16,6 +16,7 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 from scripts.build_wheel import PACKAGES, build
 from tests.frozen.digests import CASES
+from tests.portability.machines import SERIES, interpreter, variables
 from tests.processes import ROOT
 
 from swarmabs_bag.run.channels import READABLE
@@ -28,7 +29,6 @@ MESSAGES = ("builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rosgraph_
 HIDDEN = (*WORKSPACE, *ROS, *MESSAGES, "std_srvs", "visualization_msgs")
 NEED_ROS = {"bags.markers", "bags.replay", "fleet.operate", "run.demo", "run.run"}
 """The files of the commands that need ROS whatever their options."""
-SERIES = ("3.10", "3.11", "3.12", "3.13", "3.14")
 LARGEST = 150e6
 """Size of an environment with the wheel and what it requires, bytes, without what installs it."""
 INSTALLERS = {"pip", "pkg_resources", "setuptools"}
@@ -52,12 +52,6 @@ def metadata(wheel: Path) -> Message:
     with ZipFile(wheel) as file:
         (name,) = (name for name in file.namelist() if name.endswith(".dist-info/METADATA"))
         return message_from_bytes(file.read(name))
-
-
-def variables() -> dict[str, str]:
-    """Return the environment without ROS and this workspace."""
-    kept = ("PATH", "HOME", "LANG", "TMPDIR", "PIP_INDEX_URL", "PIP_CONFIG_FILE", "PIP_CERT", "SSL_CERT_FILE")
-    return {name: os.environ[name] for name in kept if name in os.environ} | {"PYTHONDONTWRITEBYTECODE": "1"}
 
 
 def test_the_same_sources_give_the_same_bytes(wheel: Path, tmp_path: Path) -> None:
@@ -121,32 +115,25 @@ def test_only_commands_that_need_ros_import_it(unpacked: Path) -> None:
 
 
 def test_without_what_only_posix_has_everything_else_works(unpacked: Path, tmp_path: Path) -> None:
-    def swarm_command(*words: str) -> str:
-        program = [sys.executable, str(ROOT / "tests/scripts/other_platform.py"), *words]
-        environment = variables() | {"PYTHONPATH": str(unpacked)}
-        done = subprocess.run(program, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    assert DIGEST in swarm_command("simulate", "-o", "run")
-    assert "agree bit for bit" in swarm_command("verify", "run")
-    assert "complete" in swarm_command("info", "run")
-    assert "run.npz" in swarm_command("export", "run", "-o", "run.npz")
-    assert "nothing to repair" in swarm_command("repair", "run")
-    assert "covered" in swarm_command("check")
-    assert "report.html" in swarm_command("report", "run", "--html", "report.html")
-
-
-def interpreter(series: str) -> str:
-    """Return the path of an interpreter of this machine; skip the test if there is none."""
-    candidates = [sys.executable] if series == "{}.{}".format(*sys.version_info) else []
-    candidates += filter(None, [shutil.which(f"python{series}")])
-    candidates += map(str, sorted(Path.home().glob(f".pyenv/versions/{series}.*/bin/python")))
-    for path in candidates:
-        asked = [path, "-c", "import ensurepip, sys; print('{}.{}'.format(*sys.version_info))"]
-        if subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip() == series:
-            return path
-    pytest.skip(f"no CPython {series} with ensurepip on this machine")
+    case = CASES["sensors"]
+    overrides = [f"--set={override}" for override in case["set"]]
+    expected = {
+        shlex.join(["simulate", case["scenario"], *overrides, "-o", "run"]): case["summary"]["digest"],
+        "verify run": "agree bit for bit",
+        "info run": "complete",
+        "export run -o run.npz": "run.npz",
+        "repair run": "nothing to repair",
+        "check": "covered",
+        "report run --html report.html": "report.html",
+    }
+    program = [sys.executable, str(ROOT / "tests/scripts/other_platform.py"), *expected]
+    environment = variables() | {"PYTHONPATH": str(unpacked)}
+    done = subprocess.run(program, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    position = 0
+    for command, printed in expected.items():
+        position = done.stdout.find(printed, position)
+        assert position >= 0, f"{command}: no {printed!r} in its place\n{done.stdout}"
 
 
 @pytest.mark.system
