@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, cast
 
 from swarmabs_core.cdr import agent_id_of, canonical, encode
 from swarmabs_core.messages import ROBOT_STATES, TOPIC_OF
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from swarmabs_core.record import Record
 
 Side = Literal["A", "B"]
-Value: TypeAlias = "float | int | str | tuple[Any, ...] | dict[str, Any] | None"
+Value: TypeAlias = "float | int | str | tuple[float | int | str, ...] | dict[str, object] | None"
 """A field or its component, a whole message by field, or None for a missing message."""
 
 LOG_TIME = "log_time"
@@ -66,7 +66,7 @@ class Difference(NamedTuple):
             return None
         return "A" if self.a is None else "B"
 
-    def to_dict(self, a: str, b: str) -> dict[str, Any]:
+    def to_dict(self, a: str, b: str) -> dict[str, object]:
         """Return the difference for JSON, with names for the values of A and B; non-finite numbers become strings."""
         names = {"a": a, "b": b}
         return {names.get(name, name): plain(value) for name, value in self._asdict().items()}
@@ -96,15 +96,14 @@ class Difference(NamedTuple):
         return f"{where}: {self.field} is {self.a!r} in A, {self.b!r} in B"
 
 
-def differing_fields(a: Message, b: Message, tolerance: float = 0.0) -> Iterator[tuple[str, Any, Any]]:
+def differing_fields(a: Message, b: Message, tolerance: float = 0.0) -> Iterator[tuple[str, Value, Value]]:
     """Yield name and both values of the fields in which two messages of a topic differ, in order.
 
     Of a vector, the components that differ are yielded, such as ``gram[3]``; the whole vector if the lengths differ. A
     number of `a` may differ from the x of `b` by ``tolerance * (1 + |x|)``; with 0 every bit counts.
     """
-    fields: Iterable[Any] = zip(a._fields, a, b, strict=True)
-    for name, x, y in fields:
-        if isinstance(x, tuple) and len(x) == len(y) and any(isinstance(u, float) for u in x):
+    for name, x, y in cast("Iterable[tuple[str, Value, Value]]", zip(a._fields, a, b, strict=True)):
+        if isinstance(x, tuple) and isinstance(y, tuple) and len(x) == len(y) and any(isinstance(u, float) for u in x):
             parts = enumerate(zip(x, y, strict=True))
             yield from ((f"{name}[{n}]", u, v) for n, (u, v) in parts if not _same(u, v, tolerance))
         elif not _same(x, y, tolerance):
@@ -128,8 +127,8 @@ def judge(stored: Record, expected: Message, tolerance: float, time: int | None 
         return None
     order = _CAUSES_FIRST if isinstance(expected, ROBOT_STATES) else ("step",)
     places = {name: place for place, name in enumerate(order)}
-    found = differing_fields(stored.message, expected, tolerance)
-    first = min(found, key=lambda each: places.get(component_of(each[0])[0], len(places)), default=None)
+    fields = differing_fields(stored.message, expected, tolerance)
+    first = min(fields, key=lambda field: places.get(component_of(field[0])[0], len(places)), default=None)
     if first is not None:
         return Difference.of(expected, *first)
     if time is not None and stored.time != time:
@@ -155,8 +154,10 @@ def missing(expected: Message) -> Difference:
 def surplus(stored: Record, step: int, reason: str) -> Difference:
     """Return the difference for a message that is not expected among those of a step."""
     message = stored.message
-    found = Difference.of(message, MESSAGE, message._asdict(), None, reason)._replace(step=step)
-    return found._replace(agent=message.agent_id) if isinstance(message, ROBOT_STATES) else found  # even if it is 0
+    difference = Difference.of(message, MESSAGE, message._asdict(), None, reason)._replace(step=step)
+    if isinstance(message, ROBOT_STATES):
+        return difference._replace(agent=message.agent_id)  # even if it is 0
+    return difference
 
 
 def in_hex(payload: bytes) -> str:
@@ -164,7 +165,7 @@ def in_hex(payload: bytes) -> str:
     return payload.hex() if len(payload) <= _LONGEST else f"{payload[:_LONGEST].hex()}... ({len(payload)} bytes)"
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> object:
     """Return data for JSON: enumerations become numbers, non-finite numbers strings."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
@@ -175,9 +176,9 @@ def plain(value: Any) -> Any:
     return int(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
-def _same(a: Any, b: Any, tolerance: float) -> bool:
+def _same(a: object, b: object, tolerance: float) -> bool:
     """Return whether a equals b: NaN equals itself, 0.0 differs from -0.0, infinity is close to no number."""
-    if not isinstance(a, float) or isinstance(b, str):
+    if not isinstance(a, float) or not isinstance(b, float | int):
         return bool(a == b)
     if struct.pack("<d", a) == struct.pack("<d", b):
         return True

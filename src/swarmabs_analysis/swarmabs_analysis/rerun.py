@@ -6,7 +6,7 @@ import platform
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from swarmabs_analysis.comparison.messages import side_by_side
 from swarmabs_bag.attached import (
@@ -63,7 +63,7 @@ class RepeatableRun:
     differences: tuple[str, ...]
     comparable: bool
 
-    def judge(self, outcome: Outcome, bag: Path, *, changed: bool) -> dict[str, Any]:
+    def judge(self, outcome: Outcome, bag: Path, *, changed: bool) -> dict[str, object]:
         """Return the result of the repetition, for ``rerun_of`` in ``summary.json``.
 
         The bag of the new run may be missing. Runs of a `changed` scenario are not compared.
@@ -152,7 +152,7 @@ def recorded_run(path: Path | str, overrides: Sequence[str] = (), *, scenario: s
     )
 
 
-def _check_repeatable(bag: BagReader, provenance: Mapping[str, Any]) -> None:
+def _check_repeatable(bag: BagReader, provenance: Mapping[str, object]) -> None:
     schema, driver = provenance.get("schema", SCHEMA_VERSION), provenance.get("driver", _REPEATABLE[0])
     if schema != SCHEMA_VERSION:
         raise InputError(
@@ -198,20 +198,20 @@ def _unplanned_end(event: SwarmEvent) -> Change | None:
     return None
 
 
-def _differences(provenance: Mapping[str, Any], scenario: AnyScenario) -> Iterator[str]:
+def _differences(provenance: Mapping[str, object], scenario: AnyScenario) -> Iterator[str]:
     if not provenance:
         yield "the bag does not record its software versions: the digest may differ"
         return
-    here: dict[str, Any] = {"machine": platform.machine(), "byte order": sys.byteorder}
-    there = {"machine": provenance.get("machine"), "byte order": provenance.get("byte_order")}
+    here: dict[str, object] = {"machine": platform.machine(), "byte order": sys.byteorder}
+    there: dict[str, object] = {"machine": provenance.get("machine"), "byte order": provenance.get("byte_order")}
     made_with = provenance.get("versions")
     if isinstance(made_with, dict):
         there |= made_with
         here |= dict.fromkeys(made_with, "not installed") | versions() | plugin_versions(scenario)
     for name, value in there.items():
         if value is not None and value != here[name]:
-            made = f"{_text(name)} {_text(value)}"
-            yield f"the bag was made with {made}, here it is {here[name]}: the digest may differ"
+            then = f"{_text(name)} {_text(value)}"
+            yield f"the bag was made with {then}, here it is {here[name]}: the digest may differ"
     if not _same_arithmetic(provenance):
         yield (
             f"the bag was recorded under arithmetic {arithmetic_of(provenance)}, and this version computes with "
@@ -219,7 +219,7 @@ def _differences(provenance: Mapping[str, Any], scenario: AnyScenario) -> Iterat
         )
 
 
-def _same_arithmetic(provenance: Mapping[str, Any]) -> bool:
+def _same_arithmetic(provenance: Mapping[str, object]) -> bool:
     return arithmetic_of(provenance) in {None, ARITHMETIC}
 
 

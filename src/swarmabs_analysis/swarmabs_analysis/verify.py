@@ -138,28 +138,28 @@ class BagToVerify:
                 on_plane(self.scenario, "real time"), self._realtime, tolerance=tolerance, of_plane=of_plane
             )
         )
-        found = verification.result
-        found.bag, found.scenario = str(self._bag.path), self.scenario.name
-        found.problem = self._follow(verification, on_step)
-        cut = found.problem is not None
+        result = verification.result
+        result.bag, result.scenario = str(self._bag.path), self.scenario.name
+        result.problem = self._follow(verification, on_step)
+        cut = result.problem is not None
         if not cut:
             try:
-                found.ended_early = self._bag.aborted()
+                result.ended_early = self._bag.aborted()
                 self._bag.check()
             except DamagedBagError as error:
-                found.problem = str(error)
+                result.problem = str(error)
         if self._realtime is not None:
-            found.lost = lost(self._bag)
-        verification.finish(whole=not cut and found.ended_early is None)
-        if cut or found.difference is not None:
-            found.digest = None
-        elif found.digest is not None:
-            found.difference = _other_digest(self._bag, found.digest)
+            result.lost = lost(self._bag)
+        verification.finish(whole=not cut and result.ended_early is None)
+        if cut or result.difference is not None:
+            result.digest = None
+        elif result.digest is not None:
+            result.difference = _other_digest(self._bag, result.digest)
         if self._former:
-            found.notes = (*found.notes, _FORMER_NOTE)
+            result.notes = (*result.notes, _FORMER_NOTE)
         notes = self._not_recomputed() if self._realtime else (*self._from_outside, *self._unsaid())
-        found.notes = (*found.notes, *notes, *(() if found.difference is None else self._elsewhere()))
-        return found
+        result.notes = (*result.notes, *notes, *(() if result.difference is None else self._elsewhere()))
+        return result
 
     def _not_recomputed(self) -> tuple[str, ...]:
         """Return notes on what is not verified in a run in real time."""
@@ -176,13 +176,13 @@ class BagToVerify:
         try:
             family = self.scenario.family
             topics = RECORDED if self._realtime else (*family.once, *family.main, STANDING, EVENTS)
-            for found in self._bag.published(topics) if self._realtime else self._bag.whole_steps(topics):
-                if isinstance(found, Step):
-                    verification.add_steps(found)
+            for part in self._bag.published(topics) if self._realtime else self._bag.whole_steps(topics):
+                if isinstance(part, Step):
+                    verification.add_steps(part)
                 else:
                     # SQLite stores no publish times: bags converted from it have 0 there, and no provenance.
-                    known = found.published or self._provenance
-                    verification.add(found.topic, found.time, found.payload, found.published if known else None)
+                    has_time = part.published or self._provenance
+                    verification.add(part.topic, part.time, part.payload, part.published if has_time else None)
                 if verification.decided:
                     break
                 if on_step is not None:
@@ -239,7 +239,7 @@ def _scenario(bag: BagReader) -> tuple[AnyScenario, tuple[str, ...]]:
     done = [fault for fault in scenario.faults if fault not in planned.faults]
     trees = ({"kind": fault.kind, **tree_of(fault)} for fault in done[:20])
     shown = "; ".join(
-        " ".join(f"{name} {value}" for name, value in each.items() if value is not None) for each in trees
+        " ".join(f"{name} {value}" for name, value in tree.items() if value is not None) for tree in trees
     )
     more = f" and {len(done) - 20} more" if len(done) > 20 else ""
     return scenario, (f"requests from outside, taken from the events in the bag: {shown}{more}",) if done else ()
@@ -251,8 +251,7 @@ def _other_digest(bag: BagReader, digest: str) -> Difference | None:
     if bag.path.parent.name != "bag" or not summary.is_file():
         return None
     try:
-        found = json.loads(summary.read_bytes())
-        said = found["digest"]
+        said = json.loads(summary.read_bytes())["digest"]
     except (OSError, ValueError, RecursionError, KeyError, TypeError):
         return Difference("summary.json", None, None, "digest", None, digest, "the file cannot be read")
     if said is None or said == digest:

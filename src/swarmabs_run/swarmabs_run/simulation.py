@@ -7,7 +7,7 @@ import time
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.run.figures import RunFigures, tracking_of
@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Message, Messages, Topic
     from swarmabs_core.models import AgentConfig, SystemAgentConfig
+
+
+Machine = TypeVar("Machine", Agent, Controller, Observer, Parent)
 
 
 class NodeInProcess(NamedTuple):
@@ -65,6 +68,13 @@ def nodes_in_process(scenario: AnyScenario, division: int | None = None) -> dict
     for config in configure.agent_configs(scenario):
         nodes[NodeName(NodeKind.AGENT, config.agent_id)] = _robot(config)
     return nodes
+
+
+def behaviour_of(nodes: Mapping[NodeName, NodeInProcess], name: NodeName, kind: type[Machine]) -> Machine:
+    """Return the state machine of a node, which is of this class."""
+    behaviour = nodes[name].behaviour
+    assert isinstance(behaviour, kind)  # noqa: S101 - by its name
+    return behaviour
 
 
 def _robot(config: AgentConfig | SystemAgentConfig) -> NodeInProcess:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, cast
 
 from swarmabs_analysis.comparison.messages import MessageComparison, compare_steps
 from swarmabs_analysis.difference import plain
@@ -40,12 +40,12 @@ class SettingDifference(NamedTuple):
     """A field with different values in two documents: dotted path, both values, and the document that lacks it."""
 
     field: str
-    a: Any
-    b: Any
+    a: object
+    b: object
     missing: Literal["A", "B"] | None = None
 
 
-def setting_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[SettingDifference, ...]:
+def setting_differences(a: Mapping[str, object], b: Mapping[str, object]) -> tuple[SettingDifference, ...]:
     """Return the fields in which two documents differ, in the order of the first, then of the second document.
 
     Paths are those of ``--set``: dotted, with an index for the elements of lists of mappings; a list of plain values is
@@ -61,8 +61,8 @@ def setting_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Set
     return (*changed, *added)
 
 
-def _leaves(value: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
-    children: Mapping[Any, Any] = {}
+def _leaves(value: object, path: str, depth: int) -> Iterator[tuple[str, object]]:
+    children: Mapping[object, object] = {}
     if isinstance(value, Mapping):
         children = value
     elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
@@ -154,7 +154,7 @@ class Comparison:
         """Whether both bags are complete and have the same messages, bit for bit."""
         return self.messages.equal and not self.damaged
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return everything as plain data for JSON; numbers that are not finite become strings."""
         first = self.messages.first
         document = {
@@ -169,8 +169,7 @@ class Comparison:
             "scenario": [difference._asdict() for difference in self.scenario],
             "provenance": [difference._asdict() for difference in self.provenance],
         }
-        found: dict[str, Any] = plain(document)
-        return found
+        return cast("dict[str, object]", plain(document))
 
 
 def compare_bags(
@@ -194,8 +193,8 @@ def compare_bags(
     )
     messages = compare_steps(left.steps(), right.steps())
     return Comparison(
-        a=left.found,
-        b=right.found,
+        a=left.summary,
+        b=right.summary,
         messages=messages,
         robots_only_in_a=tuple(sorted(left.robots - right.robots)),
         robots_only_in_b=tuple(sorted(right.robots - left.robots)),
@@ -214,7 +213,7 @@ class _Side:
         self.bag = bag
         self.robots: set[int] = set()
         self.scenario: AnyScenario | None = None
-        self.found = found = BagSummary(
+        self.summary = summary = BagSummary(
             str(bag.path),
             problem=bag.problem and f"{bag.path}: {bag.problem}",
             not_compared=tuple(channel.name for channel in bag.channels if channel.topic is None),
@@ -227,36 +226,36 @@ class _Side:
         period_ns = 1
         try:
             self.scenario = attached_scenario(bag)
-            found.period, period_ns = self.scenario.period, self.scenario.step_ns
+            summary.period, period_ns = self.scenario.period, self.scenario.step_ns
             reference, tracking = configure.reference(self.scenario), tracking_of(self.scenario)
         except (InputError, DamagedBagError) as error:
-            found.scenario_problem = str(error)
+            summary.scenario_problem = str(error)
         with suppress(DamagedBagError):
-            found.aborted = bag.aborted()
+            summary.aborted = bag.aborted()
         self._run = RunFigures(reference, tracking)
         self._realtime = RealtimeFigures(reference, Schedule(period_ns)) if is_realtime(bag) else None
 
     def steps(self) -> Iterator[Step]:
         """Yield the steps of the bag as far as they can be read."""
-        found, realtime = self.found, self._realtime is not None
+        summary, realtime = self.summary, self._realtime is not None
         # Other recorders receive topics independently of each other, as in real time.
         window = None if attached_provenance(self.bag) else REALTIME_WINDOW
         try:
-            for step in recorded_steps(self._records(), found.file, realtime=realtime, window=window):
+            for step in recorded_steps(self._records(), summary.file, realtime=realtime, window=window):
                 self._run.add(step)
                 if step.tables:
-                    if found.first_step is None:
-                        found.first_step = step.first
-                    found.last_step = step.step
+                    if summary.first_step is None:
+                        summary.first_step = step.first
+                    summary.last_step = step.step
                     self.robots.update(step.robots.tolist())
                 yield step
-            if found.problem is None:
+            if summary.problem is None:
                 self.bag.check()  # parts that no message needs can be damaged too
         except DamagedBagError as error:
-            found.problem = str(error)
-        found.robots = len(self.robots)
-        found.figures = (self._realtime or self._run).figures()
-        found.digest = None if realtime or found.first_step is None else self._run.digest()
+            summary.problem = str(error)
+        summary.robots = len(self.robots)
+        summary.figures = (self._realtime or self._run).figures()
+        summary.digest = None if realtime or summary.first_step is None else self._run.digest()
 
     def _records(self) -> Iterator[Record | Step]:
         """Yield the messages of the bag; in real time the figures also need those that are not part of a step."""
@@ -280,7 +279,7 @@ def _scenario_differences(a: AnyScenario | None, b: AnyScenario | None) -> tuple
     return setting_differences(ours, theirs)
 
 
-def _told(first: Difference) -> dict[str, Any]:
+def _told(first: Difference) -> dict[str, object]:
     """Return the first difference as data, without the fields of a message that one bag lacks."""
     place = {"topic": first.topic, "step": first.step, "agent": first.agent or 0}
     if first.missing is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Group
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
     from swarmabs_analysis.comparison.bags import BagSummary, Comparison, SettingDifference
-    from swarmabs_analysis.comparison.messages import TopicComparison
+    from swarmabs_analysis.comparison.messages import Deviation, TopicComparison
     from swarmabs_core.systems import SystemTables
 
 _MOST_ROWS = 40
@@ -138,18 +138,18 @@ def _named(topic: str, field: str, system: SystemTables | None) -> str:
     vector, index = component_of(field)
     if system is None or index < 0:
         return field
-    message = next(each.message for each in TOPICS if each.name == topic)
+    message = next(one.message for one in TOPICS if one.name == topic)
     named = components(system, message).get(vector, ())
     return _shown(f"{field} {named[index].name}, {named[index].unit}") if index < len(named) else field
 
 
-def deviation_table(rows: Iterable[Mapping[str, Any]]) -> ResponsiveTable:
+def deviation_table(rows: Iterable[Mapping[str, Deviation]]) -> ResponsiveTable:
     """Return a table of the deviations of the nodes under test from a recording; see `_deviations`."""
     columns = {"differing": "differ", "largest": "largest", "step": "at step", "agent": "robot"}
     return _deviations(rows, columns)
 
 
-def _deviations(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> ResponsiveTable:
+def _deviations(rows: Iterable[Mapping[str, Deviation]], columns: Mapping[str, str]) -> ResponsiveTable:
     """Return the deviations of fields, grouped by topic.
 
     Parameters
@@ -167,12 +167,12 @@ def _deviations(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -
     for row in rows:
         if row["topic"] != topic:
             topic = row["topic"]
-            table.add_row(topic)
+            table.add_row(str(topic))
         table.add_row(f"  {row['field']}", *(_cell(name, row[name]) for name in columns))
     return table
 
 
-def _cell(name: str, value: float | None) -> str:
+def _cell(name: str, value: Deviation) -> str:
     if name in {"step", "agent"}:  # no robot is number 0
         return "-" if value is None or (name == "agent" and not value) else str(value)
     return _number(value)
@@ -197,11 +197,11 @@ def _ids(robots: Sequence[int]) -> str:
     return ", ".join(map(str, robots[:10])) + (f" and {len(robots) - 10} more" if len(robots) > 10 else "")
 
 
-def _number(value: float | None) -> str:
+def _number(value: Deviation) -> str:
     return "-" if value is None else f"{value:.6g}" if isinstance(value, float) else f"{value:,}"
 
 
-def _value(value: Any, missing: bool) -> str:  # noqa: FBT001 - private, called with names in sight
+def _value(value: object, missing: bool) -> str:  # noqa: FBT001 - private, called with names in sight
     return "not there" if missing else _shown(json.dumps(value))
 
 

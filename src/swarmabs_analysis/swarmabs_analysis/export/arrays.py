@@ -65,7 +65,7 @@ def export_arrays(
     messages = load_messages(bag)
     run, start = arrays_since(bag, messages)
     tables = tables_of(bag)
-    arrays: dict[str, NDArray[Any]] = {**dict(_named(run, tables)), **_events(bag, messages.events, start)}
+    arrays: dict[str, NDArray[np.generic]] = {**dict(_named(run, tables)), **_events(bag, messages.events, start)}
     units = {name: unit for name, unit in _units(tables).items() if name in arrays}
     described = {"units": units, "words": _words(tables), "summary": run.summary()}
     try:
@@ -87,7 +87,7 @@ def _write_mat(stream: IO[bytes], content: Mapping[str, Any]) -> None:
     write_mat(stream, {**content, "words": words})  # the fields of a struct are names
 
 
-def _named(run: RunArrays | SystemArrays, tables: Sequence[BagTable]) -> Iterator[tuple[str, NDArray[Any]]]:
+def _named(run: RunArrays | SystemArrays, tables: Sequence[BagTable]) -> Iterator[tuple[str, NDArray[np.generic]]]:
     """Yield the arrays of a run, an array for each component of a vector."""
     by_name = {table.name: table for table in tables}
     for field in fields(run):
@@ -104,21 +104,21 @@ def _named(run: RunArrays | SystemArrays, tables: Sequence[BagTable]) -> Iterato
             yield from _components(by_name["parent"], _VECTORS.get(field.name, field.name), value)
 
 
-def _components(table: BagTable, vector: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+def _components(table: BagTable, vector: str, values: NDArray[np.generic]) -> Iterator[tuple[str, NDArray[np.generic]]]:
     """Yield the components of a vector by the names of their columns."""
     for name, (of, index) in table.vectors.items():
         if of == vector and index < values.shape[-1]:
             yield f"{table.name}_{name}", values[..., index]
 
 
-def _events(bag: BagReader, events: Sequence[SwarmEvent], start: float) -> dict[str, NDArray[Any]]:
+def _events(bag: BagReader, events: Sequence[SwarmEvent], start: float) -> dict[str, NDArray[np.generic]]:
     """Return the events' fields, each of shape (E,), with times since `start` (s)."""
     time = event_time(bag)
     widest = max((len(event.detail) for event in events), default=1)
     _check_memory(bag, len(events) * widest * np.dtype("U1").itemsize)
     stamps = np.array([event.stamp for event in events], dtype=np.float64) / 1e9
     times = np.array([time(event) for event in events], dtype=np.float64)
-    arrays = {"events_stamp": stamps, "events_time": times - start}
+    arrays: dict[str, NDArray[np.generic]] = {"events_stamp": stamps, "events_time": times - start}
     for name, field in fields_of(SwarmEvent).items():
         if name != "stamp" and isinstance(field, Field):
             kind = f"U{max(widest, 1)}" if field.ros_type == "string" else field.ros_type

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +22,7 @@ _HEAD = b"MATLAB 5.0 MAT-file, written by swarmabs".ljust(116)
 """Description at the beginning of a file, without the time at which it was written."""
 
 
-def write_mat(stream: IO[bytes], variables: Mapping[str, Any]) -> None:
+def write_mat(stream: IO[bytes], variables: Mapping[str, object]) -> None:
     """Write variables by name to a seekable stream; the same variables give the same bytes.
 
     A mapping becomes a struct, an array of texts a cell array, None an empty array, an array (n,) a column. In a name,
@@ -45,12 +45,12 @@ def write_mat(stream: IO[bytes], variables: Mapping[str, Any]) -> None:
     stream.seek(0, 2)
 
 
-def _fields(values: Mapping[str, Any]) -> dict[str, Any]:
+def _fields(values: Mapping[str, object]) -> dict[str, object]:
     """Return values as SciPy writes them, by their names in MATLAB."""
     return {name: _value(name, value) for name, value in zip(_names(values), values.values(), strict=True)}
 
 
-def _value(name: str, value: Any) -> Any:
+def _value(name: str, value: object) -> object:
     if isinstance(value, Mapping):
         return _fields(value)
     if value is None:
@@ -64,11 +64,11 @@ def _value(name: str, value: Any) -> Any:
 
 def _names(names: Iterable[str]) -> list[str]:
     """Return different names that MATLAB allows."""
-    found: dict[str, None] = {}
+    distinct: dict[str, None] = {}
     for text in names:
         name = re.sub(r"^(?=[^a-zA-Z])", "x", re.sub(r"\W", "_", text, flags=re.ASCII))[:_LONGEST]
         number = 1
-        while (distinct := name if number == 1 else f"{name[: _LONGEST - 4]}_{number}") in found:
+        while (unused := name if number == 1 else f"{name[: _LONGEST - 4]}_{number}") in distinct:
             number += 1
-        found[distinct] = None
-    return list(found)
+        distinct[unused] = None
+    return list(distinct)

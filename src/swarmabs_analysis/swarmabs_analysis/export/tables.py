@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from functools import cache, partial
 from math import isnan
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 from swarmabs_bag.attached import description_of, step_period
 from swarmabs_bag.bag_summary import reference_of_bag, summarise_bag
@@ -38,8 +38,12 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.reader import BagReader
     from swarmabs_core.messages import Message
+    from swarmabs_core.systems import Vector
 
-    AddRow = Callable[[Sequence[Any]], object]
+    Cell: TypeAlias = float | int | str | None
+    """A value in a table; None if it is missing."""
+    Row: TypeAlias = Sequence[Cell]
+    AddRow: TypeAlias = Callable[[Row], object]
 
 COLUMNS_FILE = "columns.csv"
 SUMMARY_FILE = "summary.json"
@@ -82,26 +86,13 @@ WORD = "word"
 """Type of columns of constants: text, in Parquet dictionary-encoded."""
 
 
-class _Vectors(NamedTuple):
-    """The topics of a parent system, name of its own table, and vectors of a message."""
+def _table(name: str, topic: Topic, parts: Mapping[str, Sequence[Quantity]]) -> BagTable:
+    """Return a topic as a table: step, time, robot, the fields of the message in order, and the stamp last.
 
-    topics: tuple[Topic, ...]
-    parent: str
-    of: Callable[[type[Message]], Mapping[str, Sequence[Quantity]]]
-
-
-def _reference_of_plane(message: type[Message]) -> Mapping[str, Sequence[Quantity]]:
-    return {REFERENCE: (Quantity("", "rad"),)} if message is PlaneState else {}
-
-
-_PLANE = _Vectors(PLANE_FAMILY.main, "plane", _reference_of_plane)
-
-
-def _table(name: str, topic: Topic, vectors_of: _Vectors) -> BagTable:
-    """Return a topic as a table: step, time, robot, the fields of the message in order, and the stamp last."""
-    declared = {field: each for field, each in fields_of(topic.message).items() if field != "system"}
-    parts = vectors_of.of(topic.message)
-    columns = {"time": _TIME} | {field: _column(field, each) for field, each in declared.items() if field not in parts}
+    The `parts` are the components of the message's vectors, and the references.
+    """
+    declared = {name: field for name, field in fields_of(topic.message).items() if name != "system"}
+    columns = {"time": _TIME} | {name: _column(name, field) for name, field in declared.items() if name not in parts}
     vectors = {}
     for field, several in parts.items():
         for index, (quantity, unit, *_) in enumerate(several):
@@ -126,12 +117,18 @@ def _column(name: str, field: Field | type[Message]) -> Column:
     return Column(name, field.ros_type, field.unit, field.meaning + none)
 
 
-def _tables(vectors: _Vectors) -> tuple[BagTable, ...]:
-    topics = zip(("agents", vectors.parent, "abstract", "auxiliary", "desired"), vectors.topics, strict=True)
-    return (*(_table(name, topic, vectors) for name, topic in topics), _table("events", EVENTS, vectors))
+def _tables(
+    topics: Sequence[Topic], parent: str, parts_of: Callable[[type[Message]], Mapping[str, Sequence[Quantity]]]
+) -> tuple[BagTable, ...]:
+    names = ("agents", parent, "abstract", "auxiliary", "desired", "events")
+    return tuple(
+        _table(name, topic, parts_of(topic.message)) for name, topic in zip(names, (*topics, EVENTS), strict=True)
+    )
 
 
-TABLES = _tables(_PLANE)
+TABLES = _tables(
+    PLANE_FAMILY.main, "plane", lambda message: {REFERENCE: (Quantity("", "rad"),)} if message is PlaneState else {}
+)
 """All tables of a swarm on the plane, in the order of a bag."""
 
 
@@ -143,10 +140,12 @@ def tables_of(bag: BagReader) -> tuple[BagTable, ...]:
     """
     if bag.family is PLANE_FAMILY:
         return TABLES
-    return _tables(_Vectors(SYSTEM_FAMILY.main, "parent", partial(components, description_of(bag))))
+    return _tables(SYSTEM_FAMILY.main, "parent", partial(components, description_of(bag)))
 
 
-def _row_of(table: BagTable, period: int | None, reference: Callable[[int], Any]) -> Callable[[Message], Sequence[Any]]:
+def _row_of(
+    table: BagTable, period: int | None, reference: Callable[[int], float | Vector]
+) -> Callable[[Message], Row]:
     """Return a function that turns a message into a row; `reference` returns the reference (rad) of a step.
 
     For another parent system than the plane, `reference` returns a tuple. The time is that of the step, because a
@@ -160,7 +159,7 @@ def _row_of(table: BagTable, period: int | None, reference: Callable[[int], Any]
     time, stamp = names.index("time"), names.index("stamp")
     shown = [(names.index(name), show) for name, show in _shown(table)]
 
-    def row(message: Message) -> Sequence[Any]:
+    def row(message: Message) -> Row:
         picked = list(pick(message))
         picked[time] = (message.stamp if period is None else message.step * period) / 1e9
         picked[stamp] = message.stamp / 1e9
@@ -176,7 +175,7 @@ def _row_of(table: BagTable, period: int | None, reference: Callable[[int], Any]
     return row
 
 
-def _shown(table: BagTable) -> Iterator[tuple[str, Callable[[Any], Any]]]:
+def _shown(table: BagTable) -> Iterator[tuple[str, Callable[..., Cell]]]:
     """Yield the columns whose values are not shown as such, with a function that returns what to show."""
     for name, (vector, index) in table.vectors.items():
         if vector != REFERENCE:
@@ -262,7 +261,7 @@ def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
         )
         for column in table.columns
     )
-    rows: list[Sequence[Any]] = []
+    rows: list[Row] = []
     with ParquetWriter(folder / f"{table.name}.parquet", schema, compression="zstd") as writer:
 
         def write() -> None:
@@ -271,7 +270,7 @@ def _parquet(folder: Path, table: BagTable) -> Iterator[AddRow]:
             writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
             rows.clear()
 
-        def add(row: Sequence[Any]) -> None:
+        def add(row: Row) -> None:
             rows.append(row)
             if len(rows) == PARQUET_ROWS:
                 write()

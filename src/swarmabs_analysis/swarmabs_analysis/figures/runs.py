@@ -72,7 +72,7 @@ def find_runs(
     InputError
         If a path contains no bag, or only one that cannot be used, or there are two bags of a scenario.
     """
-    found: dict[str, CompleteBag] = {}
+    runs: dict[str, CompleteBag] = {}
     for path in paths:
         bags = _bags(path)
         for bag in bags:
@@ -85,10 +85,10 @@ def find_runs(
                 continue
             name = complete.scenario.name
             if name in needed:
-                other = found.setdefault(name, complete)
+                other = runs.setdefault(name, complete)
                 if other.bag.resolve() != bag.resolve():
                     raise InputError(f"{other.bag} and {bag} are both runs of {name}; name one of them")
-    return found
+    return runs
 
 
 def find_made(folder: Path, needed: Iterable[str]) -> dict[str, CompleteBag]:
@@ -99,7 +99,7 @@ def find_made(folder: Path, needed: Iterable[str]) -> dict[str, CompleteBag]:
     InputError
         If the place of a run contains something else.
     """
-    found = {}
+    runs = {}
     for name in needed:
         path = folder / name
         if path.exists():
@@ -109,8 +109,8 @@ def find_made(folder: Path, needed: Iterable[str]) -> dict[str, CompleteBag]:
                 raise InputError(f"{error}; remove {path}, or name another -o") from error
             if complete.scenario.name != name or complete.altered:
                 raise InputError(f"{path} is not a run of the built-in {name}; remove it, or name another -o")
-            found[name] = complete
-    return found
+            runs[name] = complete
+    return runs
 
 
 def make_run(scenario: Scenario, folder: Path, execute: Execute, options: RunOptions) -> CompleteBag:
@@ -125,13 +125,13 @@ def make_run(scenario: Scenario, folder: Path, execute: Execute, options: RunOpt
     resolved = scenario.resolved()
     target = folder / resolved.name
     with tempfile.TemporaryDirectory(dir=folder, prefix=f".{resolved.name}-") as temporary:
-        made = new_run_folder(Path(temporary) / "run")
-        outcome = execute(resolved, made, options)
+        run = new_run_folder(Path(temporary) / "run")
+        outcome = execute(resolved, run, options)
         if outcome.status != "ok":
             raise RunError(f"{resolved.name}: {outcome.reason}")
         times = Times(time.monotonic() - begun, startup=outcome.start_seconds)
-        made.write_summary(summarise(resolved, outcome, times))
-        made.path.rename(target)
+        run.write_summary(summarise(resolved, outcome, times))
+        run.path.rename(target)
     return CompleteBag(find_bag(target), resolved)
 
 

@@ -57,9 +57,9 @@ def rendered(figure: Figure, formats: Sequence[Format], title: str | None = None
     # Laid out once, because each format measures text differently.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    found: dict[Format, bytes] = {}
+    files: dict[Format, bytes] = {}
     for kind in formats:
         file = io.BytesIO()
         figure.savefig(file, format=kind, metadata=_METADATA[kind] | ({"Title": title} if title else {}))
-        found[kind] = file.getvalue()
-    return found
+        files[kind] = file.getvalue()
+    return files

@@ -132,9 +132,9 @@ def check_losses(scenario: AnyScenario, report: Report, *, any_loss: bool = Fals
         if planned:
             normal = _Traced(measures, robots, end)
             Rehearsal(scenario).advance(end, normal)
-        for group, found, note in _on_request(scenario, normal):
+        for group, of_group, note in _on_request(scenario, normal):
             groups.append(group)
-            losses += found
+            losses += of_group
             notes += note
     losses.sort(key=lambda loss: (-len(loss.failed), -loss.speed, loss.time, loss.robots))
     return replace(report, simulated=tuple(groups), losses=tuple(losses), notes=(*report.notes, *notes))
@@ -200,7 +200,7 @@ def _conditions(watch: Watch, end: int, normal: Watch | None = None, *, settled:
         return
     last = watch.last(FINAL)
     if normal is not None and measures.tracks:
-        error, usual = (max(each.errors.get(step, 0.0) for step in last) for each in (watch, normal))
+        error, usual = (max(one.errors.get(step, 0.0) for step in last) for one in (watch, normal))
         form = Form(SETTLED.form, error, max(1.0, SETTLED.number * usual), "<=")
         yield Condition(SETTLED.name, None, form, {"without_the_loss": usual})
     if of.limits:
@@ -237,10 +237,10 @@ def _planned(
         watch = Watch(measures, step)
         rehearsal.advance(until, watch)
         enough = until == end or until - step >= measures.steps(AFTER_ANY)
-        found = tuple(_conditions(watch, until, normal, settled=enough))
+        conditions = tuple(_conditions(watch, until, normal, settled=enough))
         names = [f"{change.kind.value} {change.agent_id}" for change in changes]
         title = f"{', '.join(names)} at {step * measures.period:g} s, simulated until {until * measures.period:g} s"
-        yield Theorem("_".join(names).replace(" ", "_"), title, found), _loss(watch, until, changes, found)
+        yield Theorem("_".join(names).replace(" ", "_"), title, conditions), _loss(watch, until, changes, conditions)
         if watch.failure:
             return
 
@@ -282,14 +282,14 @@ def _on_request(scenario: AnyScenario, normal: _Traced) -> Iterator[tuple[Theore
     for size, (total, cases) in chosen.items():
         label, who = ("any_robot", "each robot") if size == 1 else ("any_pair", "each pair of robots")
         title = f"{who} is killed at the start and when it is worst, {len(cases)} losses, {AFTER_ANY:g} s each"
-        found = tuple(_worst([(case, results[case][0]) for case in cases], measures))
+        conditions = tuple(_worst([(case, results[case][0]) for case in cases], measures))
         left_out = (
             f"{label}: {len(cases)} of {total} losses are simulated, those with the largest contributions to the "
             "abstract state"
         )
         missing = "" if cases else "too few robots"
         yield (
-            Theorem(label, title, found, missing),
+            Theorem(label, title, conditions, missing),
             [results[case][1] for case in cases],
             [left_out] if len(cases) < total else [],
         )
@@ -300,7 +300,7 @@ def _cases(normal: _Traced, size: int, latest: int) -> Iterator[_Case]:
 
     At least one robot remains.
     """
-    there, found = normal.there[: latest + 1], list[tuple[float, tuple[int, ...], list[int]]]()
+    there, losses = normal.there[: latest + 1], list[tuple[float, tuple[int, ...], list[int]]]()
     if len(normal.ids) <= size:
         return
     for places in combinations(range(len(normal.ids)), size):
@@ -311,9 +311,9 @@ def _cases(normal: _Traced, size: int, latest: int) -> Iterator[_Case]:
         distance = normal.coordinates[: latest + 1, places].max(axis=1)
         worst = [int(np.argmax(np.where(together, values, -1.0))) for values in (effect, distance)]
         steps = [int(np.argmax(together)), *(worst if size == 1 else worst[:1])]
-        found.append((float(effect[worst[0]]), places, sorted(set(steps))))
-    found.sort(key=lambda each: (-each[0], each[1]))
-    for _, places, steps in found:
+        losses.append((float(effect[worst[0]]), places, sorted(set(steps))))
+    losses.sort(key=lambda loss: (-loss[0], loss[1]))
+    for _, places, steps in losses:
         yield from (_Case(step, tuple(normal.ids[place] for place in places)) for step in steps)
 
 
@@ -329,9 +329,9 @@ def _lost(
         for case in at_once if not before.failure else ():
             watch = Watch(normal.measures, step)
             rehearsal.copy().advance(step + window, watch, case.robots)
-            found = tuple(_conditions(watch, step + window, normal))
+            conditions = tuple(_conditions(watch, step + window, normal))
             changes = [Change(step, robot, ChangeKind.KILL) for robot in case.robots]
-            yield case, (found, _loss(watch, step + window, changes, found))
+            yield case, (conditions, _loss(watch, step + window, changes, conditions))
 
 
 def _worst(cases: Sequence[tuple[_Case, Sequence[Condition]]], measures: Measures) -> Iterator[Condition]:
@@ -339,8 +339,8 @@ def _worst(cases: Sequence[tuple[_Case, Sequence[Condition]]], measures: Measure
     by_name: dict[str, tuple[_Case, Condition]] = {}
     for case, conditions in cases:
         for condition in conditions:
-            known = by_name.get(condition.name)
-            if known is None or condition.margin < known[1].margin:
+            worst = by_name.get(condition.name)
+            if worst is None or condition.margin < worst[1].margin:
                 by_name[condition.name] = case, condition
     for case, condition in by_name.values():
         lost = f"without {' and '.join(map(str, case.robots))} from {case.step * measures.period:g} s on"

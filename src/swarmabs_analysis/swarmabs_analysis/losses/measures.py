@@ -112,8 +112,8 @@ class _OfSystem:
     def contribution(self, state: AnyRobotState) -> Vector:
         """Return a robot's contribution to the abstract state in units of the rows' scales."""
         assert isinstance(state, RobotState)  # noqa: S101 - of this family
-        found = self._made.contribution(state.coordinates, state.constants)
-        return tuple(value / row.scale for value, row in zip(found, self._made.abstract, strict=True))
+        values = self._made.contribution(state.coordinates, state.constants)
+        return tuple(value / row.scale for value, row in zip(values, self._made.abstract, strict=True))
 
     @staticmethod
     def velocities(state: AnyRobotState) -> Vector:

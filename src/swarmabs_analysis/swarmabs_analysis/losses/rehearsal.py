@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from swarmabs_core.behaviours import Observer
 from swarmabs_core.errors import InputError, RunError, one_line
 from swarmabs_core.membership import SILENT
-from swarmabs_core.nodes import NodeKind, NodeName
-from swarmabs_run.simulation import Network, nodes_in_process
+from swarmabs_core.nodes import OBSERVER, NodeKind, NodeName
+from swarmabs_run.simulation import Network, behaviour_of, nodes_in_process
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -68,8 +68,7 @@ class Rehearsal:
         for robot in lost:
             self._network.disconnect(self._nodes[NodeName(NodeKind.AGENT, robot)])
         self._until(self.step + 1, watch)
-        observer = self._nodes[NodeName(NodeKind.OBSERVER)].behaviour
-        assert isinstance(observer, Observer)  # noqa: S101 - by its name
+        observer = behaviour_of(self._nodes, OBSERVER, Observer)
         self._network.pending.extend(observer.drop(lost, SILENT))
 
     def _until(self, step: int, watch: Watch) -> None:

@@ -95,14 +95,14 @@ class Pace:
         end = None if self.duration is None else begin + round(self.duration * 1e9)
         offset = 0.0
         while True:
-            due, found = offset, False
+            due, played = offset, False
             for log_time, item in read():
                 if log_time < begin or (end is not None and log_time > end):
                     continue
-                found = True
+                played = True
                 due = max(due, offset + (log_time - begin) / 1e9 / self.rate)
                 yield due, item
-            if not self.loop or not found:
+            if not self.loop or not played:
                 return
             offset = due
 
@@ -138,13 +138,13 @@ def choose_topics(
         if chosen and channel.name not in chosen:
             continue
         try:
-            found, notes = _playable(channel)
+            topic, notes = _playable(channel)
         except InputError as error:
             if chosen:
                 raise
             warnings.append(f"{shown(channel.name)} is skipped: {error}")
         else:
-            playable.append(found)
+            playable.append(topic)
             warnings.extend(notes)
     if not playable:
         first = warnings[:_MOST_NAMED]
@@ -331,31 +331,23 @@ def recorded_profiles(text: str) -> list[QoSProfile]:
 
     The text is YAML as written by rosbag2: policies by name or, in older versions, by number.
     """
-    found = load_yaml(text)
+    entries = load_yaml(text)
     profiles: list[QoSProfile] = []
-    for entry in found if isinstance(found, list) else []:
-        if isinstance(entry, dict):
-            made = _profile(entry)
-            if made not in profiles:
-                profiles.append(made)
+    for entry in entries if isinstance(entries, list) else []:
+        if isinstance(entry, dict) and (profile := _profile(entry)) not in profiles:
+            profiles.append(profile)
     return profiles
 
 
-def _profile(entry: Mapping[str, Any]) -> QoSProfile:
+def _profile(entry: Mapping[str, object]) -> QoSProfile:
     depth = entry.get("depth")
-    arguments: dict[str, Any] = {
+    usual = {
         "history": QoSHistoryPolicy.KEEP_LAST,
         "depth": depth if isinstance(depth, int) and 0 < depth < 2**31 else _USUAL_DEPTH,
     }
-    for name, policies in _POLICIES.items():
-        policy = _policy(policies, entry.get(name))
-        if policy is not None:
-            arguments[name] = policy
-    for name in _DURATIONS:
-        duration = _duration(entry.get(name))
-        if duration is not None:
-            arguments[name] = duration
-    return QoSProfile(**arguments)
+    policies = {name: _policy(of_name, entry.get(name)) for name, of_name in _POLICIES.items()}
+    recorded = policies | {name: _duration(entry.get(name)) for name in _DURATIONS}
+    return QoSProfile(**usual | {name: value for name, value in recorded.items() if value is not None})
 
 
 def _policy(policies: Any, value: object) -> Any:

@@ -88,7 +88,7 @@ class VerificationResult:
             return self.ok and self.ended_early is None and self.lost is None
         return self.ok and self.steps == self.expected_steps
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return everything as plain data for JSON."""
         return {
             "ok": self.ok,

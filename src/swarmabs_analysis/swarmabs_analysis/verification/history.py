@@ -252,7 +252,7 @@ class StandbyHistory(History):
 
 def wrong_stamp(message: Message, schedule: Schedule, within: int = 0) -> Difference | None:
     """Return a difference if the stamp of a message is more than `within` steps from its step, otherwise None."""
-    made = schedule.step(message.stamp)
-    if abs(made - message.step) <= within:
+    at = schedule.step(message.stamp)
+    if abs(at - message.step) <= within:
         return None
-    return Difference.of(message, "stamp", message.stamp, None, f"that is in step {made}")
+    return Difference.of(message, "stamp", message.stamp, None, f"that is in step {at}")

@@ -26,7 +26,7 @@ from swarmabs_core.membership import SILENT, Membership
 from swarmabs_core.messages import EVENTS, PLANE_STATE, ROBOT_STATES, STANDING, TOPIC_OF, EventKind, SwarmEvent, Topic
 from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.record import Record
-from swarmabs_run.simulation import nodes_in_process
+from swarmabs_run.simulation import behaviour_of, nodes_in_process
 from swarmabs_run.swarm_columns import on_columns
 
 if TYPE_CHECKING:
@@ -379,11 +379,9 @@ class LockstepVerification(Verification):
                 del told[payload]
         if dropped:
             self._handles = self._connect()
-            observer, plane = self._nodes[OBSERVER].behaviour, self._nodes[PARENT].behaviour
-            assert isinstance(observer, Observer)  # noqa: S101 - by its name
-            self._ask(observer.drop, dropped, SILENT)
+            self._ask(behaviour_of(self._nodes, OBSERVER, Observer).drop, dropped, SILENT)
             for agent_id in dropped:
-                self._ask(plane.handle, EventCode.SILENT.event(0, self.step, robot=agent_id))
+                self._ask(self._nodes[PARENT].behaviour.handle, EventCode.SILENT.event(0, self.step, robot=agent_id))
 
     def _on_topic(self, slot: Slot, topic: Topic, *, cut: bool) -> Generator[Finding, None, bool]:
         """Yield the findings on a topic; return whether the run continues.

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from functools import partial
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.arrays import LAYOUT, raw
+from swarmabs_core.behaviours import Agent, Observer, Parent
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND, encode
 from swarmabs_core.elementary import cos, sin, tanh
 from swarmabs_core.elementary_arrays import elementwise
@@ -36,15 +37,16 @@ from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.plant import PlaneDynamics
 from swarmabs_core.ranges import RangeMonitor, lane
 from swarmabs_core.steering import StepSchedule
+from swarmabs_run.simulation import behaviour_of
 from swarmabs_run.swarm_columns import SwarmColumns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.messages import AgentState, Message, Messages, Topic
+    from swarmabs_core.messages import AnyRobotState, Message, Messages, Topic
     from swarmabs_run.simulation import NodeInProcess
 
     Floats = NDArray[np.float64]
@@ -124,8 +126,8 @@ class Recomputation:
         heard = [_named(tables[topic][:-1]) for topic in (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)]
         command = columns.commands(*start, *heard)
         motion = (*columns.moved(*start, command), command)
-        observer: Any = self._nodes[OBSERVER].behaviour
-        plane: Any = self._nodes[PARENT].behaviour
+        observer = behaviour_of(self._nodes, OBSERVER, Observer)
+        plane = behaviour_of(self._nodes, PARENT, Parent)
         load = columns.load(start, end, _standing(plane.standing(columns.ids), len(numbers)))
         earlier = _named(tables[PLANE_STATE][:-1])
         times = np.array([int(stamp) / 1e9 for stamp in stamps - self._period_ns])
@@ -142,7 +144,7 @@ class Recomputation:
         answers = {PLANE_STATE: moved, ABSTRACT_STATE: abstract[2:], AUXILIARY_STATE: auxiliary[2:]}
         return finite & ~held & same.all(axis=0), {
             AGENT_STATE: columns.states(numbers, stamps, *(values.T for values in motion)),
-            **{topic: _rows(topic, LAYOUT[topic], numbers, stamps, values) for topic, values in answers.items()},
+            **{topic: _rows(topic, numbers, stamps, values) for topic, values in answers.items()},
         }
 
     def _of(self, steps: Step) -> SwarmColumns:
@@ -162,11 +164,11 @@ class Recomputation:
         answers, size = steps.tables[DESIRED_ABSTRACT_STATE].tobytes(), steps.tables[DESIRED_ABSTRACT_STATE].itemsize
         for place, parent in enumerate(steps.parents):
             try:
-                found: Messages | RunError = controller.handle(parent)
+                answer: Messages | RunError = controller.handle(parent)
             except RunError as error:
-                found = error
-            if isinstance(found, RunError) or len(found) > 1 or encode(found[0]) != answers[place * size :][:size]:
-                self._ahead = (parent.step, found)
+                answer = error
+            if isinstance(answer, RunError) or len(answer) > 1 or encode(answer[0]) != answers[place * size :][:size]:
+                self._ahead = (parent.step, answer)
                 return place
         return len(steps)
 
@@ -181,14 +183,11 @@ class Recomputation:
 
     def resume(self, last: Step) -> None:
         """Let the other nodes continue after a step: the robots once they hear its broadcasts."""
-        states: list[Any] = list(last.states())
-        observer: Any = self._nodes[OBSERVER].behaviour
-        plane: Any = self._nodes[PARENT].behaviour
-        observer.resume(states)
-        plane.resume(states, last.parent)
+        states = list(last.states())
+        behaviour_of(self._nodes, OBSERVER, Observer).resume(states)
+        behaviour_of(self._nodes, PARENT, Parent).resume(states, last.parents[0])
         for state in states:
-            agent: Any = self._nodes[NodeName(NodeKind.AGENT, state.agent_id)].behaviour
-            agent.resume(state)
+            behaviour_of(self._nodes, NodeName(NodeKind.AGENT, state.agent_id), Agent).resume(state)
 
 
 def zones_of(values: Floats, borders: Sequence[float]) -> NDArray[np.int64]:
@@ -215,12 +214,12 @@ def _circle(angles: Floats) -> tuple[Floats, Floats]:
 _EACH = (_circle, partial(elementwise, cos), partial(elementwise, tanh))
 
 
-def _named(table: NDArray[np.void]) -> Any:
+def _named(table: NDArray[np.void]) -> SimpleNamespace:
     """Return the fields of messages as attributes."""
     return SimpleNamespace(**{name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()})
 
 
-def _standing(states: Sequence[AgentState], steps: int) -> tuple[Floats, Floats] | None:
+def _standing(states: Sequence[AnyRobotState], steps: int) -> tuple[Floats, Floats] | None:
     """Return masses (M, 1) and positions (M, K) of robots that stand, None without such."""
     if not states:
         return None
@@ -229,10 +228,10 @@ def _standing(states: Sequence[AgentState], steps: int) -> tuple[Floats, Floats]
 
 
 def _rows(
-    topic: Topic, layout: np.dtype[np.void], steps: NDArray[np.uint64], stamps: NDArray[np.int64], values: Any
+    topic: Topic, steps: NDArray[np.uint64], stamps: NDArray[np.int64], values: Iterable[object]
 ) -> NDArray[np.void]:
     """Return messages of a topic with the values of their fields behind the step."""
-    rows = np.zeros(len(steps), dtype=layout)
+    rows = np.zeros(len(steps), dtype=LAYOUT[topic])
     rows["encapsulation"], rows["frame"] = np.void(ENCAPSULATION), np.void(FRAME)
     rows["sec"], rows["nanosec"] = np.divmod(stamps, SECOND)
     rows["step"] = steps
