@@ -7,7 +7,17 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.swarmabs_view.conftest import HELLO, PageServer, Served, curves, frame_of, load, robot_info, seek
+from tests.swarmabs_view.conftest import (
+    HELLO,
+    PRESENTER,
+    PageServer,
+    Served,
+    curves,
+    frame_of,
+    load,
+    robot_info,
+    seek,
+)
 
 from swarmabs_bag.shown.swarm_state import RobotStatus
 from swarmabs_view.protocol import (
@@ -122,7 +132,7 @@ def on_a_system(angle: float, places: Sequence[float], bodies: Sequence[Sequence
     ]
     rows = [Row(role="parent", name="roll", unit="rad"), Row(role="robot", name="position", unit="m")]
     rows[1:1] = [Row(role=role, name="moment", unit="N m") for role in ("abstract", "desired")]
-    system = System(name="beam", rows=rows, placed=True, disturbance_unit="")
+    system = System(name="beam", rows=rows, kinds=PRESENTER.system.kinds, placed=True, disturbance_unit="")
     position = [[p * cos(angle), p * sin(angle), angle] for p in places]
     vectors = [[p] for p in places]
     states = Robots(

@@ -128,6 +128,17 @@ def test_a_page_gets_names_with_units_once_and_numbers_in_their_order(name: str)
     assert positions.lines == lines
 
 
+@pytest.mark.usefixtures("systems")
+def test_kinds_of_robots_have_words_a_symbol_and_the_units_of_their_commands() -> None:
+    presenter = Presenter(SystemTables.read(NamedSystem("sheet").description))
+    assert [(kind.name, kind.words, kind.legend, kind.shape) for kind in presenter.system.kinds] == [
+        ("single_integrator", "velocity (SI)", "velocity-driven (SI)", "circle"),
+        ("double_integrator", "force (DI)", "force-driven (DI)", "square"),
+        ("first_order_lag", "lag", "with lag", "diamond"),
+    ]
+    assert [kind.commands for kind in presenter.system.kinds] == [["m/s"] * 2, ["N"] * 2, ["m"] * 2]
+
+
 def test_the_page_speaks_of_no_plane_before_it_knows_the_parent() -> None:
     text = (Path(protocol.__file__).parent / "static" / "index.html").read_text(encoding="utf-8")
     shown = re.sub(r"<[^>]*>", " ", re.sub(r"<li [^>]*hidden>.*?</li>", "", text))

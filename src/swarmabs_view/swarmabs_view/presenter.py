@@ -13,14 +13,15 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.events import code_of, said_event
 from swarmabs_core.messages import EventKind, word
 from swarmabs_core.systems.interface import NamedSystem, SystemTables
-from swarmabs_view.protocol import Curves, Event, Events, Frame, Positions, RobotInfo, Robots, Row, System
+from swarmabs_core.systems.kinds import KINDS
+from swarmabs_view.protocol import Curves, Event, Events, Frame, Positions, RobotInfo, RobotKind, Robots, Row, System
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from swarmabs_bag.shown.swarm_state import Instant, RobotIdentity, ShownRobot, ShownVector, TimedEvent
     from swarmabs_core.messages import SwarmEvent
-    from swarmabs_core.systems import Constant, ParentSystem, Quantity
+    from swarmabs_core.systems import Constant, ParentSystem, Quantity, kinds
     from swarmabs_view.protocol import Number
 
     Lines = Sequence[Sequence[tuple[float, float]]]
@@ -68,6 +69,7 @@ class Presenter:
         self.system = System(
             name=tables.name,
             rows=rows,
+            kinds=[_kind(kind, tables.robot) for kind in KINDS.values()],
             placed=hasattr(self._drawing, "robot_place"),
             disturbance_unit=tables.disturbance_unit,
         )
@@ -203,6 +205,17 @@ def _distribution(positions: Sequence[Number], above: Sequence[bool | None]) -> 
 
 def _rows(role: Literal["parent", "reference", "abstract", "desired", "robot"], table: Iterable[Quantity]) -> list[Row]:
     return [Row(role=role, name=row.name, unit=row.unit, scale=row.scale, low=finite(row.low)) for row in table]
+
+
+def _kind(kind: kinds.RobotKind, coordinates: Iterable[Quantity]) -> RobotKind:
+    return RobotKind(
+        name=word(kind.kind),
+        words=kind.words,
+        legend=kind.legend,
+        colour=kind.colour,
+        shape=kind.shape,
+        commands=[kind.command_unit(row.unit) for row in coordinates],
+    )
 
 
 def _common(units: Iterable[str]) -> str:

@@ -47,11 +47,23 @@ class Row(Part):
     low: Number = Field(default=None, description="the least value, null if there is none")
 
 
+class RobotKind(Part):
+    """How robots of a kind are named and drawn."""
+
+    name: str = Field(json_schema_extra={"enum": [*map(word, Kind)]})
+    words: str = Field(description="in a table of robots")
+    legend: str
+    colour: str = Field(description="red, green and blue as #rrggbb, on light ground")
+    shape: Literal["circle", "square", "diamond"]
+    commands: list[str] = Field(description="units of a command, in the order of a robot's coordinates")
+
+
 class System(Part):
     """The parent system, as its description states it."""
 
     name: str
     rows: list[Row] = Field(description="in the order of values, then of a robot's coordinates, then of its constants")
+    kinds: list[RobotKind] = Field(description="all kinds of robots, also those that are not there")
     placed: bool = Field(description="whether the system itself places the robots in the picture, which is then in m")
     disturbance_unit: str = Field(description="empty if it is not known")
 

@@ -20,6 +20,8 @@ from rich.text import Text
 from swarmabs_bag.recorder.swarm_summary import LETTERS, THOUSAND
 from swarmabs_bag.run.figures import tracking_of
 from swarmabs_config.graph import SILENCE
+from swarmabs_core.messages import Kind
+from swarmabs_core.systems.kinds import KINDS
 from swarmabs_run.orchestration.run_files import RunOverError, is_running, read_processes, read_progress
 from swarmabs_run.processes import GONE, ProcessMonitor
 
@@ -58,6 +60,8 @@ _STATUS = {
     LETTERS["silent"]: ("silent", "red"),
     LETTERS[None]: ("no data", "dim"),
 }
+_SIGNS = {"circle": ("●", "o"), "square": ("■", "#"), "diamond": ("◆", "^")}
+"""Signs of the shapes of robots, and those in ASCII."""
 _NOWHERE = (LETTERS["left"], LETTERS[None])
 """Letters of robots that are not on the plane, or whose position is not known."""
 _LABEL = 8
@@ -393,10 +397,8 @@ class RunPanel:
     def _sign(self, agent_id: int, status: str, *, ascii_only: bool) -> str:
         if status == LETTERS["dead"]:
             return "x" if ascii_only else "×"
-        round_ = self._kinds[agent_id] == "single_integrator"
-        if ascii_only:
-            return "o" if round_ else "#"
-        return "●" if round_ else "■"
+        sign, ascii_sign = _SIGNS[KINDS[Kind.of(self._kinds[agent_id])].shape]
+        return ascii_sign if ascii_only else sign
 
 
 def _line(label: str, content: Text) -> Text:

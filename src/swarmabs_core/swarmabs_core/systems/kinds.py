@@ -5,7 +5,7 @@ A further kind is an object here and a constant `Kind`; laws, motion, checks, un
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.elementary import exp, expm1
@@ -67,7 +67,7 @@ class RobotKind:
     words: ClassVar[str] = "velocity (SI)"
     legend: ClassVar[str] = "velocity-driven (SI)"
     colour: ClassVar[str] = "#56b4e9"
-    shape: ClassVar[str] = "circle"
+    shape: ClassVar[Literal["circle", "square", "diamond"]] = "circle"
     constant: ClassVar[str] = ""
 
     def drive(self, period: float, mass: float, damping: float) -> IdealDrive:

@@ -1,7 +1,7 @@
 // Curves over time, drawn by uPlot (third_party/uplot).
 import { chartsOf, roles, titled } from "./description.js";
 import { colours, eventColour, font, short, unitOf } from "./drawing.js";
-import { KINDS } from "./kinds.js";
+import { kindColour, kindOf } from "./symbols.js";
 
 // Sizes in px, with texts of the usual size:
 const HEIGHT = 155;
@@ -83,7 +83,7 @@ export class Charts {
       plot.destroy();
     }
     const sync = window.uPlot.sync("time");
-    this.plots = [...this.charts, this.positionsChart()].map(({ place, title, lines, data, named, bands }) => {
+    this.plots = [...this.charts, this.positionsChart(colour)].map(({ place, title, lines, data, named, bands }) => {
       const node = document.getElementById(place);
       const axis = { stroke: colour.quiet, grid: { stroke: colour.grid, width: 1 }, ticks: { stroke: colour.grid, width: 1 }, font: font(unit), values: (_, splits, axis, space, increment) => labels(splits, increment) };
       data ??= () => [this.curves.time, ...lines.map((one) => one.of(this.curves))];
@@ -98,7 +98,7 @@ export class Charts {
           axes: [{ ...axis, space: SPACE_BELOW * unit, size: 14 + 18 * unit }, { ...axis, space: SPACE * unit, size: (_, values) => this.room(values ?? []) }],
           series: [
             { label: "time, s", value: (_, time) => (time === null ? "--" : String(Number(time.toPrecision(9)))) },
-            ...lines.map((one) => ({ label: one.label, value: (_, value) => (value === null ? "--" : short(value)), stroke: colour[one.colour], width: LINE * unit, pxAlign: 0, dash: one.dash, spanGaps: false, points: { show: false } })),
+            ...lines.map((one) => ({ label: one.label, value: (_, value) => (value === null ? "--" : short(value)), stroke: one.stroke ?? colour[one.colour], width: LINE * unit, pxAlign: 0, dash: one.dash, spanGaps: false, points: { show: false } })),
           ],
           bands: bands?.map(([high, low, fill, opacity]) => ({ series: [high, low], fill: colour[fill] + opacity })),
           cursor: { sync: { key: sync.key }, drag: { x: true, y: false } },
@@ -123,11 +123,11 @@ export class Charts {
   }
 
   // The chart of the positions: a line per robot, or for many robots percentile bands of each side on which they start.
-  positionsChart() {
+  positionsChart(colour) {
     const { labels, bands } = this.positions;
-    const kinds = new Map(this.robots.map((robot) => [`robot ${robot.id}`, robot.kind]));
-    const side = (index) => SIDES[Math.floor(index / PERCENTILES)];
-    const lines = labels.map((label, index) => ({ label, colour: bands ? side(index) : KINDS[kinds.get(label)]?.colour, dash: DASHES[label.split(": ")[1]] }));
+    const own = new Map(this.robots.map((robot) => [`robot ${robot.id}`, kindColour(kindOf(this.system, robot))]));
+    const side = (index) => colour[SIDES[Math.floor(index / PERCENTILES)]];
+    const lines = labels.map((label, index) => ({ label, stroke: bands ? side(index) : own.get(label), dash: DASHES[label.split(": ")[1]] }));
     const what = titled(roles(this.system).robot[this.coordinate]);
     const title = bands ? `${what}: by side of the start, median, 50 and 90 %, extremes` : what;
     const areas = SIDES.flatMap((fill, one) => BANDS.map(([high, low, opacity]) => [high + one * PERCENTILES, low + one * PERCENTILES, fill, opacity]));

@@ -1,7 +1,7 @@
 // What the page shows of a parent system and its robots, by the description in the hello.
 
 import { short } from "./drawing.js";
-import { KINDS } from "./kinds.js";
+import { kindOf } from "./symbols.js";
 
 const COLOURS = ["angle", "error", "torque", "inertia", "di", "si"];
 const [STATE, ERROR, ABSTRACT] = [0, 1, 2]; // the first colour of each group of charts
@@ -84,13 +84,13 @@ export function numbersOf(system) {
 // The columns of the table of robots: constants of a robot, and fields of its state.
 export function columnsOf({ robots, system }) {
   const { robot: coordinates, constant } = roles(system);
-  const units = (unit) => [...new Set(robots.map(({ kind }) => KINDS[kind].command(unit)))].join(" or ");
+  const commands = (axis) => [...new Set(robots.map((robot) => kindOf(system, robot).commands[axis]))].join(" or ");
   const label = (field, name) => (coordinates.length > 1 ? undefined : ONLY[field]) ?? `${FIELDS[field]}${words(name)}`;
-  const of = { coordinates: (unit) => unit, velocities: (unit) => `${unit}/s`, command: units };
+  const of = { coordinates: (unit) => unit, velocities: (unit) => `${unit}/s`, command: (_, axis) => commands(axis) };
   return {
     constants: constant.map((one, index) => [titled(one), (robot) => robot.constants[index] ?? null]),
     fields: Object.keys(FIELDS).flatMap((field) =>
-      coordinates.map(({ name, unit }, index) => [`${field}-${index}`, united(label(field, name), of[field](unit)), (states, robot) => states[field][robot][index] ?? null]),
+      coordinates.map(({ name, unit }, index) => [`${field}-${index}`, united(label(field, name), of[field](unit, index)), (states, robot) => states[field][robot][index] ?? null]),
     ),
   };
 }

@@ -4,9 +4,9 @@ import { Charts } from "./charts.js";
 import { Connection, VERSION } from "./connection.js";
 import { Controls } from "./controls.js";
 import { capital, massesOf } from "./description.js";
-import { KINDS, legend } from "./kinds.js";
 import { Picture } from "./picture.js";
 import { SteeringPanel } from "./steering.js";
+import { legend } from "./symbols.js";
 import { Coordinators, Events, More, Numbers, Processes, Robots } from "./tables.js";
 
 const element = (id) => document.getElementById(id);
@@ -29,7 +29,6 @@ const controls = new Controls((message) => connection.send(message));
 const steering = new SteeringPanel((message) => connection.send(message), status);
 const charts = new Charts((time) => controls.seekTime(time));
 new More();
-document.querySelector("#plane-panel .legend").prepend(...legend());
 
 function status(robot) {
   return frame?.robots.status[hello.robots.findIndex(({ id }) => id === robot)];
@@ -94,7 +93,7 @@ function greet(message) {
 
 // Adapt all parts to the parent system and its robots.
 function describe() {
-  const { robots: all, system } = hello;
+  const { system } = hello;
   const scene = plane.scene(hello);
   for (const part of [events, numbers, robots, charts, abstract, plane]) {
     part.hello(hello);
@@ -109,13 +108,19 @@ function describe() {
   for (const entry of ["limited", "reference"]) {
     shown[entry] = scene.legend.includes(entry);
   }
-  for (const kind of Object.keys(KINDS)) {
-    shown[kind] = all.some((robot) => robot.kind === kind);
-  }
   for (const [group, visible] of Object.entries(shown)) {
     document.querySelectorAll(`.legend li.${group}`).forEach((item) => {
       item.hidden = !visible;
     });
+  }
+  kinds();
+}
+
+// The legend of the kinds of robots, in the colours of the theme.
+function kinds() {
+  if (hello) {
+    document.querySelectorAll(".legend li.kind").forEach((item) => item.remove());
+    document.querySelector("#plane-panel .legend").prepend(...legend(hello));
   }
 }
 
@@ -237,7 +242,10 @@ element("layout").addEventListener("click", nextLayout);
 element("zoom").addEventListener("click", zoom);
 element("fit").addEventListener("click", fit);
 element("help").addEventListener("click", help);
-window.addEventListener("appearancechange", redraw);
+window.addEventListener("appearancechange", () => {
+  kinds();
+  redraw();
+});
 window.addEventListener("resize", redraw);
 const resized = new ResizeObserver(redraw);
 resized.observe(element("plane"));

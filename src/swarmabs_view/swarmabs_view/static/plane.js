@@ -1,12 +1,13 @@
 // The scene of the tilting plane in oblique view, with one lane per robot.
 import { roles } from "./description.js";
 import { font, short, ticks } from "./drawing.js";
-import { KINDS } from "./kinds.js";
+import { kindColour } from "./symbols.js";
 import { drawRobots } from "./robots.js";
 
 export const SIDE = 0.36; // fraction of the picture's width from the axis to the end of the plane
 export const PIVOT = 0.52; // fraction of the picture's height down to the axis
 const BINS = 48;
+const OTHER = "other"; // robots that do not follow
 // Sizes in px, with texts of the usual size:
 const LABELS = 40; // between two labels of the edge
 const SUPPORT = 14; // half the foot of the support
@@ -167,9 +168,9 @@ export class PlaneScene {
   // The number of robots per interval, as bars along the plane: by kind, and those that do not follow. Adds what a bar
   // is to the notes.
   density({ context, colour, unit }, hello, frame, at, half, height, notes) {
-    const groups = ["si", "di", "other"];
-    const words = { si: "velocity-driven", di: "force-driven", other: "not following" };
-    const bins = Array.from({ length: BINS }, () => ({ si: 0, di: 0, other: 0 }));
+    const kinds = hello.system.kinds.map((kind) => ({ name: kind.name, words: kind.legend, fill: kindColour(kind) }));
+    const groups = [...kinds, { name: OTHER, words: "not following", fill: colour.dead }];
+    const bins = Array.from({ length: BINS }, () => Object.fromEntries(groups.map(({ name }) => [name, 0])));
     hello.robots.forEach((robot, index) => {
       const status = frame.robots.status[index];
       if (!frame.robots.position[index] || status === "left") {
@@ -177,10 +178,9 @@ export class PlaneScene {
       }
       const [position] = frame.robots.position[index];
       const bin = Math.min(Math.max(Math.floor(((position + half) / (2 * half)) * BINS), 0), BINS - 1);
-      const kind = KINDS[robot.kind].colour;
-      bins[bin][status === "active" ? kind : "other"] += 1;
+      bins[bin][status === "active" ? robot.kind : OTHER] += 1;
     });
-    const most = Math.max(1, ...bins.map((bin) => bin.si + bin.di + bin.other));
+    const most = Math.max(1, ...bins.map((bin) => Object.values(bin).reduce((sum, count) => sum + count)));
     const bar = Math.min(height / most, 12 * unit); // px of a robot
     const spots = [];
     bins.forEach((bin, index) => {
@@ -188,12 +188,12 @@ export class PlaneScene {
       const [x0, y0] = at(from, 0.5);
       const [x1, y1] = at(to, 0.5);
       let up = 0;
-      for (const group of groups.filter((one) => bin[one])) {
-        const top = up + bin[group] * bar;
+      for (const { name, fill } of groups.filter((group) => bin[group.name])) {
+        const top = up + bin[name] * bar;
         context.beginPath();
         [[x0, y0 - up], [x1, y1 - up], [x1, y1 - top], [x0, y0 - top]].forEach((point) => context.lineTo(...point));
         context.closePath();
-        context.fillStyle = group === "other" ? colour.dead : colour[group];
+        context.fillStyle = fill;
         context.fill();
         context.lineWidth = 1;
         context.strokeStyle = colour.board;
@@ -201,7 +201,7 @@ export class PlaneScene {
         up = top;
       }
       if (up) {
-        const counts = groups.filter((one) => bin[one]).map((one) => `${bin[one]} ${words[one]}`);
+        const counts = groups.filter(({ name }) => bin[name]).map(({ name, words }) => `${bin[name]} ${words}`);
         const said = `${short(from, 2)} to ${short(to, 2)} m: ${counts.join(", ")}`;
         spots.push({ x: (x0 + x1) / 2, y: (y0 + y1) / 2 - up / 2, size: up / 2, text: said });
       }

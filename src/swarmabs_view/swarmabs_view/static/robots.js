@@ -1,7 +1,7 @@
 // Robots in the picture of any parent system: symbol or body, status, and id.
 import { massesOf, placeOf } from "./description.js";
 import { TEXT, font } from "./drawing.js";
-import { KINDS, outline } from "./kinds.js";
+import { kindColour, kindOf, outline } from "./symbols.js";
 import { STATUS } from "./tables.js";
 
 const NAMED = 24; // up to this number of robots, every robot has its id, beside it if it does not fit inside
@@ -31,8 +31,9 @@ export function drawRobots(surface, hello, frame, { at, bodyOf = () => null, lan
     const size = Math.min(Math.max(usual * Math.sqrt(masses[index] / mean), 2.5 * unit), 26 * unit);
     const body = bodyOf(position[index], index);
     const box = body ? extent(body) : { ...point(at(position[index], index)), w: size, h: size };
-    trace(context, body, box, hello.robots[index].kind);
-    paint(surface, box, hello.robots[index].kind, status[index]);
+    const kind = kindOf(hello.system, hello.robots[index]);
+    trace(context, body, box, kind);
+    paint(surface, box, kind, status[index]);
     const seat = body ? extent(body.slice(0, 1)) : box; // of the id
     spots.unshift({ ...box, seat, size: Math.max(box.w, box.h), index, status: status[index], text: said(hello, frame, index) });
   }
@@ -66,7 +67,7 @@ function trace(context, body, { x, y, w: size }, kind) {
 // Fill and outline the path of a robot by its status.
 function paint({ context, colour, unit }, { x, y, w, h }, kind, status) {
   if (status === "active" || status === "limited") {
-    context.fillStyle = colour[KINDS[kind].colour];
+    context.fillStyle = kindColour(kind);
     context.fill();
     context.lineWidth = (status === "limited" ? 4 : 1) * unit;
     context.strokeStyle = status === "limited" ? colour.error : colour.ink;

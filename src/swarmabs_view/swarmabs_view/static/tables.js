@@ -1,7 +1,7 @@
 // Numbers, robots, events and processes as text. Data from outside is always set as text, never as markup.
 import { columnsOf, numbersOf, roles } from "./description.js";
 import { short } from "./drawing.js";
-import { KINDS } from "./kinds.js";
+import { kindOf } from "./symbols.js";
 
 const ROBOTS_INTERVAL = 250; // ms
 const FEW = 24; // largest number of robots whose table is open initially
@@ -117,7 +117,7 @@ export class Robots {
     this.rows = hello.robots.map((robot) => {
       const row = this.body.insertRow();
       cell(row, "th").textContent = String(robot.id);
-      cell(row).textContent = KINDS[robot.kind].words;
+      cell(row).textContent = kindOf(hello.system, robot).words;
       const status = cell(row);
       const numbers = fields.map(([name]) => {
         const node = document.createElement("data");
@@ -161,6 +161,11 @@ function worth({ kind, value }, unit) {
   return value || (kind === "STEERING" && value === 0) ? `, ${short(value)}${unit ? ` ${unit}` : ""}` : "";
 }
 
+// The unit of all these, undefined if they differ.
+function common(units) {
+  return new Set(units).size === 1 ? units[0] : undefined;
+}
+
 function cut(text) {
   const characters = [...text];
   return characters.length > LONGEST_DETAIL ? `${characters.slice(0, LONGEST_DETAIL).join("")}…` : text;
@@ -174,9 +179,7 @@ export class Events {
   }
 
   hello({ robots, system }) {
-    const units = new Set(roles(system).robot.map(({ unit }) => unit));
-    const [unit] = units.size === 1 ? units : [];
-    this.commands = new Map(unit === undefined ? [] : robots.map(({ id, kind }) => [id, KINDS[kind].command(unit)]));
+    this.commands = new Map(robots.map((robot) => [robot.id, common(kindOf(system, robot).commands)]));
   }
 
   take(message) {
