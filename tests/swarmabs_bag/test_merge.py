@@ -34,7 +34,7 @@ from swarmabs_bag.merge import ContradictionError, MergeReport, merge_bags
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime_world import RealtimeWorld
 from swarmabs_bag.repair.bag import CUT_OFF, repair_bag
-from swarmabs_bag.repair.completeness import RealtimeCompleteness
+from swarmabs_bag.repair.completeness import Gap, RealtimeCompleteness
 from swarmabs_bag.repair.spans import Spans
 from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import Split
@@ -48,8 +48,10 @@ from swarmabs_core.messages import (
     ABSTRACT_STATE,
     AGENT_STATE,
     AUXILIARY_STATE,
+    BASIS,
     EVENTS,
     PLANE_STATE,
+    AbstractState,
     AgentState,
     Basis,
     EventKind,
@@ -58,6 +60,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
+from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.record import Record
 
 OF_RECORDER = {"machine": "x86_64", "standby": "primary"}
@@ -563,6 +566,14 @@ def test_a_recorder_that_has_heard_everything_lacks_nothing(name: str) -> None:
     for stored in recorded.bag:
         found.add(Record.of(stored.message), stored.time)
     assert found.gaps() == []
+
+
+def test_what_was_sent_before_the_recorder_heard_anything_is_not_missing() -> None:
+    found = RealtimeCompleteness(RealtimeWorld(Schedule(sample_run.PERIOD), (1,), plane=True))
+    for step in (5, 6):
+        state = AbstractState(step * sample_run.PERIOD, step, 1, 0.0, 0.0, 0.0, 0.0)
+        found.add(Record.of(state), state.stamp)
+    assert found.gaps() == [Gap(BASIS.name, (), 6, 6)]
 
 
 def test_different_messages_in_real_time_are_recorded_by_receipt_and_told(fleet: Path, tmp_path: Path) -> None:

@@ -21,7 +21,14 @@ from swarmabs_bag.attached import attached_provenance
 from swarmabs_bag.errors import BagWriteError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.recorder import node, realtime
-from swarmabs_bag.recorder.swarm_summary import EVENT_CHARACTERS, SummaryTracker, SwarmSummary, describe_event
+from swarmabs_bag.recorder.recording import Recording
+from swarmabs_bag.recorder.swarm_summary import (
+    EVENT_CHARACTERS,
+    KEPT_EVENTS,
+    SummaryTracker,
+    SwarmSummary,
+    describe_event,
+)
 from swarmabs_bag.run.step import Step
 from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.shown.swarm_state import SILENT_STEPS
@@ -199,6 +206,23 @@ def test_a_run_without_a_bag_has_figures_and_orders_are_known(told: Told, tmp_pa
     assert set(steered.recorder.awaits()) == {msg.STEERING, msg.EVENTS, *msg.MAIN_TOPICS, msg.STANDING}
     steered.spec.on_exit(None)
     assert attached_provenance(open_bag(tmp_path / "steered"))["steered"] is True
+
+
+def test_messages_accumulate_for_longer_while_batches_are_small() -> None:
+    scenario = find_scenario("pd_het_4", ["duration=1.0"]).resolved()
+    recorder = node.Recorder(scenario, Recording(scenario, None, driver="lockstep"), lambda _: None)
+    shortest, longest = node.GATHER_SECONDS
+    assert recorder.gathering() == shortest
+    seconds = []
+    steps = singly(Simulation(scenario).steps())
+    for first, stop in ((0, 1), *((n, n + 2) for n in range(1, 21, 2)), (21, 101)):
+        for topic in msg.MAIN_TOPICS:
+            recorder.hear_all(
+                topic, [data for step in steps[first:stop] for of, _, data in step.stored() if of is topic]
+            )
+        seconds.append(recorder.gathering())
+    assert seconds[:2] == [1.5 * shortest, 1.5 * 1.5 * shortest]
+    assert seconds[-2:] == [longest, longest / 2], "a batch of more than half of the window"
 
 
 def test_packed_states_are_recorded_one_by_one(told: Told, tmp_path: Path) -> None:
@@ -455,6 +479,10 @@ def test_in_real_time_messages_come_one_by_one() -> None:
         tracker.hear(msg.SwarmEvent(0, step, 1, msg.EventKind.DEAD, 0.25, "kill"))
     latest = [f"step {step}: robot 1 dead, 0.25: kill" for step in (9, 10, 11)]
     assert tracker.summary() == SwarmSummary({"A": 1, "D": 1, "L": 1}, "DLA", [250, 0, 1000], latest)
+    for step in range(12, 20):
+        tracker.hear(msg.SwarmEvent(0, step, 1, msg.EventKind.HELD, 0.0, ""))
+    *first, more = tracker.events()
+    assert (len(first), first[0], more) == (KEPT_EVENTS, "step 7: robot 1 held", "and 3 more")
 
 
 @pytest.mark.parametrize(

@@ -173,19 +173,32 @@ def test_of_a_cut_chunk_the_whole_messages_are_saved(compression: CompressionTyp
         assert other.message_count == len(found)
 
 
-def test_a_chunk_that_is_damaged_is_named_with_its_times(copy: Path, tmp_path: Path) -> None:
+def test_messages_of_a_cut_chunk_with_times_beyond_its_own_are_not_saved(tmp_path: Path) -> None:
+    known = schema(1, b"std_msgs/msg/String") + channel(1, 1, b"/chatter")
+    for times, saved in (((5, 100, 70, 80), 4), ((7, 8, 101, 9), 2), ((7, 8, 9, 4), 3)):
+        messages = b"".join(message(time=time) for time in times)
+        data = MAGIC + HEADER + chunk(known + messages + message(), "", times=(5, 100))
+        (tmp_path / "x.mcap").write_bytes(data[:-1])
+        assert repair_bag(tmp_path / "x.mcap", tmp_path / str(saved)).messages == saved
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_chunk_that_is_damaged_is_named_with_its_times(copy: Path, tmp_path: Path, *, cut: bool) -> None:
+    """If the summary is missing too, the losses follow from the sequence numbers."""
     file = copy / "bag_0.mcap"
     index = open_bag(copy).index.chunks[2]
+    with file.open("rb") as stream:
+        kept = [m.data for _, _, m in make_reader(stream).iter_messages(ending_before=index.message_start_time)]
     overwrite(file, index.chunk_start_offset + index.chunk_length - 5, b"\xff\xff\xff")
+    os.truncate(file, file.stat().st_size - (20 if cut else 0))
     report, found = repaired(copy, tmp_path / "new")
     (lost,) = report.files[0].lost
     assert (lost.offset, lost.bytes) == (index.chunk_start_offset, index.chunk_length)
     assert (lost.start, lost.end) == (index.message_start_time / 1e9, index.message_end_time / 1e9)
-    with file.open("rb") as stream:
-        kept = [m.data for _, _, m in make_reader(stream).iter_messages(ending_before=index.message_start_time)]
-    assert found[: len(kept)] == kept[: len(found)]
+    assert found[: len(kept)] == kept != []
     (plane,) = (topic for topic in report.topics if topic.name == "/plane/state")
     assert plane.messages + plane.lost == 41
+    assert plane.lost > 0
     assert report.last_complete_step == index.message_start_time // PERIOD - 1 or plane.lost == 0
     assert "1 place could not be recovered" in (bag_info(tmp_path / "new").repaired or "")
 

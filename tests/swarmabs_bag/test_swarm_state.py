@@ -11,6 +11,7 @@ import pytest
 from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_bag.realtime_bags import realtime_bag
 from tests.swarmabs_bag.sample_run import PERIOD, make_run, make_step
+from tests.swarmabs_core.realtime.bags import Stored
 
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.shown import swarm_state as module
@@ -106,6 +107,13 @@ def test_a_step_is_complete_once_and_waits_for_its_rest_while_so_many_others_beg
 def test_events_say_who_is_out(kinds: tuple[msg.EventKind, ...], status: str) -> None:
     events = [event(step, 2, kind) for step, kind in enumerate(kinds, start=2)]
     assert statuses(state_of([*make_run(5), *events])) == ["active", status, "active"]
+
+
+def test_of_many_changes_the_latest_count() -> None:
+    kinds = (msg.EventKind.LEFT, msg.EventKind.JOINED)
+    events = [event(step, 2, kinds[step % 2]) for step in range(1, 2 * module.MOST_CHANGES + 1)]
+    for count, status in ((len(events), "left"), (len(events) - 1, "active")):
+        assert statuses(state_of([*make_run(40), *events[:count]])) == ["active", status, "active"]
 
 
 def test_a_robot_that_was_dead_before_anything_was_heard_stands_where_its_event_says() -> None:
@@ -249,7 +257,12 @@ def check_arrays(recorded: RecordedSwarm, row: int) -> None:
 
 @pytest.mark.parametrize("since_1970", [False, True])
 def test_in_real_time_times_of_law_and_events_count_from_the_start(tmp_path: Path, *, since_1970: bool) -> None:
-    folder = realtime_bag(tmp_path / "bag", "deaths", since_1970=since_1970)
+
+    def with_a_wrong_clock(stored: Stored) -> tuple[msg.Message, ...]:
+        message = stored.message
+        return (message._replace(stamp=7) if isinstance(message, msg.SwarmEvent) and message.agent_id else message,)
+
+    folder = realtime_bag(tmp_path / "bag", "deaths", since_1970=since_1970, change=with_a_wrong_clock)
     recorded, period = read_swarm(folder), 0.01
     assert (recorded.status, len(recorded.events) > 3) == ("ok", True)
     bag = open_bag(folder)
@@ -261,4 +274,4 @@ def test_in_real_time_times_of_law_and_events_count_from_the_start(tmp_path: Pat
     first = min(message.stamp for _, _, message in bag.decoded(msg.MAIN_TOPICS))
     told = sorted((m for _, _, m in bag.decoded([msg.EVENTS])), key=lambda event: event.step)
     assert [event.stamp for event in recorded.events] == [max(0, event.stamp - first) for event in told]
-    assert max(event.stamp for event in recorded.events) > 0
+    assert min(event.stamp for event in recorded.events) == 0 < max(event.stamp for event in recorded.events)

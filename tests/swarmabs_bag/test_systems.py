@@ -338,8 +338,9 @@ def test_a_dead_robot_stays_where_it_died_with_all_coordinates() -> None:
     state = live(scenario, messages_of(steps))
     before = next(s for s in steps[20].states() if s.agent_id == 4)
     assert isinstance(before, msg.RobotState)
-    haunting = before._replace(step=38, stamp=38 * 10**7, coordinates=(9.0, 9.0))
-    state.add(haunting)
+    (death,) = (e.step for step in steps for e in step.events if e.kind == msg.EventKind.DEAD)
+    for step in (death, 38):
+        state.add(before._replace(step=step, stamp=step * 10**7, coordinates=(9.0, 9.0)))
     found = dict(zip([robot.id for robot in state.robots], state.shown_robots(40), strict=True))
     assert found[4] == ShownRobot(before.coordinates, (0.0, 0.0), (), "dead")
     assert found[5] == ShownRobot(status="left")
