@@ -134,18 +134,18 @@ def load_messages(bag: BagReader, *, stride: int = 1) -> LoadedMessages:
         if len(rows):
             _check_heads(bag, topic, rows, lengths_of(topic.message, firsts[topic]))
     _check_density(bag, tables)
-    found = tuple(event for _, _, event in bag.decode(events) if isinstance(event, SwarmEvent))
-    return LoadedMessages(tables, found, description_of(bag) if family.once else None, divided)
+    decoded = tuple(event for _, _, event in bag.decode(events) if isinstance(event, SwarmEvent))
+    return LoadedMessages(tables, decoded, description_of(bag) if family.once else None, divided)
 
 
-def _check_sizes(bag: BagReader, found: TopicMessages, sizes: Mapping[Topic, int]) -> None:
+def _check_sizes(bag: BagReader, messages: TopicMessages, sizes: Mapping[Topic, int]) -> None:
     """Raise `DamagedBagError` for the first message whose payload is not of the size of its topic."""
-    expected = np.array([sizes.get(topic, -1) for topic in found.topics])[found.places]
-    more = found.stored.sizes - expected
+    expected = np.array([sizes.get(topic, -1) for topic in messages.topics])[messages.places]
+    more = messages.stored.sizes - expected
     # DDS may pad a payload to four bytes.
     wrong = np.flatnonzero((expected >= 0) & ((more < 0) | (more >= 4)))
     if len(wrong):
-        (topic, log_time, _, payload), size = next(iter(found[wrong[0] :])), int(expected[wrong[0]])
+        (topic, log_time, _, payload), size = next(iter(messages[wrong[0] :])), int(expected[wrong[0]])
         raise DamagedBagError(
             f"{bag.path}: /{topic.name} at {log_time / 1e9:.9g} s: {len(payload)} bytes, expected {size}"
         )
@@ -169,9 +169,12 @@ def _check_memory(bag: BagReader, sizes: Mapping[Topic, int], stride: int) -> No
 
 
 def _check_heads(bag: BagReader, topic: Topic, table: NDArray[np.void], lengths: tuple[int, ...]) -> None:
-    heads: dict[str, Any] = {"encapsulation": np.void(ENCAPSULATION), "frame": np.void(FRAME)}
+    heads: dict[str, np.void | int | NDArray[np.uint64]] = {
+        "encapsulation": np.void(ENCAPSULATION),
+        "frame": np.void(FRAME),
+    }
     names = table.dtype.names or ()
-    heads |= zip((name for name in names if name.startswith(LENGTH)), lengths, strict=True)
+    heads |= dict(zip((name for name in names if name.startswith(LENGTH)), lengths, strict=True))
     heads |= {name: table[name][:1] for name in names if name == "system"}
     for field, value in heads.items():
         wrong = np.flatnonzero(table[field] != value)
@@ -199,7 +202,7 @@ def digest_of(tables: Tables) -> str:
 
     Padding counts as 0, because the digest covers canonical payloads.
     """
-    found = sha256()
+    digest = sha256()
     topics = sorted(tables, key=lambda topic: topic.name)
     steps = np.unique(np.concatenate([tables[topic]["step"] for topic in topics]))
     parts = []
@@ -217,8 +220,8 @@ def digest_of(tables: Tables) -> str:
         parts.append((texts, [*np.searchsorted(rows["step"], steps).tolist(), len(rows)]))
     for number in range(len(steps)):
         for texts, begins in parts:
-            found.update(texts[begins[number] : begins[number + 1]].tobytes())
-    return found.hexdigest()
+            digest.update(texts[begins[number] : begins[number + 1]].tobytes())
+    return digest.hexdigest()
 
 
 def available_memory(group: Path = _GROUP) -> int:

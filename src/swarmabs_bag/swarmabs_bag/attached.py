@@ -49,15 +49,15 @@ _DISTRIBUTIONS = ("ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "mcap", "nump
 
 def versions() -> dict[str, str]:
     """Return the versions that may affect the result of a run, of all packages installed as distributions."""
-    found = {"python": platform.python_version()}
+    installed = {"python": platform.python_version()}
     if own := own_version():
-        found["swarmabs_core"] = own
+        installed["swarmabs_core"] = own
     for name in _DISTRIBUTIONS:
         try:
-            found[name] = version(name)
+            installed[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return installed
 
 
 def plugin_versions(scenario: AnyScenario) -> dict[str, str]:
@@ -102,22 +102,22 @@ def provenance(
     return own | {name: True for name, holds in (("packed", packed), ("steered", steered)) if holds}
 
 
-def arithmetic_of(found: Mapping[str, object]) -> int | None:
+def arithmetic_of(stated: Mapping[str, object]) -> int | None:
     """Return the number of the arithmetic that a provenance states; None if it states none.
 
     Bags of the former arithmetic contain a fingerprint of the mathematical library instead.
     """
-    number = found.get("arithmetic", FORMER if "libm_fingerprint" in found else None)
+    number = stated.get("arithmetic", FORMER if "libm_fingerprint" in stated else None)
     return number if isinstance(number, int) else None
 
 
-def attachments(scenario: AnyScenario, made: Mapping[str, object]) -> dict[str, bytes]:
+def attachments(scenario: AnyScenario, provenance: Mapping[str, object]) -> dict[str, bytes]:
     """Return the attachments of a new bag: the scenario and its `provenance`."""
-    text = json.dumps(made, indent=2, sort_keys=True)
+    text = json.dumps(provenance, indent=2, sort_keys=True)
     return {SCENARIO_FILE: dump_scenario(scenario).encode(), PROVENANCE_FILE: text.encode() + b"\n"}
 
 
-def scenario_of(named: str, overrides: Sequence[str] = ()) -> Any:
+def scenario_of(named: str, overrides: Sequence[str] = ()) -> AnyScenario:
     """Load a scenario given by a user: a built-in one, a YAML file, or that of a bag.
 
     Raises
@@ -127,7 +127,8 @@ def scenario_of(named: str, overrides: Sequence[str] = ()) -> Any:
     """
     if names_bag(named):
         return attached_scenario(open_bag(Path(named), several=True), overrides)
-    return find_scenario(named, overrides)
+    scenario: AnyScenario = find_scenario(named, overrides)
+    return scenario
 
 
 def supply_scenario(bag: BagReader, named: str | None) -> None:
@@ -145,7 +146,7 @@ def supply_scenario(bag: BagReader, named: str | None) -> None:
     bag.supplied[SCENARIO_FILE] = dump_scenario(find_scenario(named).resolved()).encode()
 
 
-def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered: bool = True) -> Any:
+def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered: bool = True) -> AnyScenario:
     """Return the scenario of a bag; several swarms must share it.
 
     For a steered run, it includes all requests as planned faults, so that the recorded run follows from it. With
@@ -169,11 +170,14 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered:
         raise InputError(f"{bag.path} contains several scenarios and does not state {of}")
     source = f"{bag.path}:{SCENARIO_FILE}"
     acted = steered and was_steered(bag) and len(bag.swarms) <= 1
+    scenario: AnyScenario
     try:
         scenario = parse_scenario(text.decode(), source=source, overrides=() if acted else overrides, recorded=True)
     except UnicodeDecodeError as error:
         raise InputError(f"{source} is not UTF-8 text, so its scenario is unknown") from error
-    return as_planned(scenario, events_in(bag), source=source, overrides=overrides) if acted else scenario
+    if acted:
+        scenario = as_planned(scenario, events_in(bag), source=source, overrides=overrides)
+    return scenario
 
 
 def contradiction(bag: BagReader) -> str | None:
@@ -224,8 +228,8 @@ def is_realtime(bag: BagReader) -> bool:
     A bag of another recorder, or a converted one, has no provenance; then the topic of inputs decides, which only runs
     in real time have.
     """
-    made = attached_provenance(bag)
-    return bool(made["driver"] == REALTIME.value) if "driver" in made else BASIS in bag.topics()
+    stated = attached_provenance(bag)
+    return bool(stated["driver"] == REALTIME.value) if "driver" in stated else BASIS in bag.topics()
 
 
 def was_steered(bag: BagReader) -> bool:
@@ -255,7 +259,7 @@ def lost(bag: BagReader) -> str | None:
 def attached_provenance(bag: BagReader) -> dict[str, Any]:
     """Return the provenance of a bag, empty if missing or unreadable."""
     try:
-        found = json.loads(bag.attachment(PROVENANCE_FILE) or b"{}")
+        document = json.loads(bag.attachment(PROVENANCE_FILE) or b"{}")
     except (DamagedBagError, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return document if isinstance(document, dict) else {}

@@ -19,9 +19,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_bag.reader import BagReader
+    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.systems import Vector
 
 
-def reference_of_bag(bag: BagReader) -> Callable[[int], Any]:
+def reference_of_bag(bag: BagReader) -> Callable[[int], float | Vector]:
     """Return the reference of a bag's run at a step: an angle (rad), or all references of another parent system.
 
     It includes the offsets of the angle.
@@ -65,7 +67,7 @@ def summarise_bag(path: Path, namespace: str | None) -> dict[str, Any]:
     return figures.summary() | ({"digest": None} if is_realtime(bag) else {})
 
 
-def _scenario(bag: BagReader) -> Any:
+def _scenario(bag: BagReader) -> AnyScenario | None:
     try:
         return attached_scenario(bag)
     except (InputError, DamagedBagError):

@@ -273,12 +273,12 @@ def _scenario(bag: BagReader) -> ScenarioInfo | None:
 
 
 def _qos(profiles: str) -> str:
-    found = load_yaml(profiles)
-    if not isinstance(found, list):
+    offered = load_yaml(profiles)
+    if not isinstance(offered, list):
         return ""
     profiles_shown = [
         " ".join(show(profile.get(key)).strip("'") for key in ("reliability", "durability", "depth"))
-        for profile in found
+        for profile in offered
         if isinstance(profile, dict)
     ]
     return shorten(", ".join(dict.fromkeys(profiles_shown)), _LONGEST_QOS)

@@ -142,8 +142,8 @@ def merge_bags(paths: Sequence[Path | str], output: Path) -> MergeReport:
         try:
             sources = [_Source(Path(path), work / str(number)) for number, path in enumerate(paths)]
             run = _Run(sources)
-            found = run.examined()
-            _write(run, found, work / "merged")
+            examined = run.examined()
+            _write(run, examined, work / "merged")
         except BagWriteError as error:
             raise BagWriteError(output, error.cause) from error
         (work / "merged").rename(output)
@@ -153,11 +153,11 @@ def merge_bags(paths: Sequence[Path | str], output: Path) -> MergeReport:
             MergedBag(str(source.named), source.bag.message_count, tuple(source.steps), source.repaired)
             for source in sources
         ),
-        messages=found.topics.total(),
-        topics=dict(found.topics),
-        gaps=tuple(found.gaps),
-        contradictions=tuple(found.contradictions),
-        ended_early=found.ended_early,
+        messages=examined.topics.total(),
+        topics=dict(examined.topics),
+        gaps=tuple(examined.gaps),
+        contradictions=tuple(examined.contradictions),
+        ended_early=examined.ended_early,
     )
 
 
@@ -251,11 +251,11 @@ class _Source:
 
 def _digest(path: Path) -> str:
     """Return the SHA-256 of a file."""
-    found = sha256()
+    digest = sha256()
     with path.open("rb") as stream:
         while piece := stream.read(_BLOCK):
-            found.update(piece)
-    return found.hexdigest()
+            digest.update(piece)
+    return digest.hexdigest()
 
 
 class _Run:
@@ -284,7 +284,7 @@ class _Run:
         ordered = merge(*(source.ordered() for source in self.sources), key=itemgetter(0))
         return (received for _, received in ordered)
 
-    def examined(self) -> _Found:
+    def examined(self) -> _Examined:
         """Read all bags once, without writing anything."""
         union, topics = self.union(), Counter[str]()
         lockstep = LockstepCompleteness(self.scenario, self.scenario.family)
@@ -302,11 +302,11 @@ class _Run:
         topics.update(told.topic.name for told in union.finish())
         ended_early = self._ended_early()
         if realtime is not None:
-            return _Found(topics, realtime.gaps(), union.contradictions, ended_early)
+            return _Examined(topics, realtime.gaps(), union.contradictions, ended_early)
         continued = ended_early in {None, CUT_OFF}
         gaps = lockstep.gaps(self.scenario.steps if continued else lockstep.last)
         whole = not gaps and lockstep.last >= self.scenario.steps
-        return _Found(topics, gaps, union.contradictions, None if whole else ended_early)
+        return _Examined(topics, gaps, union.contradictions, None if whole else ended_early)
 
     def _ended_early(self) -> str | None:
         """Return why the recording ended early: what the bag says that ends last."""
@@ -316,7 +316,7 @@ class _Run:
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
+class _Examined:
     """What is known of the merged bag before it is written."""
 
     topics: Counter[str]
@@ -341,13 +341,13 @@ class _Agreed:
     def add(self, received: _Received) -> tuple[Record, ...]:
         """Return the record if it is to be written."""
         topic, agent_id, message, payload, *_ = received.record
-        known = self._known.setdefault(message.step, {})
+        of_step = self._known.setdefault(message.step, {})
         place = topic, payload if topic is EVENTS else agent_id
-        if place not in known:
-            known[place] = payload
+        if place not in of_step:
+            of_step[place] = payload
             self._forget()
             return (received.record,)
-        if known[place] != payload:
+        if of_step[place] != payload:
             robot = f" of robot {agent_id}" if agent_id else ""
             raise ContradictionError(
                 f"{self._names} contradict each other: /{topic.name}{robot} at step {message.step}; "
@@ -363,7 +363,7 @@ class _Agreed:
         """Forget what is so old that no recorder takes it any more."""
         if len(self._known) > 2 * LOCKSTEP_MEMORY:
             begin = max(self._known) - LOCKSTEP_MEMORY
-            self._known = {step: known for step, known in self._known.items() if step >= begin}
+            self._known = {step: of_step for step, of_step in self._known.items() if step >= begin}
 
 
 class _Collected:
@@ -398,10 +398,10 @@ def _difference_between(one: _Source, other: _Source) -> str | None:
         tree, its = (load_yaml(source.scenario.decode("utf-8", "replace")) for source in (one, other))
         return _difference(tree, its, "scenario") or "the texts of their scenarios differ"
     of_recorder = {*_OF_RECORDER, MERGED}
-    made, its = (
+    stated, its = (
         {name: value for name, value in source.provenance.items() if name not in of_recorder} for source in (one, other)
     )
-    if (difference := _difference(made, its)) is not None:
+    if (difference := _difference(stated, its)) is not None:
         return difference
     types, others = ({channel.name: channel.type_hash for channel in source.bag.channels} for source in (one, other))
     both = sorted(types.keys() & others.keys())
@@ -418,7 +418,7 @@ def _difference(one: object, other: object, place: str = "") -> str | None:
     return None if one == other else f"{place} is {show(one)} and {show(other)}"
 
 
-def _write(run: _Run, found: _Found, folder: Path) -> None:
+def _write(run: _Run, examined: _Examined, folder: Path) -> None:
     """Write the merged bag. No time of this machine enters it."""
     first = run.sources[0]
     differing = [
@@ -427,7 +427,7 @@ def _write(run: _Run, found: _Found, folder: Path) -> None:
         if any(source.provenance.get(name) != first.provenance.get(name) for source in run.sources)
     ]
     entries = [(source.entry(differing), source) for source in run.sources]
-    entries.sort(key=lambda each: json.dumps([each[0]["steps"], each[0]["sha256"]]))
+    entries.sort(key=lambda listed: json.dumps([listed[0]["steps"], listed[0]["sha256"]]))
     provenance = {name: value for name, value in first.provenance.items() if name not in differing}
     provenance[MERGED] = [entry for entry, _ in entries]
     text = json.dumps(provenance, indent=2, sort_keys=True)
@@ -450,17 +450,17 @@ def _write(run: _Run, found: _Found, folder: Path) -> None:
                 writer.write(kept.topic, received.time, kept.payload, published)
         for told in union.finish():
             writer.write(told.topic, told.message.stamp, told.payload, told.message.stamp)
-        writer.close(_other_attachments(bags), aborted=found.ended_early)
+        writer.close(_other_attachments(bags), aborted=examined.ended_early)
 
 
 def _other_attachments(bags: Sequence[BagReader]) -> dict[str, bytes]:
     """Return the attachments besides scenario and provenance; different ones of a name get numbers."""
-    found: dict[str, bytes] = {}
+    attachments: dict[str, bytes] = {}
     names = {entry.name for bag in bags for entry in bag.index.attachments} - {SCENARIO_FILE, PROVENANCE_FILE}
     for name in sorted(names):
         contents = list(dict.fromkeys(data for bag in bags if (data := bag.attachment(name)) is not None))
         path = PurePath(name)
         numbered = (f"{path.stem}-{number}{path.suffix}" for number in count(1))
-        free = (each for each in numbered if each not in names)
-        found |= zip([name] if len(contents) == 1 else free, contents, strict=False)
-    return found
+        free = (unused for unused in numbered if unused not in names)
+        attachments |= zip([name] if len(contents) == 1 else free, contents, strict=False)
+    return attachments

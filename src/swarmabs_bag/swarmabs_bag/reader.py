@@ -98,7 +98,7 @@ class BagReader:
     @property
     def family(self) -> Family:
         """The topics of its run: those of a swarm on the plane unless it has others."""
-        return next((each for each in FAMILIES if set(each.main) & set(self.topics())), PLANE_FAMILY)
+        return next((family for family in FAMILIES if set(family.main) & set(self.topics())), PLANE_FAMILY)
 
     def stored_messages(self) -> Iterator[tuple[BagChannel, StoredMessage]]:
         """Yield every message of the bag in file order, including those on topics outside of the swarm."""
@@ -127,9 +127,9 @@ class BagReader:
         """Yield what `published` does, the messages of a chunk at once; errors as for `messages`."""
         wanted = self._wanted(topics)
         for messages in self._stored():
-            found = TopicMessages.of(messages, wanted)
-            if len(found):
-                yield found
+            of_topics = TopicMessages.of(messages, wanted)
+            if len(of_topics):
+                yield of_topics
 
     def whole_steps(self, topics: Collection[Topic] | None = None) -> Iterator[Step | Published]:
         """Yield what `published` does, complete steps together where possible; errors as for `messages`."""
@@ -163,10 +163,10 @@ class BagReader:
     ) -> Iterator[T]:
         for topic, log_time, payload in messages:
             try:
-                found = read(topic, payload, log_time)
+                message = read(topic, payload, log_time)
             except MalformedMessageError as error:
                 raise DamagedBagError(f"{self.path}: /{topic.name} at {log_time / 1e9:.9g} s: {error}") from error
-            yield found
+            yield message
 
     def _wanted(self, topics: Collection[Topic] | None) -> dict[int, Topic]:
         """Return the topics of the swarm to be read, by channel number."""
@@ -201,8 +201,8 @@ class BagReader:
 
     def rosbag2_metadata(self) -> dict[str, Any]:
         """Return rosbag2's description in the last file, which records how the run ended; empty without one."""
-        found = load_yaml(self.files[-1].description())
-        return found if isinstance(found, dict) else {}
+        description = load_yaml(self.files[-1].description())
+        return description if isinstance(description, dict) else {}
 
     def custom_data(self) -> dict[str, str]:
         """Return the texts under ``custom_data`` of rosbag2's description; errors as for `rosbag2_metadata`."""
@@ -239,14 +239,14 @@ def open_bag(
     DamagedBagError
         If the end of the bag is missing, with what can still be read.
     """
-    found = find_bag(Path(path))
-    row = split_files(found.glob(f"*{SUFFIX}")) if found.is_dir() else None
+    place = find_bag(Path(path))
+    row = split_files(place.glob(f"*{SUFFIX}")) if place.is_dir() else None
     if row is None:
-        file = open_file(found, damaged=damaged)
-        bag = BagReader(found, (file,), file.index.problem, namespace)
+        file = open_file(place, damaged=damaged)
+        bag = BagReader(place, (file,), file.index.problem, namespace)
     else:
-        files, problems = _open_row(found, row, damaged=damaged)
-        bag = BagReader(found, files, "; ".join(problems) or None, namespace)
+        files, problems = _open_row(place, row, damaged=damaged)
+        bag = BagReader(place, files, "; ".join(problems) or None, namespace)
     if namespace is None and len(bag.swarms) > 1 and not several:
         raise NotABagError(
             f"{bag.path} contains several swarms; select one with --namespace: {named_swarms(bag.swarms)}"
@@ -288,12 +288,12 @@ def _open_row(folder: Path, row: dict[int, Path], *, damaged: bool) -> tuple[lis
 def _merged(indexes: Iterable[FileIndex]) -> tuple[FileIndex, list[dict[int, int]]]:
     """Return the merged index of all files, and for each file the new numbers of its channels."""
     merged = FileIndex()
-    known: dict[object, int] = {}
+    assigned: dict[object, int] = {}
     renumbered = []
     for position, index in enumerate(indexes):
         if position == 0:
             merged.header = index.header
-        numbers = {own: _number(channel, index, merged, known) for own, channel in sorted(index.channels.items())}
+        numbers = {own: _number(channel, index, merged, assigned) for own, channel in sorted(index.channels.items())}
         renumbered.append(numbers)
         merged.chunks += index.chunks
         names = {attachment.name for attachment in merged.attachments}
@@ -302,12 +302,12 @@ def _merged(indexes: Iterable[FileIndex]) -> tuple[FileIndex, list[dict[int, int
     return merged, renumbered
 
 
-def _number(channel: Channel, index: FileIndex, merged: FileIndex, known: dict[object, int]) -> int:
+def _number(channel: Channel, index: FileIndex, merged: FileIndex, assigned: dict[object, int]) -> int:
     """Return the number of a channel in the merged index; add it if it is new."""
     schema = index.schemas.get(channel.schema_id)
     text = (schema.name, schema.encoding, schema.data) if schema is not None else None
     key = (channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), text)
-    number = known.setdefault(key, channel.id if channel.id not in merged.channels else max(merged.channels) + 1)
+    number = assigned.setdefault(key, channel.id if channel.id not in merged.channels else max(merged.channels) + 1)
     if number not in merged.channels:
         merged.channels[number] = replace(channel, id=number, schema_id=0 if schema is None else number)
         if schema is not None:

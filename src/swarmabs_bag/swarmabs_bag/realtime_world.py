@@ -10,6 +10,7 @@ from swarmabs_bag.run.figures import RealtimeFigures
 from swarmabs_bag.run.realtime_gatherer import RECORDED
 from swarmabs_config import configure
 from swarmabs_config.graph import STANDBY_TOPICS
+from swarmabs_config.scenario import on_plane
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import BASIS, Basis, Source
 from swarmabs_core.realtime.base import Schedule
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from swarmabs_bag.reader import BagReader
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import AnyScenario
 
 _WORLD = ("period_ns", "epoch_ns", "simulated_robots", "simulated_plane", "own_limits")
 
@@ -41,8 +42,8 @@ class RealtimeWorld:
 
 def realtime_world(bag: BagReader) -> RealtimeWorld:
     """Return the recorded world of a bag in real time; raise `InputError` if it is missing."""
-    found = attached_provenance(bag).get("realtime")
-    said: Mapping[str, Any] = found if isinstance(found, dict) else {}
+    entry = attached_provenance(bag).get("realtime")
+    said: Mapping[str, Any] = entry if isinstance(entry, dict) else {}
     period, epoch, robots, plane, limited = (said.get(name) for name in _WORLD)
     if (
         isinstance(robots, list)
@@ -67,12 +68,13 @@ def law_begins(bag: BagReader) -> dict[int, int]:
     }
 
 
-def realtime_figures(bag: BagReader, scenario: Scenario) -> RealtimeFigures:
+def realtime_figures(bag: BagReader, scenario: AnyScenario) -> RealtimeFigures:
     """Return the figures of a bag, by the same arithmetic as during the recording.
 
-    Raises `DamagedBagError` if the bag is damaged.
+    Raises `DamagedBagError` if the bag is damaged, and `InputError` if its parent system is not the plane.
     """
-    figures = RealtimeFigures(configure.parent_controller(scenario).reference, Schedule(scenario.step_ns))
+    law = configure.parent_controller(on_plane(scenario, "real time"))
+    figures = RealtimeFigures(law.reference, Schedule(scenario.step_ns))
     for record in bag.records(RECORDED):
         figures.add(record)
     return figures

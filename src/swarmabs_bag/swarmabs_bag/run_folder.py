@@ -162,15 +162,15 @@ def check_storage(file: Path) -> None:
 
 def split_files(files: Iterable[Path]) -> dict[int, Path] | None:
     """Return the files of a split bag by number, None unless they are named ``NAME_0.mcap``, ``NAME_1.mcap``..."""
-    found: dict[int, Path] = {}
+    numbered: dict[int, Path] = {}
     names = set()
     for file in files:
         match = re.fullmatch(r"(.*)_(0|[1-9]\d{0,8})", file.stem, re.ASCII)
         if match is None:
             return None
         names.add(match[1])
-        found[int(match[2])] = file
-    return dict(sorted(found.items())) if len(names) == 1 else None
+        numbered[int(match[2])] = file
+    return dict(sorted(numbered.items())) if len(names) == 1 else None
 
 
 def missing_files(files: dict[int, Path]) -> list[str]:

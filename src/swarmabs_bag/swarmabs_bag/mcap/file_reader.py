@@ -118,18 +118,18 @@ class BagFile:
         for entry in reversed(self.index.metadata):  # rosbag2 also writes one at the beginning
             if entry.name == RECORD_NAME:
                 with self._opened() as stream:
-                    record: Metadata = parse(Metadata, read_record(stream, entry.offset, self.size))
+                    record = parse(Metadata, read_record(stream, entry.offset, self.size))
                 return record.metadata.get(RECORD_KEY, "")
         return ""
 
     def check(self) -> None:
         """Read the whole file and compare it with every CRC and with its summary."""
         with self._opened() as stream:
-            found = scan_index(stream, self.size)
-            if found.problem is not None:
-                raise DamagedBagError(f"{self.path}: {found.problem}{_readable(found)}")
-            _check_crc(read_record(stream, found.data_end, self.size), found.crc)
-        problem = self.index.contradicted_by(found)
+            scanned = scan_index(stream, self.size)
+            if scanned.problem is not None:
+                raise DamagedBagError(f"{self.path}: {scanned.problem}{_readable(scanned)}")
+            _check_crc(read_record(stream, scanned.data_end, self.size), scanned.crc)
+        problem = self.index.contradicted_by(scanned)
         if problem is not None:
             raise DamagedBagError(f"{self.path}: {problem}")
 
@@ -184,7 +184,7 @@ def _readable(index: FileIndex) -> str:
 
 def _check_crc(end: Record, crc: int) -> None:
     """Compare the CRC of the data section with the stated one."""
-    stated: DataEnd = parse(DataEnd, end)
+    stated = parse(DataEnd, end)
     if stated.data_section_crc not in {0, crc}:
         raise RecordError(
             end.offset,

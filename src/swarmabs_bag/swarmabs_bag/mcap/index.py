@@ -10,8 +10,8 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, BinaryIO
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, BinaryIO
 
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -80,8 +80,17 @@ MOST_DEFINITIONS = 2**26
 
 def no_statistics() -> Statistics:
     """Return the statistics of a file without records."""
-    counts: dict[str, Any] = dict.fromkeys((field.name for field in fields(Statistics)), 0)
-    return Statistics(**{**counts, "channel_message_counts": defaultdict(int)})
+    return Statistics(
+        attachment_count=0,
+        channel_count=0,
+        channel_message_counts=defaultdict(int),
+        chunk_count=0,
+        message_count=0,
+        message_end_time=0,
+        message_start_time=0,
+        metadata_count=0,
+        schema_count=0,
+    )
 
 
 @dataclass(slots=True)
@@ -140,7 +149,7 @@ class FileIndex:
             )
             statistics.attachment_count += 1
         elif opcode == Opcode.METADATA:
-            metadata: Metadata = parse(Metadata, record)
+            metadata = parse(Metadata, record)
             self.metadata.append(MetadataIndex(offset=record.offset, length=record.size, name=metadata.name))
             statistics.metadata_count += 1
         elif opcode == Opcode.HEADER and record.offset == len(MAGIC):
@@ -163,17 +172,20 @@ class FileIndex:
             statistics.message_count += 1
             statistics.channel_message_counts[channel] += 1
         elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            kind = Schema if opcode == Opcode.SCHEMA else Channel
-            self.define(parse(kind, Record(offset, opcode, data[begin:end])), offset)
+            record = Record(offset, opcode, data[begin:end])
+            self.define(parse(Schema, record) if opcode == Opcode.SCHEMA else parse(Channel, record), offset)
         else:
             self.unknown = opcode
 
     def define(self, definition: Schema | Channel, offset: int) -> None:
         """Add a schema or a channel; a repeated one replaces the previous."""
-        known: dict[int, Any] = self.schemas if isinstance(definition, Schema) else self.channels
-        if known.get(definition.id) != definition:
+        previous: Schema | Channel | None
+        if isinstance(definition, Schema):
+            previous, self.schemas[definition.id] = self.schemas.get(definition.id), definition
+        else:
+            previous, self.channels[definition.id] = self.channels.get(definition.id), definition
+        if previous != definition:
             self.definitions += len(encoded(definition))
-        known[definition.id] = definition
         self.statistics.schema_count, self.statistics.channel_count = len(self.schemas), len(self.channels)
         if self.definitions > MOST_DEFINITIONS:
             raise RecordError(offset, f"schemas and channels of more than {MOST_DEFINITIONS} bytes")
@@ -198,17 +210,17 @@ class FileIndex:
             },
         }
 
-    def contradicted_by(self, found: FileIndex) -> str | None:
+    def contradicted_by(self, scanned: FileIndex) -> str | None:
         """Return a contradiction between this summary and a scan of the same file, or None."""
-        stated, counted = self.numbers(), found.numbers()
+        stated, counted = self.numbers(), scanned.numbers()
         for name in {**counted, **stated}:
             if stated.get(name, 0) != counted.get(name, 0):
                 return f"the summary states {name} = {stated.get(name, 0)}, but it is {counted.get(name, 0)}"
-        there = found.entries()
+        there = scanned.entries()
         for name, entries in self.entries().items():
             if entries != there[name]:
                 return f"the summary lists other {name} than those in the file"
-        if not (found.channels.items() <= self.channels.items() and found.schemas.items() <= self.schemas.items()):
+        if not (scanned.channels.items() <= self.channels.items() and scanned.schemas.items() <= self.schemas.items()):
             return "the summary describes other topics than those in the file"
         return None
 
@@ -237,7 +249,7 @@ class FileIndex:
                 raise RecordError(offset, f"more than {MOST_ENTRIES} {name}")
 
     def _take_chunk(self, record: Record, data: bytes) -> None:
-        chunk: Chunk = parse(Chunk, record)
+        chunk = parse(Chunk, record)
         inner = FileIndex()  # complete or an error: a partial chunk must not be in the statistics
         content = ChunkContent.of(data, record.offset)
         for opcode, begin, end in content.others:
@@ -252,14 +264,14 @@ class FileIndex:
         self.unknown = self.unknown if inner.unknown is None else inner.unknown
 
 
-def add_messages(total: Statistics, found: Statistics, numbers: Mapping[int, int] | None = None) -> None:
+def add_messages(total: Statistics, part: Statistics, numbers: Mapping[int, int] | None = None) -> None:
     """Add the messages of a part to the total; `numbers` maps the part's channels to those of the total."""
-    if found.message_count:
-        start = found.message_start_time
+    if part.message_count:
+        start = part.message_start_time
         total.message_start_time = min(total.message_start_time, start) if total.message_count else start
-        total.message_end_time = max(total.message_end_time, found.message_end_time)
-    total.message_count += found.message_count
-    for own, count in found.channel_message_counts.items():
+        total.message_end_time = max(total.message_end_time, part.message_end_time)
+    total.message_count += part.message_count
+    for own, count in part.channel_message_counts.items():
         if numbers is None or own in numbers:
             total.channel_message_counts[own if numbers is None else numbers[own]] += count
 
@@ -268,7 +280,7 @@ def read_attachment(record: Record) -> Attachment:
     """Read an attachment and check its CRC."""
     if record.opcode != Opcode.ATTACHMENT:
         raise RecordError(record.offset, "the summary states an attachment here, but there is none")
-    attachment: Attachment = parse(Attachment, record)
+    attachment = parse(Attachment, record)
     crc = int.from_bytes(record.content[-4:], "little")
     if crc and zlib.crc32(memoryview(record.content)[:-4]) != crc:
         raise RecordError(record.offset, f"the CRC of the attachment {show(attachment.name)} does not match")
@@ -313,7 +325,7 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
     end = stream.read(end_size)
     if end[-len(MAGIC) :] != MAGIC or end[0] != Opcode.FOOTER:
         raise RecordError(size, "the end of the file, with its summary, is missing")
-    footer: Footer = parse(Footer, read_record(stream, size - end_size, size))
+    footer = parse(Footer, read_record(stream, size - end_size, size))
     if footer.summary_start == 0:
         return _scanned(stream, size, size - end_size)
     if not len(MAGIC) <= footer.summary_start <= size - end_size:
@@ -332,17 +344,15 @@ def read_index(stream: BinaryIO, size: int) -> FileIndex:
 def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> FileIndex:
     """Add the summary section from byte `start` on to the index, completed by a scan if necessary."""
     stated: Statistics | None = None
-    listed: dict[int, tuple[Any, list[Any]]] = {
-        Opcode.CHUNK_INDEX: (ChunkIndex, index.chunks),
-        Opcode.ATTACHMENT_INDEX: (AttachmentIndex, index.attachments),
-        Opcode.METADATA_INDEX: (MetadataIndex, index.metadata),
-    }
     for record in read_records(stream, start, size):
         if record.opcode == Opcode.STATISTICS:
             stated = parse(Statistics, record)
-        elif record.opcode in listed:
-            kind, entries = listed[record.opcode]
-            entries.append(parse(kind, record))
+        elif record.opcode == Opcode.CHUNK_INDEX:
+            index.chunks.append(parse(ChunkIndex, record))
+        elif record.opcode == Opcode.ATTACHMENT_INDEX:
+            index.attachments.append(parse(AttachmentIndex, record))
+        elif record.opcode == Opcode.METADATA_INDEX:
+            index.metadata.append(parse(MetadataIndex, record))
         elif record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
             index.take_inner(record.opcode, record.content, (0, len(record.content)), record.offset)
         index.check_number(record.offset)
@@ -352,14 +362,14 @@ def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> 
         if not any(getattr(stated, count) and not getattr(index, kind) for kind, count in _COUNTED.items()):
             return index
     try:
-        found = _scanned(stream, size, start)
+        scanned = _scanned(stream, size, start)
     except RecordError:
         if stated is not None:  # reading the file will report the damage at its position
             return index
         raise
     for kind in _COUNTED:
-        setattr(index, kind, getattr(index, kind) or getattr(found, kind))
-    index.statistics = stated or found.statistics
+        setattr(index, kind, getattr(index, kind) or getattr(scanned, kind))
+    index.statistics = stated or scanned.statistics
     return index
 
 
@@ -375,12 +385,12 @@ def _correct_start(stated: Statistics, chunks: Sequence[ChunkIndex]) -> None:
 
 def _scanned(stream: BinaryIO, size: int, end: int) -> FileIndex:
     """Return the index of an intact data section that ends at byte `end`."""
-    found = scan_index(stream, size)
-    if found.problem is not None:
-        raise RecordError(found.data_end, found.problem.removeprefix(f"at byte {found.data_end}: "))
-    if found.data_end + _DATA_END_SIZE != end:
-        raise RecordError(found.data_end, f"the data section ends here and not at byte {end}, as stated")
-    return found
+    index = scan_index(stream, size)
+    if index.problem is not None:
+        raise RecordError(index.data_end, index.problem.removeprefix(f"at byte {index.data_end}: "))
+    if index.data_end + _DATA_END_SIZE != end:
+        raise RecordError(index.data_end, f"the data section ends here and not at byte {end}, as stated")
+    return index
 
 
 def _check_summary_crc(stream: BinaryIO, footer: Footer, footer_start: int) -> None:

@@ -9,19 +9,17 @@ import struct
 import zlib
 from contextlib import suppress
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeVar
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Chunk
+from mcap.records import Attachment, Chunk, McapRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from mcap.records import McapRecord
 
 MAGIC = b"\x89MCAP0\r\n"
 """First and last eight bytes of a complete file."""
@@ -46,6 +44,8 @@ UNREADABLE = (McapError, struct.error, ValueError, OverflowError)
 
 UNCOMPRESSING = (zstandard.ZstdError, RuntimeError, ValueError)
 """Errors of `uncompressed`."""
+
+R = TypeVar("R", bound=McapRecord)
 
 _PIECE = 2**17
 _HEAD = struct.Struct("<BQ")
@@ -155,22 +155,24 @@ class _Content(ReadDataStream):
         return data
 
 
-def parse(record_class: Any, record: Record) -> Any:
+def parse(record_class: type[R], record: Record) -> R:
     """Parse the content of a record, of up to `MAX_PARSED` bytes, with a record class of the mcap library."""
     if len(record.content) > MAX_PARSED and record_class not in {Attachment, Chunk}:
         raise RecordError(record.offset, f"a {record_class.__name__} record of more than {MAX_PARSED} bytes")
+    untyped: Any = record_class
     try:
-        return record_class.read(_Content(BytesIO(record.content)))
+        parsed: R = untyped.read(_Content(BytesIO(record.content)))
     except MemoryError as error:
         text = f"a {record_class.__name__} record of {len(record.content)} bytes, for which there is not enough memory"
         raise RecordError(record.offset, text) from error
     except UNREADABLE as error:
         raise RecordError(record.offset, f"malformed {record_class.__name__} record: {error}") from error
+    return parsed
 
 
 def uncompress(record: Record) -> bytes:
     """Return the records in a chunk, within `MAX_SIZE` and `MAX_RATIO`, after checking its size and CRC."""
-    chunk: Chunk = parse(Chunk, record)
+    chunk = parse(Chunk, record)
     size, left = chunk.uncompressed_size, len(record.content) - _CHUNK_HEAD_SIZE - len(chunk.compression.encode())
     if len(chunk.data) != left:
         raise RecordError(record.offset, f"a chunk of {len(chunk.data)} bytes in a record with {left} bytes")

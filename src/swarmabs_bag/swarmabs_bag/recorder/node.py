@@ -212,8 +212,8 @@ class Recorder:
             yield from self._steer(payloads)
         elif topic is self._packed:
             parts = zip(*(decode(topic.message, payload)[2:] for payload in payloads), strict=True)
-            for each in parts:
-                yield from self._collector.add_all(TOPIC_OF[type(each[0])], [encode(part) for part in each])
+            for messages in parts:
+                yield from self._collector.add_all(TOPIC_OF[type(messages[0])], [encode(part) for part in messages])
         else:
             yield from self._collector.add_all(topic, payloads)
 
@@ -234,9 +234,9 @@ class Recorder:
             order = decode(Steering, payload)
             assert isinstance(order, Steering)  # noqa: S101 - `decode` returns this type
             orders, steps = self._collector.steer(order)
-            for known in orders:
-                if known.action == Action.REFERENCE:
-                    self._recording.offset(known.step, known.value)
+            for request in orders:
+                if request.action == Action.REFERENCE:
+                    self._recording.offset(request.step, request.value)
             yield from steps
 
     def _still_here(self) -> Messages:

@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray
 
@@ -104,7 +104,7 @@ class RealtimeRecorder:
         self.interrupted = False
         self.malformed = 0
 
-    def stop(self, number: int, *_: Any) -> None:
+    def stop(self, number: int, *_: object) -> None:
         """End the loop because of a signal."""
         self._stopped = True
         self.interrupted = number == signal.SIGINT

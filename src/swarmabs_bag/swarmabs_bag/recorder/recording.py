@@ -34,13 +34,13 @@ F = TypeVar("F", RunFigures, RealtimeFigures)
 class _Recording(Generic[F]):
     """The common part of recordings: figures, summary of the swarm, and optionally a bag."""
 
-    def __init__(self, scenario: Any, folder: Path | None, run: F, made: Mapping[str, object], **bag: Any) -> None:
+    def __init__(self, scenario: Any, folder: Path | None, run: F, stated: Mapping[str, object], **bag: Any) -> None:
         self.run: F = run
         length = scenario.plane.length if scenario.family is PLANE_FAMILY else None
         self._tracker = SummaryTracker(configure.members(scenario), length)
         self._writer: BagWriter | None = None
         if folder is not None:
-            self._writer = BagWriter(folder, attachments=attachments(scenario, made), **bag)
+            self._writer = BagWriter(folder, attachments=attachments(scenario, stated), **bag)
 
     def summary(self) -> SwarmSummary | None:
         """Return the current summary of the swarm; too expensive to call for every message."""
@@ -98,12 +98,12 @@ class Recording(_Recording[RunFigures]):
         steered: bool = False,
     ) -> None:
         self._reference = configure.reference(scenario)
-        made = provenance(scenario, driver=driver, packed=packed, steered=steered)
+        stated = provenance(scenario, driver=driver, packed=packed, steered=steered)
         figures, family = RunFigures(self._reference, tracking_of(scenario)), scenario.family
         divides = (STANDING,) if configure.may_change(scenario, steered=steered) else ()
         topics = (*family.once, *family.main, *divides, EVENTS)
         super().__init__(
-            scenario, folder, figures, made, topics=topics, qos=OFFERED[LOCKSTEP], namespace=namespace, split=split
+            scenario, folder, figures, stated, topics=topics, qos=OFFERED[LOCKSTEP], namespace=namespace, split=split
         )
 
     def add(self, step: Step) -> None:
@@ -150,13 +150,13 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         self._received = 0
         self._heard = self._heard_before = 0
         self._last_step = last_step
-        made = provenance(scenario, driver=REALTIME.value, realtime=world.provenance())
+        stated = provenance(scenario, driver=REALTIME.value, realtime=world.provenance())
         figures = RealtimeFigures(configure.parent_controller(scenario).reference, world.schedule)
         super().__init__(
             scenario,
             folder,
             figures,
-            made,
+            stated,
             topics=recorded(paired=paired),
             qos=OFFERED[REALTIME],
             namespace=namespace,
@@ -202,8 +202,8 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of the run so far, and the numbers of dropped messages."""
-        found = super().figures()
-        return {**found, "realtime": {**found["realtime"], "dropped": self._dropped()}}
+        figures = super().figures()
+        return {**figures, "realtime": {**figures["realtime"], "dropped": self._dropped()}}
 
     def _dropped(self) -> dict[str, int]:
         collector = self._collector

@@ -104,17 +104,17 @@ class SummaryTracker:
         self._read()
         if self._newest < 0:
             return None
-        known = [
+        robots = [
             (self._robots.out(member, self._newest), self._robots.latest(member, self._newest), self._newest)
             for member in self._members
         ]
-        letters = [LETTERS[shown_status(*each)] for each in known]
+        letters = [LETTERS[shown_status(*robot)] for robot in robots]
         few = len(letters) <= SHOWN_ROBOTS
         half = self._half
         return SwarmSummary(
             dict(sorted(Counter(letters).items())),
             "".join(letters) if few else "",
-            [_place(shown_robot(*each), half) for each in known] if few and half is not None else [],
+            [_place(shown_robot(*robot), half) for robot in robots] if few and half is not None else [],
             list(self._events),
             [*self._strays.values()][:SHOWN_EVENTS],
         )

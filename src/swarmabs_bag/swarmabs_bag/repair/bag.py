@@ -132,30 +132,30 @@ def repair_bag(
         If the disk is full or fails; nothing is left behind.
     """
     named = Path(path)
-    found = find_bag(named)
-    folder = None if named.is_file() else found if found.is_dir() else found.parent
-    target = _target(found if folder is None else folder, output, in_place=in_place, is_file=folder is None)
-    parts, problems = examine(found)
-    kept = _worth_keeping(found, parts)
+    place = find_bag(named)
+    folder = None if named.is_file() else place if place.is_dir() else place.parent
+    target = _target(place if folder is None else folder, output, in_place=in_place, is_file=folder is None)
+    parts, problems = examine(place)
+    kept = _worth_keeping(place, parts)
     if in_place and any(part.name != part.path.name for part in kept):
-        gap = next(iter(problems), None) or next(part.problems[0] for part in parts if part.found is None)
-        raise BagFolderError(f"{found} cannot be repaired in place: {gap}; repair it into a new folder with -o")
+        gap = next(iter(problems), None) or next(part.problems[0] for part in parts if part.rebuilt is None)
+        raise BagFolderError(f"{place} cannot be repaired in place: {gap}; repair it into a new folder with -o")
     idle = not problems and not any(part.problems for part in parts)
     if folder is not None and idle and (problem := metadata_problem(folder, kept)) is not None:
         problems.append(problem)
-    unfinished = _is_unfinished(found, parts, kept)
+    unfinished = _is_unfinished(place, parts, kept)
     if unfinished and ABORTED_KEY not in kept[-1].custom_data() and not kept[-1].problems:
         kept[-1].problems.append(CUT_OFF)
     idle = not problems and not any(part.problems for part in parts)
     if idle and (output is None or in_place or if_needed):
-        return _report(named, None, found, parts, problems)
+        return _report(named, None, place, parts, problems)
     if in_place:
         _refuse_earlier(parts, target)
     with work_folder(target) as work:
         _write(kept, work, [] if folder is None else silent_topics(kept[0].path.parent), unfinished=unfinished)
         report = _report(named, target, work, parts, problems)
         if in_place:
-            _exchange(parts, work, found.parent if folder is None else folder, with_metadata=folder is not None)
+            _exchange(parts, work, place.parent if folder is None else folder, with_metadata=folder is not None)
         else:
             target.parent.mkdir(parents=True, exist_ok=True)
             work.rename(target)
@@ -185,10 +185,10 @@ def refuse_taken(target: Path) -> None:
 
 def _worth_keeping(bag: Path, parts: Sequence[Part]) -> list[Part]:
     """Return the files with content; raise an error if there is damage and no message can be recovered."""
-    kept = [part for part in parts if part.found is not None]
+    kept = [part for part in parts if part.rebuilt is not None]
     if not kept:
         raise DamagedBagError(f"{bag}: nothing can be recovered: {parts[0].problems[0]}")
-    broken = [part for part in kept if part.found is not None and (part.found.damage or part.found.end is None)]
+    broken = [part for part in kept if part.rebuilt is not None and (part.rebuilt.damage or part.rebuilt.end is None)]
     if broken and not any(part.index.statistics.message_count for part in kept):
         raise DamagedBagError(f"{broken[0].path}: no message can be recovered: {broken[0].problems[0]}")
     return kept
@@ -197,7 +197,7 @@ def _worth_keeping(bag: Path, parts: Sequence[Part]) -> list[Part]:
 def _is_unfinished(bag: Path, parts: Sequence[Part], kept: Sequence[Part]) -> bool:
     """Return whether the writer did not finish: its last file has no end, or was never begun."""
     last = kept[-1]
-    if last is not parts[-1] or (last.found is not None and last.found.end is None):
+    if last is not parts[-1] or (last.rebuilt is not None and last.rebuilt.end is None):
         return True
     if len(kept) == 1 or (last.path.parent / METADATA_FILE).exists():
         return False
@@ -227,12 +227,12 @@ def work_folder(target: Path) -> Iterator[Path]:
     """Create a folder next to the target, which is removed afterwards unless it was renamed."""
     place = target.resolve()
     work = place.with_name(f".{place.name}{_TEMPORARY}")
-    made: list[Path] = []
+    created: list[Path] = []
     done = False
     try:
         for parent in reversed([parent for parent in work.parents if not parent.exists()]):
             parent.mkdir()
-            made.append(parent)
+            created.append(parent)
         if work.exists():
             shutil.rmtree(work)
         work.mkdir()
@@ -243,7 +243,7 @@ def work_folder(target: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(work, ignore_errors=True)
         if not done:
-            for parent in reversed(made):
+            for parent in reversed(created):
                 parent.rmdir()
 
 
@@ -255,8 +255,8 @@ def _write(parts: Sequence[Part], work: Path, silent: Sequence[BagChannel], *, u
             said = part.custom_data()
             if unfinished and part is parts[-1]:
                 said.setdefault(ABORTED_KEY, CUT_OFF)
-            if part.found is not None and part.found.damage:
-                said[REPAIRED_KEY] = _lost_text(part.found.damage)
+            if part.rebuilt is not None and part.rebuilt.damage:
+                said[REPAIRED_KEY] = _lost_text(part.rebuilt.damage)
             file = RecordFile(work / part.name)
             try:
                 part.rebuild(file, said)
@@ -267,8 +267,8 @@ def _write(parts: Sequence[Part], work: Path, silent: Sequence[BagChannel], *, u
             shutil.copyfile(part.path, work / part.name)
         custom |= part.custom_data()
     topics = bag_topics(part.index for part in parts)
-    found = {topic.name for topic in topics}
-    topics += [topic for topic in silent if topic.name not in found]
+    names = {topic.name for topic in topics}
+    topics += [topic for topic in silent if topic.name not in names]
     files = [FileRecord.of(part.name, part.index.statistics) for part in parts]
     write_metadata(work, bag_metadata(topics, files=files, custom_data=custom))
 
@@ -277,7 +277,7 @@ def _exchange(parts: Sequence[Part], work: Path, folder: Path, *, with_metadata:
     """Move the new files to the places of the old ones, which are kept under other names."""
     for part in parts:
         kept = part.path.with_name(part.path.name + _KEPT_SUFFIX)
-        if part.found is None:
+        if part.rebuilt is None:
             part.path.rename(kept)
         elif part.problems:
             os.link(part.path, kept)
@@ -293,14 +293,14 @@ def _report(
     named: Path, output: Path | None, result: Path, parts: Sequence[Part], problems: Sequence[str]
 ) -> RepairReport:
     """Return the report of a repair whose bag will be at `output` and currently is at `result`."""
-    kept = [part.found for part in parts if part.found is not None]
+    kept = [part.rebuilt for part in parts if part.rebuilt is not None]
     lost: Counter[str] = Counter()
     lost_attachments: list[str] = []
-    for found in kept:
-        lost.update(_lost_messages(found))
-        if found.stated is not None:
-            there = {entry.name for entry in found.index.attachments}
-            lost_attachments += [entry.name for entry in found.stated.attachments if entry.name not in there]
+    for rebuilt in kept:
+        lost.update(_lost_messages(rebuilt))
+        if rebuilt.stated is not None:
+            there = {entry.name for entry in rebuilt.index.attachments}
+            lost_attachments += [entry.name for entry in rebuilt.stated.attachments if entry.name not in there]
     steps = recorded_steps(result)
     topics = bag_topics(part.index for part in parts)
     return RepairReport(
@@ -311,9 +311,9 @@ def _report(
             FileRepair(
                 file=str(part.path),
                 bytes=part.size,
-                repaired_as=part.name if part.problems and part.found is not None else None,
+                repaired_as=part.name if part.problems and part.rebuilt is not None else None,
                 problems=tuple(part.problems),
-                lost=tuple(part.found.damage) if part.found is not None else (),
+                lost=tuple(part.rebuilt.damage) if part.rebuilt is not None else (),
                 messages=part.index.statistics.message_count,
             )
             for part in parts
@@ -328,8 +328,8 @@ def _report(
             for topic in topics
         ),
         messages=sum(topic.message_count for topic in topics),
-        lost_bytes=sum(one.bytes for found in kept for one in found.damage),
-        attachments=tuple(dict.fromkeys(entry.name for found in kept for entry in found.index.attachments)),
+        lost_bytes=sum(one.bytes for rebuilt in kept for one in rebuilt.damage),
+        attachments=tuple(dict.fromkeys(entry.name for rebuilt in kept for entry in rebuilt.index.attachments)),
         lost_attachments=tuple(dict.fromkeys(lost_attachments)),
         undecided=contradiction(open_bag(result, damaged=True, several=True)),
         first_step=steps.first if steps else None,
@@ -338,14 +338,14 @@ def _report(
     )
 
 
-def _lost_messages(found: Rebuilt) -> Counter[str]:
+def _lost_messages(rebuilt: Rebuilt) -> Counter[str]:
     """Return the known losses by topic: from the summary section, otherwise from gaps in the sequence numbers."""
     lost: Counter[str] = Counter()
-    kept = found.index.statistics.channel_message_counts
-    for number, channel in found.index.channels.items():
-        if found.stated is None:
-            missing = found.gaps.get(number, 0)
+    kept = rebuilt.index.statistics.channel_message_counts
+    for number, channel in rebuilt.index.channels.items():
+        if rebuilt.stated is None:
+            missing = rebuilt.gaps.get(number, 0)
         else:
-            missing = found.stated.statistics.channel_message_counts.get(number, 0) - kept.get(number, 0)
+            missing = rebuilt.stated.statistics.channel_message_counts.get(number, 0) - kept.get(number, 0)
         lost[channel.topic] += max(0, missing)
     return lost

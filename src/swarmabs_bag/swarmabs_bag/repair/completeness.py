@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from swarmabs_bag.repair.spans import Spans
 from swarmabs_bag.run.realtime_gatherer import MEMORY
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from swarmabs_bag.realtime_world import RealtimeWorld
+    from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.messages import Family, Message
     from swarmabs_core.record import Record
 
@@ -63,19 +64,19 @@ class Gap:
 
 def _gaps(missing: Iterable[tuple[Topic, int, tuple[int, int]]]) -> list[Gap]:
     """Return gaps from topic, robot (0: none) and span, those of several robots together."""
-    found: dict[tuple[int, int, str], list[int]] = {}
+    robots_by_gap: dict[tuple[int, int, str], list[int]] = {}
     for topic, robot, (first, last) in missing:
-        found.setdefault((first, last, topic.name), []).append(robot)
+        robots_by_gap.setdefault((first, last, topic.name), []).append(robot)
     return [
         Gap(name, tuple(sorted(robot for robot in robots if robot)), first, last)
-        for (first, last, name), robots in sorted(found.items())
+        for (first, last, name), robots in sorted(robots_by_gap.items())
     ]
 
 
 class LockstepCompleteness:
     """The messages of a run in lockstep that a bag holds, of which every step has each once."""
 
-    def __init__(self, scenario: Any, family: Family) -> None:
+    def __init__(self, scenario: AnyScenario, family: Family) -> None:
         self._planned = scenario.steps
         self._family = family
         self._members = configure.members(scenario)

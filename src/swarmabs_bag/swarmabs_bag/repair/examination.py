@@ -39,23 +39,25 @@ class Part:
     name: str
     size: int
     definitions: FileIndex | None
-    found: Rebuilt | None = None
+    rebuilt: Rebuilt | None = None
     problems: list[str] = field(default_factory=list)
 
     @property
     def index(self) -> FileIndex:
         """The index of the new file."""
-        return FileIndex() if self.found is None else self.found.index
+        return FileIndex() if self.rebuilt is None else self.rebuilt.index
 
     def custom_data(self) -> dict[str, str]:
         """Return the entries under ``custom_data`` of the file's metadata record."""
-        return custom_texts(load_yaml("" if self.found is None else self.found.description))
+        return custom_texts(load_yaml("" if self.rebuilt is None else self.rebuilt.description))
 
     def rebuild(self, output: RecordFile | None = None, custom: Mapping[str, str] | None = None) -> Rebuilt:
         """Determine what can be recovered, and write it to `output` if given."""
         with self.path.open("rb") as stream:
-            self.found = Rebuilt(stream, self.size, output, definitions=self.definitions, name=self.name, custom=custom)
-            return self.found
+            self.rebuilt = Rebuilt(
+                stream, self.size, output, definitions=self.definitions, name=self.name, custom=custom
+            )
+            return self.rebuilt
 
 
 def examine(bag: Path) -> tuple[list[Part], list[str]]:
@@ -73,7 +75,7 @@ def examine(bag: Path) -> tuple[list[Part], list[str]]:
         part = _examined(path, definitions)
         if bag.is_dir():
             stem = path.stem.rpartition("_")[0]
-            part.name = f"{stem}_{sum(other.found is not None for other in parts)}{SUFFIX}"
+            part.name = f"{stem}_{sum(other.rebuilt is not None for other in parts)}{SUFFIX}"
         parts.append(part)
     return parts, problems
 
@@ -121,27 +123,27 @@ def _definitions(files: Iterable[Path]) -> FileIndex | None:
     return None
 
 
-def _problems(found: Rebuilt) -> list[str]:
+def _problems(rebuilt: Rebuilt) -> list[str]:
     """Return the problems of a file; empty if it is intact."""
-    problems = [f"at byte {part.offset}: {part.problem}" for part in found.damage]
-    if found.end is None:
+    problems = [f"at byte {part.offset}: {part.problem}" for part in rebuilt.damage]
+    if rebuilt.end is None:
         problems.append("its end, with the summary of its content, is missing")
-    if found.reindexed:
-        problems.append(f"{found.reindexed} chunks with wrong or missing message indexes or times")
-    if found.unschemed:
-        problems.append(f"{len(found.unschemed)} topics without a definition in the file")
-    if found.repacked and not found.damage:
-        problems.append(f"{found.repacked} messages outside of chunks")
-    wrong = None if problems else _summary_problem(found)
+    if rebuilt.reindexed:
+        problems.append(f"{rebuilt.reindexed} chunks with wrong or missing message indexes or times")
+    if rebuilt.unschemed:
+        problems.append(f"{len(rebuilt.unschemed)} topics without a definition in the file")
+    if rebuilt.repacked and not rebuilt.damage:
+        problems.append(f"{rebuilt.repacked} messages outside of chunks")
+    wrong = None if problems else _summary_problem(rebuilt)
     return problems if wrong is None else [wrong]
 
 
-def _summary_problem(found: Rebuilt) -> str | None:
+def _summary_problem(rebuilt: Rebuilt) -> str | None:
     """Return a contradiction between an intact data section and the summary of the file."""
-    stated, there = found.stated, found.before
+    stated, there = rebuilt.stated, rebuilt.before
     if stated is None:
-        return found.unstated
-    if found.end is not None and found.end.data_section_crc not in {0, there.crc}:
+        return rebuilt.unstated
+    if rebuilt.end is not None and rebuilt.end.data_section_crc not in {0, there.crc}:
         return "the CRC of the data section does not match"
     return stated.contradicted_by(there)
 
@@ -221,13 +223,13 @@ def recorded_steps(path: Path | str) -> RecordedSteps | None:
             return None
         scenario = attached_scenario(bag, steered=False)
         family = bag.family
-        found = LockstepCompleteness(scenario, family)
+        recorded = LockstepCompleteness(scenario, family)
         for topic, _, message in bag.decoded():
-            found.add(topic, message)
+            recorded.add(topic, message)
     except (DamagedBagError, InputError):
         return None
-    first = found.first
-    last = {topic: found.first_missing(topic, first) - 1 for topic in family.main}
+    first = recorded.first
+    last = {topic: recorded.first_missing(topic, first) - 1 for topic in family.main}
     names = {channel.topic: channel.name for channel in bag.channels if channel.topic is not None}
     by_topic = {names[topic]: step for topic, step in last.items() if topic in names}
     return RecordedSteps(scenario.steps, first, min(last.values()), by_topic)

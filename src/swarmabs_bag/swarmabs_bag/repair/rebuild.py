@@ -192,7 +192,7 @@ class Rebuilt:
     def _put_other(self, opcode: int, content: bytes) -> None:
         """Write a record outside of chunks; a channel whose schema was not found gets none."""
         if opcode == Opcode.CHANNEL:
-            channel: Channel = parse(Channel, Record(0, opcode, content))
+            channel = parse(Channel, Record(0, opcode, content))
             if not self._has_schema(channel):
                 self._define()
             if not self._has_schema(channel):

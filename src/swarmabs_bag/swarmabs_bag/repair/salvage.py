@@ -134,10 +134,10 @@ class Salvage:
                 raise RecordError(offset, "an end of the data section without a summary section after it")
             return Saved(record)
         data = uncompress(record) if record.opcode == Opcode.CHUNK else b""
-        found = FileIndex()
-        found.take(record, data)
-        if found.unknown is not None:
-            raise RecordError(offset, f"a record of kind {found.unknown:#04x}, which is not allowed here")
+        content = FileIndex()
+        content.take(record, data)
+        if content.unknown is not None:
+            raise RecordError(offset, f"a record of kind {content.unknown:#04x}, which is not allowed here")
         if record.opcode == Opcode.MESSAGE and self._has_chunks and not self._section_is_right:
             raise RecordError(offset, "outside of the chunks, where no CRC confirms it")
         return Saved(record, data)
@@ -146,9 +146,9 @@ class Salvage:
     def _has_chunks(self) -> bool:
         """Whether the file contains an intact chunk."""
         with mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            for found in _CHUNK_MARKS.finditer(content, len(MAGIC)):
+            for mark in _CHUNK_MARKS.finditer(content, len(MAGIC)):
                 try:
-                    self._checked(found.start())
+                    self._checked(mark.start())
                 except RecordError:
                     continue
                 return True
@@ -158,11 +158,11 @@ class Salvage:
     def _section_is_right(self) -> bool:
         """Whether the data section has a correct CRC."""
         try:
-            found = scan_index(self._stream, self._size)
-            end: DataEnd = parse(DataEnd, read_record(self._stream, found.data_end, self._size))
+            scanned = scan_index(self._stream, self._size)
+            end = parse(DataEnd, read_record(self._stream, scanned.data_end, self._size))
         except RecordError:
             return False
-        return found.problem is None and end.data_section_crc == found.crc
+        return scanned.problem is None and end.data_section_crc == scanned.crc
 
     def _leads_on(self, offset: int) -> bool:
         """Return whether a record can begin here, or the file ends here."""
@@ -170,8 +170,8 @@ class Salvage:
             return offset == self._size
         self._stream.seek(offset)
         head = self._stream.read(HEAD_SIZE)
-        known = len(head) == HEAD_SIZE and Opcode.HEADER <= head[0] <= Opcode.DATA_END
-        return known and record_length(head) <= self._size - offset - HEAD_SIZE
+        is_head = len(head) == HEAD_SIZE and Opcode.HEADER <= head[0] <= Opcode.DATA_END
+        return is_head and record_length(head) <= self._size - offset - HEAD_SIZE
 
     def _following(self, offset: int) -> int | None:
         """Return the position of the next record after a damaged one."""
@@ -183,13 +183,13 @@ class Salvage:
             return end
         marks = _MARKS_WITHOUT_CHUNKS if self._unchunked else _MARKS
         with mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            for found in marks.finditer(content, offset + 1):
+            for mark in marks.finditer(content, offset + 1):
                 try:
-                    record = self._checked(found.start()).record
+                    record = self._checked(mark.start()).record
                 except RecordError:
                     continue
                 if record.opcode == Opcode.CHUNK or self._leads_on(record.end):
-                    return found.start()
+                    return mark.start()
         return None
 
     def _described(self, offset: int, end: int, error: RecordError) -> Damage:
@@ -197,7 +197,7 @@ class Salvage:
         with suppress(RecordError):
             record = read_record(self._stream, offset, self._size)
             if record.opcode == Opcode.CHUNK and record.end == end:
-                chunk: Chunk = parse(Chunk, record)
+                chunk = parse(Chunk, record)
                 start_time, end_time = chunk.message_start_time / 1e9, chunk.message_end_time / 1e9
         return Damage(offset, end - offset, self._named(offset, error), start_time, end_time)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from swarmabs_core.messages import Status
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-    from typing import Any
 
     from numpy.typing import NDArray
 
@@ -24,6 +23,8 @@ if TYPE_CHECKING:
     from swarmabs_core.messages import Family, Topic
 
     Rows = NDArray[np.void]
+
+S = TypeVar("S", bound=np.generic)
 
 
 class _Table:
@@ -103,7 +104,7 @@ class Arrivals:
         if table is None:
             return None
         sizes, size = set(map(len, payloads)), table.layout.itemsize
-        if any(each % size for each in sizes) if joined else sizes != {size}:
+        if any(length % size for length in sizes) if joined else sizes != {size}:
             return None
         messages = table.read(b"".join(payloads))
         if messages is None or (self._system is not None and (messages["system"] != self._system).any()):
@@ -228,7 +229,7 @@ class Arrivals:
                 tables[topic] = rows if topic is self._family.robot else rows[:, 0]
         return tables
 
-    def _by_step(self, topic: Topic, values: NDArray[Any], step: int, places: Integers) -> NDArray[Any]:
+    def _by_step(self, topic: Topic, values: NDArray[S], step: int, places: Integers) -> NDArray[S]:
         """Return a copy of values of a table, in rows for these steps and columns for the robots of a step."""
         table = values.reshape(self._capacity, -1)
         robots = self._membership.publishing(step)

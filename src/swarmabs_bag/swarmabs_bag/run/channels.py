@@ -57,21 +57,21 @@ def bag_channel(channel: Channel, index: FileIndex, topic: Topic | None = None) 
 
 def bag_topics(indexes: Iterable[FileIndex]) -> list[BagChannel]:
     """Return the topics of several files with their message counts."""
-    found: dict[str, BagChannel] = {}
+    topics: dict[str, BagChannel] = {}
     for index in indexes:
         for _, one in sorted(index.channels.items()):
             channel = bag_channel(one, index)
-            known = found.get(channel.name)
-            count = channel.message_count if known is None else known.message_count + channel.message_count
-            found[channel.name] = replace(known or channel, message_count=count)
-    return list(found.values())
+            earlier = topics.get(channel.name)
+            count = channel.message_count if earlier is None else earlier.message_count + channel.message_count
+            topics[channel.name] = replace(earlier or channel, message_count=count)
+    return list(topics.values())
 
 
 def swarm_topics(index: FileIndex) -> dict[int, tuple[str, Topic]]:
     """Return the channels of swarms: namespace, with trailing slash, and topic by channel number."""
     names = {channel.topic for channel in index.channels.values()}
-    found = ((number, _swarm_topic(channel, index, names)) for number, channel in index.channels.items())
-    return {number: topic for number, topic in found if topic is not None}
+    topics = ((number, _swarm_topic(channel, index, names)) for number, channel in index.channels.items())
+    return {number: topic for number, topic in topics if topic is not None}
 
 
 def chosen_swarm(path: Path, swarms: Sequence[str], namespace: str | None) -> str | None:
@@ -117,8 +117,10 @@ def check_definitions(path: object, channels: Iterable[BagChannel]) -> None:
     A channel without a hash passes: its messages are read with the current definition, and their sizes checked.
     """
     for channel in channels:
-        known = READABLE.get(channel.ros_type)
-        if channel.topic is not None and channel.type_hash and known is not None and channel.type_hash not in known:
+        readable = READABLE.get(channel.ros_type)
+        if channel.topic is None or not channel.type_hash or readable is None:
+            continue
+        if channel.type_hash not in readable:
             raise UnknownTypeError(
                 f"{path}: {printable(shorten(channel.name))} has a definition of {channel.ros_type} that this version "
                 f"does not know ({channel.type_hash[:80]!r}); use the version that wrote it (see the command info), "

@@ -158,7 +158,7 @@ class Figures:
             self._settled_at = None
         elif self._settled_at is None:
             self._settled_at = time
-        error = errors[0] if len(errors) == 1 else sqrt(added(each * each for each in errors)) if errors else None
+        error = errors[0] if len(errors) == 1 else sqrt(added(part * part for part in errors)) if errors else None
         self._error = error
         if error is not None:
             self._squares += error * error
@@ -180,7 +180,7 @@ class Figures:
             "messages": self._messages,
         }
 
-    def _summary(self, **more: Any) -> dict[str, Any]:
+    def _summary(self, **more: object) -> dict[str, Any]:
         """Return the figures and more, with the robots that left their ranges if any did."""
         strays = self.strays.summary()
         return {**self.figures(), **more, **({"out_of_range": strays} if strays else {})}

@@ -188,7 +188,7 @@ class RealtimeCollector:
         kept = self._keep(record, step, writer)
         if participant_of(writer) in self._waiting and self.writers.speaks(writer):
             waited = self._waiting.pop(participant_of(writer))
-            kept += tuple(known for one in waited for known in self._keep(one.record, one.step, one.writer))
+            kept += tuple(late for one in waited for late in self._keep(one.record, one.step, one.writer))
         return (*ended, *kept)
 
     def finish(self) -> tuple[Record, ...]:
@@ -211,15 +211,15 @@ class RealtimeCollector:
         if record.topic.agent_id:
             record = record._replace(topic=usual_topic(record.topic))
         topic, _, message, payload, *_ = record
-        known = self._known.setdefault(message.step, {})
+        recorded = self._known.setdefault(message.step, {})
         place = (topic, payload if isinstance(message, SwarmEvent) else part(record))
-        first = known.get(place)
+        first = recorded.get(place)
         second = self._is_of_second(record, step, writer)
         if first == payload:
             self.repeated += 1
             return ()
         if first is None and not second:
-            known[place] = payload
+            recorded[place] = payload
             return (record,)
         self.different += 1
         return self._dispute(record, SECOND_WRITER if second else TWO_MESSAGES, step)
@@ -242,21 +242,22 @@ class RealtimeCollector:
         key, first, last = (cause, record.topic, origin.number), of, of
         if cause == SECOND_WRITER:  # who follows it need not have received what is recorded of any step meanwhile
             first, last = min(of, step), min(max(of, step), step + self.writers.age(origin))
-        known = self._disputes.get(key)
-        if known is None:
+        dispute = self._disputes.get(key)
+        if dispute is None:
             self._disputes[key] = _Disputed(first, last, 1, step)
             return (self._told(EventCode.DISPUTE_BEGINS, key, first, 1),)
-        known.last, known.count, known.renewed = max(known.last, last), known.count + 1, step
-        if first >= known.first:
+        dispute.last, dispute.count, dispute.renewed = max(dispute.last, last), dispute.count + 1, step
+        if first >= dispute.first:
             return ()
-        known.first = step - MEMORY  # the oldest that are taken, so this is told at most twice
-        return (self._told(EventCode.DISPUTE_BEGINS, key, known.first, known.count),)
+        dispute.first = step - MEMORY  # the oldest that are taken, so this is told at most twice
+        return (self._told(EventCode.DISPUTE_BEGINS, key, dispute.first, dispute.count),)
 
     def _end_disputes(self, step: int | None) -> tuple[Record, ...]:
         """Return the events with which disputes end that were not renewed for some time; without a step, of all."""
-        over = [key for key, found in self._disputes.items() if step is None or abs(step - found.renewed) > QUIET_STEPS]
+        disputes = self._disputes.items()
+        over = [key for key, dispute in disputes if step is None or abs(step - dispute.renewed) > QUIET_STEPS]
         ended = ((key, self._disputes.pop(key)) for key in over)
-        return tuple(self._told(EventCode.DISPUTE_ENDS, key, found.last, found.count) for key, found in ended)
+        return tuple(self._told(EventCode.DISPUTE_ENDS, key, dispute.last, dispute.count) for key, dispute in ended)
 
     def _told(self, code: EventCode, key: tuple[str, Topic, int], step: int, count: int) -> Record:
         cause, topic, number = key
@@ -286,7 +287,7 @@ class RealtimeCollector:
     def _forget(self, before: int) -> None:
         """Drop the steps before one, quickly even if the clock has jumped."""
         if before - self._oldest > len(self._known):
-            self._known = {step: known for step, known in self._known.items() if step >= before}
+            self._known = {step: recorded for step, recorded in self._known.items() if step >= before}
         else:
             for step in range(self._oldest, before):
                 self._known.pop(step, None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -16,11 +16,10 @@ from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from typing import Any
 
     from numpy.typing import NDArray
 
-    from swarmabs_core.messages import AnyParentState, AnyRobotState, SwarmEvent
+    from swarmabs_core.messages import AnyParentState, AnyRobotState, Message, SwarmEvent
 
     Rows = NDArray[np.void]
 
@@ -202,7 +201,7 @@ class Step:
     def parents(self) -> tuple[AnyParentState, ...]:
         """States of the parent system, by step; empty for late events of an earlier step."""
         topic = next((topic for topic in _PARENTS if topic in self.tables), None)
-        return () if topic is None else tuple(self._read(topic, slice(None)))
+        return () if topic is None else cast("tuple[AnyParentState, ...]", tuple(self._read(topic, slice(None))))
 
     @property
     def parent(self) -> AnyParentState | None:
@@ -210,8 +209,7 @@ class Step:
         topic = next((topic for topic in _PARENTS if topic in self.tables), None)
         if topic is None:
             return None
-        state: AnyParentState = self._read(topic, -1)[0]
-        return state
+        return cast("AnyParentState", self._read(topic, -1)[0])
 
     @property
     def max_abs_positions(self) -> tuple[float, ...]:
@@ -231,13 +229,12 @@ class Step:
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
         """The events of the last step."""
-        events: Any = tuple(decode(EVENTS.message, payload) for payload in self.told)
-        return events  # type: ignore[no-any-return]
+        return cast("tuple[SwarmEvent, ...]", tuple(decode(EVENTS.message, payload) for payload in self.told))
 
     def states(self) -> Iterator[AnyRobotState]:
         """Return the robots' states in the last step."""
         topic = next((topic for topic in self.tables if topic in _ROBOTS), None)
-        return iter(() if topic is None else self._read(topic, -1))
+        return iter(() if topic is None else cast("list[AnyRobotState]", self._read(topic, -1)))
 
     @property
     def records(self) -> tuple[Record, ...]:
@@ -270,7 +267,7 @@ class Step:
         data, size = table[place].tobytes(), table.itemsize
         return [data[start : start + size] for start in range(0, len(data), size)]
 
-    def _read(self, topic: Topic, place: int | slice) -> list[Any]:
+    def _read(self, topic: Topic, place: int | slice) -> list[Message]:
         return [decode(topic.message, data) for data in self._payloads(topic, place)]
 
 
@@ -284,7 +281,7 @@ def rows_of(topic: Topic, payloads: Sequence[bytes]) -> Rows:
     """
     if len(set(map(len, payloads))) > 1:
         raise MalformedMessageError(topic.message.__name__, "lists of different lengths in one step")
-    layout = layout_of(topic, payloads[0]) if topic in _MAIN else np.dtype(f"V{len(payloads[0])}")
+    layout = layout_of(topic, payloads[0]) if topic in _MAIN else np.dtype((np.void, len(payloads[0])))
     return np.frombuffer(b"".join(payloads), layout)
 
 
@@ -294,11 +291,11 @@ def _digested(tables: tuple[tuple[Topic, int, int], ...]) -> NDArray[np.void]:
 
     `tables` are topic, size of a message and number of messages in the step.
     """
-    parts: list[Any] = []
+    layout = []
     for topic, size, count in sorted(tables, key=lambda table: table[0].name):
-        part = np.dtype([("head", f"V{len(digest_head(topic, size))}"), ("payload", "u1", (size,))])
-        parts.append((topic.name, part, (count,)))
-    row = np.zeros(1, dtype=parts)
+        head = np.dtype((np.void, len(digest_head(topic, size))))
+        layout.append((topic.name, np.dtype([("head", head), ("payload", np.uint8, (size,))]), (count,)))
+    row = np.zeros(1, dtype=layout)
     for topic, size, _ in tables:
         row[topic.name]["head"] = np.void(digest_head(topic, size))
     return row

@@ -26,6 +26,6 @@ def starts_above(start: float) -> bool:
 
 def percentiles(values: ArrayLike) -> NDArray[np.float64] | None:
     """Return the `QUANTILES` of the finite values, shape (7,), None if there are none."""
-    known = np.asarray(values, dtype=np.float64).ravel()
-    known = known[np.isfinite(known)]
-    return np.quantile(known, list(QUANTILES.values())) if len(known) else None
+    finite = np.asarray(values, dtype=np.float64).ravel()
+    finite = finite[np.isfinite(finite)]
+    return np.quantile(finite, list(QUANTILES.values())) if len(finite) else None

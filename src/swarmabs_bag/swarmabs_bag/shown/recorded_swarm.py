@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class RecordedSwarm:
     """
 
     bag: Path
-    scenario: Any
+    scenario: AnyScenario
     arrays: RunArrays | SystemArrays
     events: tuple[SwarmEvent, ...]
     status: str
@@ -141,8 +141,8 @@ class RecordedSwarm:
         said = agents.status[self._latest, columns]
         place = np.array(self.arrays.vector("agents", "coordinates")[self._latest, columns])
         codes = np.full(place.shape[:2], -1, dtype=np.int8)
-        for known, name in STATUS_NAMES.items():
-            codes[said == known] = STATUSES.index(name)
+        for status, name in STATUS_NAMES.items():
+            codes[said == status] = STATUSES.index(name)
         codes[is_silent(step[self._latest], step[:, None])] = STATUSES.index("silent")
         codes[said == Status.LEFT] = STATUSES.index("left")
         codes[self._latest < 0] = -1
@@ -180,11 +180,10 @@ class RecordedSwarm:
         if row < 0:
             return None
         agents: MessageArrays = self.arrays.agents
-        made: Any = self.scenario.family.robot.message
-        known = {name: column_of[row, column].tolist() for name, column_of in agents.items() if name != "ids"}
-        head = {name: 0 for name in made._fields if name not in known}  # these are not shown
-        state: AnyRobotState = made(**known | head | {"step": int(self.arrays.step[row])})
-        return state
+        message = cast("type[AnyRobotState]", self.scenario.family.robot.message)
+        columns = {name: column_of[row, column].tolist() for name, column_of in agents.items() if name != "ids"}
+        head = {name: 0 for name in message._fields if name not in columns}  # these are not shown
+        return message(**columns | head | {"step": int(self.arrays.step[row])})
 
 
 def column_points(column: Integers, values: Floats) -> Integers:
@@ -199,9 +198,9 @@ def column_points(column: Integers, values: Floats) -> Integers:
     lowest = np.where(missing, np.inf, values)
     highest = np.where(missing, -np.inf, values)
     extremes = [
-        found
+        point
         for begin, end in zip(begins.tolist(), ends.tolist(), strict=True)
-        for found in (begin + int(np.argmin(lowest[begin:end])), begin + int(np.argmax(highest[begin:end])))
+        for point in (begin + int(np.argmin(lowest[begin:end])), begin + int(np.argmax(highest[begin:end])))
     ]
     return np.unique(np.concatenate([begins, ends - 1, gaps, gaps + 1, np.array(extremes, dtype=np.int64)]))
 
@@ -290,7 +289,7 @@ def _drawable(arrays: RunArrays | SystemArrays) -> RunArrays | SystemArrays:
     return replace(arrays, **shown)
 
 
-def _finite(column: NDArray[Any]) -> NDArray[Any]:
+def _finite(column: NDArray[np.generic]) -> NDArray[np.generic]:
     if column.dtype.kind != "f":
         return column
     with np.errstate(invalid="ignore"):

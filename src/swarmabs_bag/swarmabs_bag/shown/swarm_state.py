@@ -228,14 +228,14 @@ class RobotHistory:
 
     def add(self, state: AnyRobotState) -> None:
         """Process the state of a robot."""
-        known = self._states.setdefault(state.agent_id, [])
-        if not known or known[-1].step < state.step:
-            known.append(state)
+        states = self._states.setdefault(state.agent_id, [])
+        if not states or states[-1].step < state.step:
+            states.append(state)
         else:
-            place = bisect_left(known, state.step, key=attrgetter("step"))
-            if known[place].step != state.step:
-                known.insert(place, state)
-        del known[: -self._most_states]
+            place = bisect_left(states, state.step, key=attrgetter("step"))
+            if states[place].step != state.step:
+                states.insert(place, state)
+        del states[: -self._most_states]
 
     def take(self, event: SwarmEvent) -> None:
         """Process an event; ignore those that do not change the membership, and those of too many unknown robots."""
@@ -247,8 +247,8 @@ class RobotHistory:
             out = Out("left")
         else:
             return
-        known = event.agent_id in self._changes or event.agent_id in self._states
-        if self._most_changes is not None and not known and len(self._changes) >= MOST_ROBOTS:
+        heard = event.agent_id in self._changes or event.agent_id in self._states
+        if self._most_changes is not None and not heard and len(self._changes) >= MOST_ROBOTS:
             return
         changes = self._changes.setdefault(event.agent_id, [])
         insort(changes, (event.step, out), key=itemgetter(0))
@@ -269,17 +269,17 @@ class RobotHistory:
     def members(self, step: int) -> Members:
         """Return the robots that take part in a step, of those known in advance."""
         if self._steps is None:
-            self._steps = sorted({step for known in self._changes.values() for step, _ in known})
+            self._steps = sorted({step for changes in self._changes.values() for step, _ in changes})
             self._members.clear()
         place = bisect_right(self._steps, step)
-        found = self._members.get(place)
-        if found is None:
+        members = self._members.get(place)
+        if members is None:
             outs = [(robot, self.out(robot, step)) for robot in self._robots]
-            found = self._members[place] = Members(
+            members = self._members[place] = Members(
                 tuple(robot for robot, out in outs if out is None),
                 tuple((robot, out.place) for robot, out in outs if out is not None and out.status == "dead"),
             )
-        return found
+        return members
 
     def last_step(self, robot: int, step: int) -> int:
         """Return the last step, up to one, in which a robot was not dead."""
@@ -290,9 +290,9 @@ class RobotHistory:
 
     def latest(self, robot: int, step: int) -> AnyRobotState | None:
         """Return the latest state of a robot up to a step, for a dead one up to its death; None if there is none."""
-        known = self._states.get(robot, [])
-        place = bisect_right(known, self.last_step(robot, step), key=attrgetter("step"))
-        return known[place - 1] if place else None
+        states = self._states.get(robot, [])
+        place = bisect_right(states, self.last_step(robot, step), key=attrgetter("step"))
+        return states[place - 1] if place else None
 
 
 @dataclass(slots=True)
@@ -429,27 +429,27 @@ class SwarmState:
         self._history.take(event)
 
     def _pending(self, step: int) -> _Step:
-        found = self._steps.get(step)
-        if found is None:
-            found = self._steps[step] = _Step()
+        pending = self._steps.get(step)
+        if pending is None:
+            pending = self._steps[step] = _Step()
             if len(self._steps) > PENDING:
                 del self._steps[min(self._steps)]
-        return found
+        return pending
 
     def _complete(self, step: int) -> Instant | None:
         """Return a step if it is complete, and drop those before it."""
-        found = self._steps.get(step, _Step())
-        if found.parent is None or found.abstract is None or found.desired is None:
+        messages = self._steps.get(step, _Step())
+        if messages.parent is None or messages.abstract is None or messages.desired is None:
             return None
-        if _newer(found.parent, self._shown.parent):
-            self._shown = found
+        if _newer(messages.parent, self._shown.parent):
+            self._shown = messages
         for earlier in [one for one in self._steps if one <= step]:
             del self._steps[earlier]
-        return self._instant(found.parent, found)
+        return self._instant(messages.parent, messages)
 
-    def _instant(self, parent: AnyParentState, found: _Step) -> Instant:
+    def _instant(self, parent: AnyParentState, messages: _Step) -> Instant:
         time, reference = self._time(parent), self._reference_at(parent)
-        return instant_of(parent, found.abstract, found.desired, time=time, reference=reference)
+        return instant_of(parent, messages.abstract, messages.desired, time=time, reference=reference)
 
     def _time(self, message: Message) -> float:
         """Return the time of a message's step, s; without a period its stamp, relative to the first if from a clock."""
@@ -470,5 +470,5 @@ class SwarmState:
         return reference if isinstance(reference, tuple) else (reference,)
 
 
-def _newer(message: Message, known: Message | None) -> bool:
-    return known is None or message.step > known.step
+def _newer(message: Message, latest: Message | None) -> bool:
+    return latest is None or message.step > latest.step
