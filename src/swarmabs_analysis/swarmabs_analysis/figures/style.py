@@ -18,7 +18,7 @@ from swarmabs_bag.shown import colours
 from swarmabs_core.systems.kinds import DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from matplotlib.figure import Figure
 
@@ -52,11 +52,20 @@ def styled(more: Mapping[str, float] | None = None) -> Iterator[None]:
         yield
 
 
-def rendered(figure: Figure, formats: Sequence[Format], title: str | None = None) -> dict[Format, bytes]:
-    """Return a figure as file contents, optionally with a title in their metadata; call it inside `styled`."""
+def rendered(
+    figure: Figure,
+    formats: Sequence[Format],
+    title: str | None = None,
+    finish: Callable[[Figure], None] = lambda _: None,
+) -> dict[Format, bytes]:
+    """Return a figure as file contents, optionally with a title in their metadata; call it inside `styled`.
+
+    `finish` may change what is drawn when its layout and limits are final.
+    """
     # Laid out once, because each format measures text differently.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
+    finish(figure)
     files: dict[Format, bytes] = {}
     for kind in formats:
         file = io.BytesIO()

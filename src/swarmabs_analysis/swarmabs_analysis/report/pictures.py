@@ -86,8 +86,8 @@ def page_picture(panel: Panel) -> Markup:
         panel.draw(figure)
         for axes in figure.axes:
             axes.patch.set_visible(False)
-        _settle(figure)
-        root = ET.fromstring(style.rendered(figure, ["svg"])["svg"])  # noqa: S314 - matplotlib's own output
+        svg = style.rendered(figure, ["svg"], finish=thin_lines)["svg"]
+    root = ET.fromstring(svg)  # noqa: S314 - matplotlib's own output
     picture = _inlined(root, panel.key)
     picture.set("role", "img")
     picture.set("aria-label", f"{panel.heading}. {panel.about}")
@@ -109,8 +109,7 @@ def overview(recorded: Recorded, panels: Mapping[str, Panel]) -> bytes:
             part.suptitle(panel.heading, fontsize=8.5)
         if not chosen:
             figure.text(0.5, 0.4, "fewer than two steps are recorded: nothing to draw", ha="center")
-        _settle(figure)
-        return style.rendered(figure, ["png"], title=PNG_MARK)["png"]
+        return style.rendered(figure, ["png"], PNG_MARK, finish=thin_lines)["png"]
 
 
 @contextmanager
@@ -120,12 +119,6 @@ def _drawing() -> Iterator[None]:
         warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
         warnings.filterwarnings("ignore", "All-NaN", RuntimeWarning)
         yield
-
-
-def _settle(figure: Figure) -> None:
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")
-    thin_lines(figure)
 
 
 def _title(recorded: Recorded) -> str:
