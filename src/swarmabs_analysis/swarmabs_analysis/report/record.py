@@ -284,7 +284,7 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
     realtime = realtime_figures(bag, swarm.scenario) if is_realtime(bag) else None
     if realtime is None:
         count = sum(map(len, tables.values())) + messages.divided + len(swarm.events) + len(bag.family.once)
-        figures = _metrics(swarm)
+        figures = _metrics(swarm, arrays)
         unknown = figures["final_error"] is None and tracking_of(swarm.scenario).followed
         metrics = {**figures, "messages": count, "digest": None if unknown else digest_of(tables)}
     else:
@@ -308,10 +308,12 @@ def _imperfect(sensor: PlaneSensor | RobotSensor) -> bool:
     return any((*sensor.noise, *sensor.resolution))
 
 
-def _metrics(swarm: RecordedSwarm) -> dict[str, float | int | None]:
-    """Return the figures of the run, by the same arithmetic as during the recording."""
-    arrays, scenario = swarm.arrays, swarm.scenario
-    figures = RunFigures(configure.reference(scenario), tracking_of(scenario))
+def _metrics(swarm: RecordedSwarm, arrays: RunArrays | SystemArrays) -> dict[str, float | int | None]:
+    """Return the figures of the run, by the same arithmetic as during the recording.
+
+    Numbers that cannot be drawn count, too, so the arrays are those of the bag, and not of the swarm.
+    """
+    figures = RunFigures(configure.reference(swarm.scenario), tracking_of(swarm.scenario))
     states = zip(arrays.time.tolist(), arrays.step.tolist(), arrays.parent.tolist(), strict=True)
     for time, step, state in states:
         if not np.isnan(state[0]):
