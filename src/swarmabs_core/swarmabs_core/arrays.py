@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 
 Floats: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.int64]
+Column: TypeAlias = NDArray[Any]
+"""A field of messages as an array: of floats or of integers."""
+Figures: TypeAlias = dict[str, Any]
+"""The key figures of a run by name, as plain data."""
 
 PADDING = "padding"
 """Prefix of the names of padding bytes in a layout."""
@@ -45,7 +49,7 @@ LENGTH = "length of list "
 @lru_cache(maxsize=64)
 def _layout(topic: Topic, lengths: tuple[int, ...]) -> np.dtype[np.void]:
     """Return the canonical CDR of a topic's messages with lists of these lengths, field by field."""
-    fields: list[Any] = []
+    fields: list[tuple[object, ...]] = []
     for number, (name, code, size, elements) in enumerate(places(topic.message, lengths)):
         unique = {"": f"{PADDING}{number}", "count": f"{LENGTH}{number}"}.get(name, name)
         element = _NUMPY.get(code, f"V{size}")
@@ -107,10 +111,10 @@ class MessageArrays:
 
     __slots__ = ("_columns",)
 
-    def __init__(self, columns: Mapping[str, NDArray[Any]]) -> None:
+    def __init__(self, columns: Mapping[str, Column]) -> None:
         self._columns = dict(columns)
 
-    def __getattr__(self, name: str) -> NDArray[Any]:
+    def __getattr__(self, name: str) -> Column:
         columns = {} if name == "_columns" else self._columns  # unset during unpickling
         if name not in columns:
             raise AttributeError(f"no field {name!r}; the fields are {', '.join(columns)}")
@@ -119,7 +123,7 @@ class MessageArrays:
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self._columns]
 
-    def items(self) -> ItemsView[str, NDArray[Any]]:
+    def items(self) -> ItemsView[str, Column]:
         """Return names and arrays."""
         return self._columns.items()
 
@@ -171,17 +175,17 @@ class _ByName:
 
     def __getitem__(self, name: str) -> Floats:
         """Return a quantity of the parent or of the abstract state, (n+1,), or of the robots, (n+1, N)."""
-        said = self.description
-        tables: tuple[tuple[tuple[Any, ...], Floats], ...] = (
-            (said.parent, self.parent),
-            (said.abstract, self.vector("abstract", "value")),
-            (said.robot, self.vector("agents", "coordinates")),
-            (said.constants, self.vector("agents", "constants")),
+        described = self.description
+        tables = (
+            (described.parent, self.parent),
+            (described.abstract, self.vector("abstract", "value")),
+            (described.robot, self.vector("agents", "coordinates")),
+            (described.constants, self.vector("agents", "constants")),
         )
-        for table, values in tables:
-            for number, quantity in enumerate(table):
-                if quantity.name == name:
-                    return values[..., number]
+        for rows, values in tables:
+            names = [row.name for row in rows]
+            if name in names:
+                return values[..., names.index(name)]
         raise KeyError(f"no quantity {name!r}; see `description`")
 
 
@@ -220,7 +224,7 @@ class RunArrays(_ByName):
     desired: MessageArrays
     agents: MessageArrays
     events: tuple[RunEvent, ...]
-    figures: Callable[[], dict[str, Any]] = field(repr=False, compare=False)
+    figures: Callable[[], Figures] = field(repr=False, compare=False)
 
     @property
     def parent(self) -> Floats:
@@ -242,7 +246,7 @@ class RunArrays(_ByName):
         columns = getattr(self, group)
         return np.stack([getattr(columns, field) for field in PLANE_VECTORS[name]], axis=-1)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Figures:
         """Return the key figures of the run, named as in ``summary.json``.
 
         Returns
@@ -287,9 +291,9 @@ class SystemArrays(_ByName):
     agents: MessageArrays
     description: SystemTables
     events: tuple[RunEvent, ...]
-    figures: Callable[[], dict[str, Any]] = field(repr=False, compare=False)
+    figures: Callable[[], Figures] = field(repr=False, compare=False)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Figures:
         """Return the key figures of the run, named as in ``summary.json``; see `RunArrays.summary`."""
         return self.figures()
 
@@ -325,7 +329,7 @@ def run_arrays(
     *,
     reference: Callable[[int], float | tuple[float, ...]],
     events: Iterable[RunEvent],
-    figures: Callable[[], dict[str, Any]],
+    figures: Callable[[], Figures],
     description: SystemTables | None = None,
 ) -> RunArrays | Any:  # SystemArrays with a description
     """Arrange the tables of a run, whose rows may be in any order, by step, those of the robots by step and id.
@@ -362,21 +366,19 @@ def run_arrays(
 
 def _columns(
     topic: Topic, table: NDArray[np.void], places: Integers | tuple[Integers, Integers], shape: tuple[int, ...]
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, Column]:
     """Scatter the fields of a topic's table into arrays of a shape, at the indices of its messages."""
-    columns: dict[str, NDArray[Any]] = {}
+    columns: dict[str, Column] = {}
     for name, declared in fields_of(topic.message).items():
         if isinstance(declared, Field) and name not in {"stamp", "step", "agent_id", "system"}:
-            found = table[name] if name in (table.dtype.names or ()) else np.empty((len(table), 0))
+            values = table[name] if name in (table.dtype.names or ()) else np.empty((len(table), 0))
             real = declared.ros_type.startswith("float64") or declared.missing is not None
-            filled = (*shape, *found.shape[1:])
+            filled = (*shape, *values.shape[1:])
             columns[name] = np.full(filled, np.nan) if real else np.zeros(filled, dtype=np.int64)
-            columns[name][places] = found if declared.missing is None else _known(found, declared.missing)
+            if declared.missing is not None:
+                values = np.where(values == declared.missing, np.nan, values.astype(np.float64))
+            columns[name][places] = values
     return columns
-
-
-def _known(values: NDArray[Any], missing: int) -> Floats:
-    return np.where(values == missing, np.nan, values.astype(np.float64))
 
 
 def _agents(topic: Topic, table: NDArray[np.void], rows: Integers, steps: int) -> MessageArrays:

@@ -11,16 +11,33 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypedDict, TypeVar, cast
 
 from swarmabs_core.errors import InputError
-from swarmabs_core.parameters import Parameter, SettingError, Settings, Value
+from swarmabs_core.parameters import Parameter, Scalar, SettingError, Settings, Value
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 _KEY = "declared"
 _ORIGIN = "same"
 LONGEST_TIME = 2**31 - 1
 """Longest time, s: the range of the seconds of a ROS time stamp."""
 DeclarationT = TypeVar("DeclarationT")
+DefaultT = TypeVar("DefaultT")
+
+
+class Bounds(TypedDict, total=False):
+    """What a `Parameter` says of its values; the meaning is there."""
+
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    above: float | None
+    below: float | None
+    length: int | None
+    choices: tuple[str, ...] | None
+    item: Scalar
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -35,8 +52,8 @@ class Setting:
     in_file: Parameter
     default: object
     unset: Value | None
-    make: Callable[[Any], object] | None
-    say: Callable[[Any], Any]
+    make: Callable[..., object] | None
+    say: Callable[..., Value]
     whole_nanoseconds: bool
     names: str
     required: bool
@@ -51,11 +68,25 @@ class Part:
     without: tuple[str, ...]
 
 
+class Selected(Protocol):
+    """A part that is selected by its name, such as one of a registry."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        ...
+
+    @property
+    def settings(self) -> tuple[Parameter, ...]:
+        """The settings that it declares."""
+        ...
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class Choice:
     """A part of the system that is selected by its name, ``type``, with the settings that it declares."""
 
-    find: Callable[[str], Any]
+    find: Callable[[str], Selected]
     built_in: tuple[str, ...]
     default: str
     description: str
@@ -70,19 +101,19 @@ class Entry(NamedTuple):
 
 
 def setting(
-    default: object,
+    default: DefaultT,
     description: str,
     *,
     name: str | None = None,
     unset: Value | None = None,
     null: str = "none",
-    make: Callable[[Any], object] | None = None,
-    say: Callable[[Any], Any] = str,
+    make: Callable[..., object] | None = None,
+    say: Callable[..., Value] = str,
     whole_nanoseconds: bool = False,
     names: str = "",
     required: bool = False,
-    **bounds: Any,
-) -> Any:
+    **bounds: Unpack[Bounds],
+) -> DefaultT:
     """Declare a field of a dataclass.
 
     Parameters
@@ -106,15 +137,15 @@ def setting(
     bounds : object
         As in `Parameter`: unit, minimum, maximum, above, below, length, choices, item.
     """
-    said: Any = default
+    stated = cast("Value", default)
     if unset is not None:
-        said = unset
+        stated = unset
     elif make is not None and not isinstance(default, tuple):
-        said = say(default)
+        stated = say(default)
     unit = bounds.get("unit", "")
     if unit and "{unit}" not in description:
         description = f"{description}, {{unit}}"  # before what is added below
-    parameter = Parameter("", said, description, **bounds)
+    parameter = Parameter("", stated, description, **bounds)
     in_file = parameter
     if unset is not None:
         in_file = dataclasses.replace(parameter, description=f"{description}; null: {null}")
@@ -126,7 +157,9 @@ def setting(
     return dataclasses.field(default=default, metadata={_KEY: (name, declared)})
 
 
-def part(declaration: type, description: str = "", *, name: str | None = None, without: tuple[str, ...] = ()) -> Any:
+def part(
+    declaration: type[DeclarationT], description: str = "", *, name: str | None = None, without: tuple[str, ...] = ()
+) -> DeclarationT:
     """Declare a field that is a nested declaration, with its defaults.
 
     With an empty `name`, its settings are named without a prefix. The attributes listed in `without` keep their
@@ -137,7 +170,7 @@ def part(declaration: type, description: str = "", *, name: str | None = None, w
     )
 
 
-def choice(find: Callable[[str], Any], built_in: Mapping[str, object], default: str, description: str) -> Any:
+def choice(find: Callable[[str], Selected], built_in: Mapping[str, object], default: str, description: str) -> str:
     """Declare a field that names a part, which `find` looks up; the field ``..._settings`` contains its settings."""
     return dataclasses.field(
         default=default, metadata={_KEY: (None, Choice(find, tuple(built_in), default, description))}
@@ -177,7 +210,7 @@ def setting_of(declaration: type, attribute: str) -> Setting:
     return entry.declared
 
 
-def attribute_of(declared: Setting, value: Any) -> object:
+def attribute_of(declared: Setting, value: Value | None) -> object:
     """Return the value of an attribute for its value in a file, None for none; `tree_of` contains the inverse."""
     return declared.default if value is None else _made(declared, value)
 
@@ -218,7 +251,7 @@ def parameters_of(
     return tuple(found)
 
 
-def values_of(instance: Any, prefix: str = "") -> dict[str, Value]:
+def values_of(instance: object, prefix: str = "") -> dict[str, Value]:
     """Return the values of a declaration's parameters by name; `made_of` is the inverse."""
     found: dict[str, Value] = {}
     for name, attribute, declared in entries_of(type(instance)):
@@ -265,7 +298,7 @@ def made_of(declaration: type[DeclarationT], values: Settings, prefix: str = "",
         raise SettingError(prefix + error.name, error.problem, error.remedy) from error
 
 
-def tree_of(instance: Any) -> dict[str, object]:
+def tree_of(instance: object) -> dict[str, object]:
     """Return an instance of a declaration as in a file: nested mappings, with None for none."""
     found: dict[str, object] = {}
     for name, attribute, declared in entries_of(type(instance)):
@@ -297,15 +330,14 @@ def _chosen(declared: Choice, prefix: str, given: Mapping[str, object] | None) -
         yield dataclasses.replace(each, name=prefix + each.name)
 
 
-def _said(declared: Setting, value: Any) -> Value:
+def _said(declared: Setting, value: object) -> Value:
     """Return the value of a parameter for that of the attribute."""
     if declared.unset is not None and value == declared.default:
         return declared.unset
-    if declared.make is None:
-        return tuple(value) if isinstance(value, tuple) else value
     if isinstance(value, tuple):
-        return tuple(value) if declared.parameter.length else tuple(map(declared.say, value))
-    return declared.say(value)  # type: ignore[no-any-return]  # the value of a parameter
+        plain = declared.make is None or declared.parameter.length
+        return cast("Value", tuple(value) if plain else tuple(map(declared.say, value)))
+    return cast("Value", value) if declared.make is None else declared.say(value)
 
 
 def _meant(declared: Setting, value: Value) -> object:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from enum import Enum
 from functools import cached_property
-from typing import Any
 
 from swarmabs_core.messages import CONTROLLER_NODE, OBSERVER_NODE, RECORDER_NODE, EventKind, SwarmEvent, said
 from swarmabs_core.nodes import NodeKind
@@ -100,7 +99,7 @@ class EventCode(Enum):
         )
 
     def event(
-        self, stamp: int, step: int, value: float = 0.0, *, robot: int = 0, detail: str = "", **parts: Any
+        self, stamp: int, step: int, value: float = 0.0, *, robot: int = 0, detail: str = "", **parts: object
     ) -> SwarmEvent:
         """Return an event with this code.
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeVar
 
-from swarmabs_core.declaration import LONGEST_TIME, setting, setting_of
+from swarmabs_core.declaration import LONGEST_TIME, Bounds, setting, setting_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import ChangeKind
 from swarmabs_core.messages import RobotState
@@ -20,10 +20,11 @@ from swarmabs_core.plant import STEEPEST
 from swarmabs_core.steering import DISTURBANCE, REFERENCE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from swarmabs_core.messages import AnyRobotState
 
+TimeT = TypeVar("TimeT", float, "float | None")
 LARGEST_OFFSET = 1e6
 """Largest clock offset, s, that a float represents to the nanosecond."""
 SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 1e3
@@ -37,15 +38,24 @@ def fraction(text: str) -> float:
     return float((int.from_bytes(digest, "big") >> 11) * 2.0**-53)
 
 
-def _time(default: float | None, description: str, **more: Any) -> Any:
-    return setting(default, description, unit="s", minimum=0.0, maximum=LONGEST_TIME, **more)
+def _time(
+    default: TimeT,
+    description: str,
+    *,
+    name: str | None = None,
+    unset: float | None = None,
+    null: str = "none",
+    required: bool = False,
+) -> TimeT:
+    bounds: Bounds = {"unit": "s", "minimum": 0.0, "maximum": LONGEST_TIME}
+    return setting(default, description, name=name, unset=unset, null=null, required=required, **bounds)
 
 
-def _probability(description: str) -> Any:
+def _probability(description: str) -> float:
     return setting(0.0, description, minimum=0.0, maximum=1.0, required=True)
 
 
-def _robot() -> Any:
+def _robot() -> int:
     return setting(1, "id of the robot, one of swarm.agents", minimum=1, maximum=65535, required=True)
 
 
@@ -476,13 +486,14 @@ class InjectedFault:
         try:
             name, first, end, *numbers = text.split()
             kind = _ROBOT_FAULTS[name]
-            effect = dict[str, Any]()
+            effect = {}
             for setting_name, number in zip(_own_settings(kind), numbers, strict=True):
                 parameter = setting_of(kind, setting_name).parameter
                 effect[setting_name] = parameter.check(type(parameter.default)(float(number)))  # type: ignore[arg-type]
-            found = cls(kind(**effect), int(first), None if int(end) < 0 else int(end))
-            if found.first >= 0:
-                return found
+            fault: Callable[..., RobotFault] = kind
+            injected = cls(fault(**effect), int(first), None if int(end) < 0 else int(end))
+            if injected.first >= 0:
+                return injected
         except (KeyError, ValueError, OverflowError, InputError):
             pass
         raise InputError(

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_type_hints
+from typing import Annotated, Literal, NamedTuple, TypeAlias, get_type_hints
 
 NEVER = 2**64 - 1
 """A step field that refers to no step (``AgentState.broadcast_step``, ``RecordingProgress.written_step``)."""
@@ -476,7 +476,7 @@ class Topic:
 
 def fields_of(message: type[Message]) -> dict[str, Field | type[Message]]:
     """Return the declarations of a message's fields, in order; for a nested message, its class."""
-    hints: dict[str, Any] = get_type_hints(message, include_extras=True)
+    hints = get_type_hints(message, include_extras=True)
     return {name: getattr(hint, "__metadata__", (hint,))[0] for name, hint in hints.items()}
 
 

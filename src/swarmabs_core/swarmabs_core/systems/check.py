@@ -6,7 +6,7 @@ from contextlib import suppress
 from difflib import get_close_matches
 from functools import partial
 from math import inf, isfinite, nan
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
 from swarmabs_core.errors import InputError, one_line
 from swarmabs_core.messages import NEVER, Kind, RobotState, Status, word
@@ -20,9 +20,9 @@ from swarmabs_core.systems.law import Gram, by_row, motion
 from swarmabs_core.systems.swarm import observed, total
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 
-    from swarmabs_core.systems.interface import NamedSystem, Vector
+    from swarmabs_core.systems.interface import NamedSystem, ParentSystem, Vector
     from swarmabs_core.systems.law import SystemGains
 
 _PLAIN = (bool, int, float, str, tuple, list)
@@ -31,6 +31,19 @@ NEAR = 1e-3
 """Error, in units of the first one, at which robots have reached an abstract state."""
 Problem: TypeAlias = tuple[tuple[str | int, ...], str, str]
 """Location in a scenario, what is wrong, and the remedy."""
+
+
+ReturnT = TypeVar("ReturnT")
+
+
+class StartingRobot(Protocol):
+    """A robot as a scenario states it; no `velocities` mean that it is at rest."""
+
+    id: int
+    kind: str
+    coordinates: Vector
+    velocities: Vector
+    constants: dict[str, float]
 
 
 class _FaultyError(Exception):
@@ -43,7 +56,7 @@ class _FaultyError(Exception):
 
 def problems_of(
     system: NamedSystem,
-    robots: Sequence[Any],
+    robots: Sequence[StartingRobot],
     gains: SystemGains,
     period: float,
     *,
@@ -81,12 +94,12 @@ def generated(system: NamedSystem, number: int, count: int, constants: Mapping[s
     InputError
         If it has no method for that, or the method fails.
     """
-    made: Any = system.made
-    if not hasattr(made, "generated"):
+    place = getattr(system.made, "generated", None)
+    if place is None:
         raise InputError(f"{system.type} has no method generated", "give ranges of coordinates")
     given, what = constants_of(system, constants), f"generated() of robot {number}"
     try:
-        return _numbers(what, len(made.robot), lambda: made.generated(number, count, given))
+        return _numbers(what, len(system.made.robot), lambda: place(number, count, given))
     except _FaultyError as error:
         raise InputError(f"parent system {system.type!r}: {error}", error.remedy) from error
 
@@ -97,7 +110,7 @@ def constants_of(system: NamedSystem, given: Mapping[str, float]) -> Vector:
     return tuple(float(given.get(row.name, nan if row.default is None else row.default)) for row in rows)
 
 
-def initial_states(system: NamedSystem, robots: Sequence[Any]) -> list[RobotState]:
+def initial_states(system: NamedSystem, robots: Sequence[StartingRobot]) -> list[RobotState]:
     """Return the states of robots of a scenario at step 0."""
     rest = (0.0,) * len(system.made.robot)
     states = []
@@ -141,47 +154,47 @@ def approach(
         robots = moved
 
 
-def _called(what: str, call: Callable[[], Any], *, pure: bool = True) -> Any:
+def _called(what: str, call: Callable[[], ReturnT], *, pure: bool = True) -> ReturnT:
     """Return what a call into the system returns; it may raise anything, and a pure one returns the same twice."""
     try:
-        found = call()
-        again = call() if pure else found
+        returned = call()
+        again = call() if pure else returned
     except PluginError:
         raise
     except InputError as error:
         raise _FaultyError(error.problem, *filter(None, [error.remedy])) from error
     except Exception as error:
         raise _FaultyError(f"{what} raises {one_line(error)}") from error
-    if isinstance(found, _PLAIN) and repr(found) != repr(again):  # equal numbers have equal representations
+    if isinstance(returned, _PLAIN) and repr(returned) != repr(again):  # equal numbers have equal representations
         remedy = "make it a pure function, without clock and random numbers; only a controller may store numbers"
-        raise _FaultyError(f"{what} is {_shown(found)} and, for equal arguments, {_shown(again)}", remedy)
-    return found
+        raise _FaultyError(f"{what} is {_shown(returned)} and, for equal arguments, {_shown(again)}", remedy)
+    return returned
 
 
-def _numbers(what: str, size: int, call: Callable[[], Any]) -> Vector:
+def _numbers(what: str, size: int, call: Callable[[], object]) -> Vector:
     """Return the finite numbers that a call into the system returns."""
-    found = _called(what, call)
-    if not isinstance(found, (tuple, list)) or len(found) != size or not all(map(_is_number, found)):
+    numbers = _called(what, call)
+    if not isinstance(numbers, (tuple, list)) or len(numbers) != size or not all(map(_is_number, numbers)):
         wanted = "a tuple with one finite number, such as (0.0,)" if size == 1 else f"a tuple of {size} finite numbers"
-        raise _FaultyError(f"{what} is {_shown(found)}; it must be {wanted}")
-    return tuple(map(float, found))
+        raise _FaultyError(f"{what} is {_shown(numbers)}; it must be {wanted}")
+    return tuple(map(float, numbers))
 
 
-def _lines(what: str, call: Callable[[], Any]) -> None:
+def _lines(what: str, call: Callable[[], Iterable[Iterable[tuple[float, float]]]]) -> None:
     """Call what draws lines of points (x, y)."""
     _called(what, lambda: [(x + 0.0, y + 0.0) for line in call() for x, y in line])
 
 
-def _positive(what: str, call: Callable[[], Any]) -> None:
-    if not _is_number(found := _called(what, call)) or found <= 0.0:
-        raise _FaultyError(f"{what} is {_shown(found)}; it must be a positive number")
+def _positive(what: str, call: Callable[[], float]) -> None:
+    if not _is_number(number := _called(what, call)) or number <= 0.0:
+        raise _FaultyError(f"{what} is {_shown(number)}; it must be a positive number")
 
 
 def _is_number(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
 
 
-def _check_ends(table: str, row: Any) -> None:
+def _check_ends(table: str, row: Quantity) -> None:
     """Accept ends of a coordinate of robots between which robots can be; other quantities have none."""
     ends = (row.low, row.high)
     low, high = (end if isinstance(end, (int, float)) and not isinstance(end, bool) else nan for end in ends)
@@ -196,7 +209,7 @@ def _shown(value: object) -> str:
     return f"{' '.join(repr(value).split()):.80}"
 
 
-def _check_tables(made: Any) -> None:
+def _check_tables(made: ParentSystem) -> None:
     for table, (of, least, most) in TABLES.items():
         rows = _called(table, partial(getattr, made, table))
         if not isinstance(rows, tuple) or not all(isinstance(row, of) for row in rows):
@@ -209,7 +222,7 @@ def _check_tables(made: Any) -> None:
                 raise _FaultyError(f"{table} has a row {row.name!r}; each needs its own name of letters, digits and _")
             unit = getattr(row, "unit", "")
             numbers = [x for x in row[1 + hasattr(row, "unit") :] if not (of is Constant and x is None)]
-            if of is Quantity:
+            if isinstance(row, Quantity):
                 _check_ends(table, row)
                 numbers = numbers[:1]
             wrong = (
@@ -226,9 +239,9 @@ def _check_tables(made: Any) -> None:
     _positive("substep", lambda: made.substep)
 
 
-def _of_lists(made: Any, requests: Requests, sensor: ParentSensor) -> Iterator[Problem]:
+def _of_lists(made: ParentSystem, requests: Requests, sensor: ParentSensor) -> Iterator[Problem]:
     """Yield what is wrong with lists of the scenario that have a number for each row of a table."""
-    lists = (
+    lists: tuple[tuple[tuple[str, str], Vector, Sequence[Quantity | Need]], ...] = (
         *((("sensor", name), getattr(sensor, name), made.parent) for name in ("noise", "resolution")),
         *((("requests", name), getattr(requests, name), made.needs) for name in ("low", "high")),
     )
@@ -243,7 +256,7 @@ def _of_lists(made: Any, requests: Requests, sensor: ParentSensor) -> Iterator[P
             yield ("requests",), text, f"give low <= high, within {need.low!r} to {need.high!r} {need.unit}"
 
 
-def _of_robot(system: NamedSystem, index: int, robot: Any) -> Iterator[Problem]:
+def _of_robot(system: NamedSystem, index: int, robot: StartingRobot) -> Iterator[Problem]:
     """Yield what is wrong with a robot of the scenario."""
     made, where, kind = system.made, ("swarm", "agents", index), robot.kind
     names, size, needed = [row.name for row in made.constants], len(made.robot), KINDS[Kind.of(robot.kind)].constant
@@ -337,7 +350,7 @@ def _of_start(
         yield ("swarm", "agents"), text, f"{remedy}, or correct the parent system"
 
 
-def _changes(made: Any, robots: Sequence[RobotState], row: int) -> bool:
+def _changes(made: ParentSystem, robots: Sequence[RobotState], row: int) -> bool:
     """Return whether a robot can change a row of the abstract state, at the start or close to it."""
     for robot in robots:
         q = robot.coordinates
@@ -350,7 +363,7 @@ def _changes(made: Any, robots: Sequence[RobotState], row: int) -> bool:
     return False
 
 
-def _contribution(made: Any, robot: RobotState) -> Vector:
+def _contribution(made: ParentSystem, robot: RobotState) -> Vector:
     """Return a robot's contribution, and check all functions of its coordinates and constants."""
     q, constants, rows, d = robot.coordinates, robot.constants, made.abstract, len(made.robot)
     of = f"of robot {robot.agent_id}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import isfinite, sqrt
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from swarmabs_core.declaration import setting
 from swarmabs_core.desired_state import BANDWIDTH, GROWTH, TRANSITION, CommandFilter
@@ -102,11 +102,10 @@ class SystemDesiredState:
         before = self.filtered
         known = self._clip((0.0,) * len(made.needs)) if before is None else tuple(value for value, _ in before)
         ask = time_ns / 1e9, parent.state, self._completed(known)
-        asked: Any = (
-            self.controller.offset_ask(*ask, offset)  # type: ignore[attr-defined]  # the scenario's check has looked
-            if offset
-            else self.controller.ask(*ask)
-        )
+        if offset:
+            asked: object = self.controller.offset_ask(*ask, offset)  # type: ignore[attr-defined]  # by the check
+        else:
+            asked = self.controller.ask(*ask)
         if not isinstance(asked, (tuple, list)) or len(asked) != len(made.needs) or not all(map(isfinite, asked)):
             wanted = ", ".join(need.name for need in made.needs)
             raise RunError(

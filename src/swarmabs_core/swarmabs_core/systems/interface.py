@@ -14,7 +14,7 @@ All vectors are tuples of floats; functions are pure: equal arguments give equal
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
@@ -211,7 +211,7 @@ class SystemType(Part[None, ParentSystem]):
     """A kind of parent system; `name` is the value of ``system.type`` in a scenario."""
 
     @classmethod
-    def of(cls, name: str, declaration: type[Any]) -> SystemType:
+    def of(cls, name: str, declaration: type[ParentSystem]) -> SystemType:
         """Return the type of a dataclass whose fields are declared with `swarmabs_core.declaration.setting`."""
         if not hasattr(declaration, "__dataclass_fields__"):
             raise TypeError(f"{declaration.__name__} must be a dataclass: write @dataclass(frozen=True) above it")
@@ -228,7 +228,9 @@ SYSTEMS: Registry[None, ParentSystem] = Registry(
 )
 
 
-TABLES: dict[str, tuple[Any, int, int]] = {
+Row: TypeAlias = Quantity | Constant | Need | Tracked
+
+TABLES: dict[str, tuple[type[Row], int, int]] = {
     "parent": (Quantity, 1, 32),
     "abstract": (Quantity, 1, 16),
     "robot": (Quantity, 1, 8),
@@ -252,18 +254,18 @@ class SystemTables(NamedTuple):
     constants: tuple[Constant, ...]
     needs: tuple[Need, ...]
     tracked: tuple[Tracked, ...]
-    settings: Mapping[str, Any]
+    settings: Settings
     disturbance_unit: str = ""
 
     @classmethod
     def read(cls, description: str) -> SystemTables:
         """Read the text of a `SystemDescription`; raise `MalformedMessageError` if it is not one."""
         try:
-            found = json.loads(description)
+            stated = json.loads(description)
             tables: dict[str, Any] = {
-                name: tuple(row(**each) for each in found[name]) for name, (row, *_) in TABLES.items()
+                name: tuple(row(**values) for values in stated[name]) for name, (row, *_) in TABLES.items()
             }
-            return cls(name=str(found["name"]), settings=dict(found["settings"]), **tables)
+            return cls(name=str(stated["name"]), settings=dict(stated["settings"]), **tables)
         except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise MalformedMessageError(SystemDescription.__name__, f"its text lacks {error}") from error
 
@@ -325,10 +327,10 @@ class NamedSystem:
     @cached_property
     def complete(self) -> Callable[[Vector, Standing], Vector]:
         """`ParentSystem.complete` with both parameters."""
-        made: Any = self.made
-        if len(signature(made.complete).parameters) > 1:
-            return lambda needs, standing: tuple(made.complete(needs, standing))
-        return lambda needs, _: tuple(made.complete(needs))
+        complete: Callable[..., Vector] = self.made.complete
+        if len(signature(complete).parameters) > 1:
+            return lambda needs, standing: tuple(complete(needs, standing))
+        return lambda needs, _: tuple(complete(needs))
 
     def constant(self, constants: Vector, name: str, default: float = 0.0) -> float:
         """Return a robot's constant by name, the default if the system has no such constant."""
@@ -336,6 +338,6 @@ class NamedSystem:
         return constants[names.index(name)] if name in names else default
 
 
-def _stated(row: Any) -> dict[str, Any]:
+def _stated(row: Row) -> dict[str, object]:
     """Return a row of a table without the ends that it does not have: JSON has no infinity."""
     return {name: value for name, value in row._asdict().items() if not (isinstance(value, float) and isinf(value))}
