@@ -233,7 +233,7 @@ def test_rotors_at_their_limits_say_so_and_the_others_take_over() -> None:
 
 def test_the_spin_of_the_robots_follows_from_the_abstract_state() -> None:
     """It is exact where velocities are affine with a symmetric matrix, as those of the law are."""
-    plate = load_scenario(PATHS["plate"], []).named.made  # type: ignore[union-attr]
+    plate = load_scenario(PATHS["plate"], []).named.instance  # type: ignore[union-attr]
     draw = np.random.default_rng(1)
     m, q = draw.uniform(0.2, 0.6, 12), draw.normal(0.1, 0.3, (12, 2))
     m *= 4.8 / m.sum()
@@ -262,7 +262,7 @@ def test_a_system_is_short_and_can_be_drawn(name: str) -> None:
     assert len(source.read_text(encoding="utf-8").splitlines()) <= 170
     scenario = load_scenario(PATHS[name], [])
     assert isinstance(scenario, SystemScenario)
-    made: Any = scenario.named.made
+    made: Any = scenario.named.instance
     tilted = tuple(0.2 if row.unit == "rad" else 0.0 for row in made.parent)
     for state in (made.initial, tilted):
         for line in made.outline(state):

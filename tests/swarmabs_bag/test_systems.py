@@ -133,7 +133,7 @@ def test_the_description_is_first_and_not_in_the_digest_whatever_the_order_of_ar
             payload, topic = encode(message), msg.TOPIC_OF[type(message)].name.encode()
             key = (message.step, topic, getattr(message, "agent_id", 0))
             records.append((key, topic + b"\0" + struct.pack("<I", len(payload)) + payload))
-    figures = RunFigures(lambda _: (0.0, 0.0), Tracking.of(scenario.named.made))
+    figures = RunFigures(lambda _: (0.0, 0.0), Tracking.of(scenario.named.instance))
     for step in complete:
         figures.add(step)
     assert figures.digest() == hashlib.sha256(b"".join(record for _, record in sorted(records))).hexdigest()
@@ -235,7 +235,7 @@ def test_a_bag_has_the_description_the_reference_and_the_same_figures(tmp_path: 
     assert bag.family is msg.SYSTEM_FAMILY
     assert bag.topics() == (msg.SYSTEM, *msg.SYSTEM_FAMILY.main, msg.STANDING, msg.EVENTS)
     found = description_of(bag)
-    assert found.parent == scenario.named.made.parent and found.tracked == scenario.named.made.tracked
+    assert found.parent == scenario.named.instance.parent and found.tracked == scenario.named.instance.tracked
     assert (found.name, found.settings["amplitude"]) == ("sheet", 0.2)
     assert attached_scenario(bag) == scenario
     assert attached_provenance(bag)["versions"]["systems-of-tests"] == "1.5"

@@ -190,13 +190,13 @@ class _SystemNodes:
 
     @property
     def reference(self) -> Callable[[float], Vector]:
-        return self._named.made.reference
+        return self._named.instance.reference
 
     @property
     def largest_requests(self) -> dict[str, float]:
-        made = self._named.made
-        controller = made.controller(self._scenario.period)
-        able = {REFERENCE: hasattr(controller, "offset_ask"), DISTURBANCE: hasattr(made, "disturbed")}
+        instance = self._named.instance
+        controller = instance.controller(self._scenario.period)
+        able = {REFERENCE: hasattr(controller, "offset_ask"), DISTURBANCE: hasattr(instance, "disturbed")}
         return {kind: LARGEST * given for kind, given in able.items()}
 
     def observer(self) -> SystemObserverConfig:

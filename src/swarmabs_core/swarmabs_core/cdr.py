@@ -133,24 +133,24 @@ class _Layout:
         self.counts: list[int] = []
         self.parts: list[tuple[type[Message], int, list[int | slice]]] = []
         kinds, left = iter([form.message, *form.nested]), iter(lengths)
-        known: dict[str, bytes | int] = {"encapsulation": ENCAPSULATION, "frame": FRAME}
+        constants: dict[str, bytes | int] = {"encapsulation": ENCAPSULATION, "frame": FRAME}
         expected: list[bytes | int] = []
         size = index = 0
         for place in items:
             if place.name == "sec":
                 self.parts.append((next(kinds), index, []))
             elif place.name == "count":
-                known["count"] = length = next(left, 0)
+                constants["count"] = length = next(left, 0)
                 self.counts.append(size)
                 values = min(length, 1) if form.characters else length
                 self.parts[-1][2].append(slice(index + 1, index + 1 + values))
-            elif place.name not in {"", "nanosec", *known} and not place.length:
+            elif place.name not in {"", "nanosec", *constants} and not place.length:
                 self.parts[-1][2].append(index)
-            if place.name in known:
-                expected.append(known[place.name])
+            if place.name in constants:
+                expected.append(constants[place.name])
             size += place.size
             index += place.values
-        self.head = _struct(place.code if place.name in known else f"{place.size}x" for place in items)
+        self.head = _struct(place.code if place.name in constants else f"{place.size}x" for place in items)
         self.expected = tuple(expected)
 
     def fits(self, data: Buffer) -> bool:

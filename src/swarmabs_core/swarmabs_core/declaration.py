@@ -217,12 +217,12 @@ def attribute_of(declared: Setting, value: Value | None) -> object:
 
 def entries_of(declaration: type) -> tuple[Entry, ...]:
     """Return the declared fields of a dataclass, in order; other fields are left out."""
-    found = []
+    entries = []
     for field in dataclasses.fields(declaration):
         if _KEY in field.metadata:
             name, declared = field.metadata[_KEY]
-            found.append(Entry(field.name if name is None else name, field.name, declared))
-    return tuple(found)
+            entries.append(Entry(field.name if name is None else name, field.name, declared))
+    return tuple(entries)
 
 
 def parameters_of(
@@ -238,36 +238,36 @@ def parameters_of(
     InputError
         If there is no part of the selected name, or the package that provides it is unusable.
     """
-    found: list[Parameter] = []
+    parameters: list[Parameter] = []
     for name, attribute, declared in entries_of(declaration):
         if isinstance(declared, Part):
             inner = parameters_of(declared.declaration, given, _below(prefix, name))
-            left_out = {_below(prefix, name) + each for each in declared.without}
-            found += [parameter for parameter in inner if parameter.name not in left_out]
+            left_out = {_below(prefix, name) + attribute for attribute in declared.without}
+            parameters += [parameter for parameter in inner if parameter.name not in left_out]
         elif isinstance(declared, Setting):
-            found.append(dataclasses.replace(declared.parameter, name=prefix + name))
+            parameters.append(dataclasses.replace(declared.parameter, name=prefix + name))
         else:
-            found += _chosen(declared, f"{prefix}{attribute}.", given)
-    return tuple(found)
+            parameters += _chosen(declared, f"{prefix}{attribute}.", given)
+    return tuple(parameters)
 
 
 def values_of(instance: object, prefix: str = "") -> dict[str, Value]:
     """Return the values of a declaration's parameters by name; `made_of` is the inverse."""
-    found: dict[str, Value] = {}
+    values: dict[str, Value] = {}
     for name, attribute, declared in entries_of(type(instance)):
         value = getattr(instance, attribute)
         if isinstance(declared, Part):
             inner = values_of(value, _below(prefix, name))
-            found |= {
-                each: inner[each] for each in inner if each not in {_below(prefix, name) + w for w in declared.without}
+            values |= {
+                key: inner[key] for key in inner if key not in {_below(prefix, name) + w for w in declared.without}
             }
         elif isinstance(declared, Setting):
-            found[prefix + name] = _said(declared, value)
+            values[prefix + name] = _said(declared, value)
         else:
             settings: Settings = getattr(instance, f"{attribute}_settings")
-            found[f"{prefix}{attribute}.type"] = value
-            found |= {f"{prefix}{attribute}.{each}": settings[each] for each in settings}
-    return found
+            values[f"{prefix}{attribute}.type"] = value
+            values |= {f"{prefix}{attribute}.{key}": settings[key] for key in settings}
+    return values
 
 
 def made_of(declaration: type[DeclarationT], values: Settings, prefix: str = "", **others: object) -> DeclarationT:
@@ -289,7 +289,7 @@ def made_of(declaration: type[DeclarationT], values: Settings, prefix: str = "",
             others[attribute] = _meant(declared, values[prefix + name])
         else:
             start = f"{prefix}{attribute}."
-            settings = {each[len(start) :]: value for each, value in values.items() if each.startswith(start)}
+            settings = {key[len(start) :]: value for key, value in values.items() if key.startswith(start)}
             others[attribute] = settings.pop("type")
             others[f"{attribute}_settings"] = settings
     try:
@@ -300,15 +300,15 @@ def made_of(declaration: type[DeclarationT], values: Settings, prefix: str = "",
 
 def tree_of(instance: object) -> dict[str, object]:
     """Return an instance of a declaration as in a file: nested mappings, with None for none."""
-    found: dict[str, object] = {}
+    tree: dict[str, object] = {}
     for name, attribute, declared in entries_of(type(instance)):
         value = getattr(instance, attribute)
         if isinstance(declared, Part):
-            found |= {name: tree_of(value)} if name else tree_of(value)
+            tree |= {name: tree_of(value)} if name else tree_of(value)
         elif isinstance(declared, Setting):
             unset = declared.unset is not None and value == declared.default
-            found[name] = None if unset else _said(declared, value)
-    return found
+            tree[name] = None if unset else _said(declared, value)
+    return tree
 
 
 def _below(prefix: str, name: str) -> str:
@@ -326,8 +326,8 @@ def _chosen(declared: Choice, prefix: str, given: Mapping[str, object] | None) -
     except InputError as error:
         raise InputError(f"parameter {chooser.name}: {error.problem}", error.remedy) from error
     yield dataclasses.replace(chooser, choices=tuple(dict.fromkeys((*declared.built_in, chosen.name))))
-    for each in chosen.settings:
-        yield dataclasses.replace(each, name=prefix + each.name)
+    for parameter in chosen.settings:
+        yield dataclasses.replace(parameter, name=prefix + parameter.name)
 
 
 def _said(declared: Setting, value: object) -> Value:

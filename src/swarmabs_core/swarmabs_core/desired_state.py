@@ -123,8 +123,8 @@ class DesiredStateGenerator:
         less spread than the robots have: these would be flung. From there it moves to the new curve.
         """
         self._divided = divided
-        known, self._known = self._known, (divided.standing_count, divided.moving_count, divided.standing)
-        if self._known == known or not divided.moving_count:
+        division, self._known = self._known, (divided.standing_count, divided.moving_count, divided.standing)
+        if self._known == division or not divided.moving_count:
             return
         torque, rate = self._state or (0.0, 0.0)
         before = self._curve.inertia(torque) + self._gap[0]

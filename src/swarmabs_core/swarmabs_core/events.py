@@ -125,8 +125,8 @@ class EventCode(Enum):
 
     def read(self, event: SwarmEvent) -> dict[str, str]:
         """Return what stands for the names in the code's text, by name; nothing for another event."""
-        found = self._pattern.fullmatch(event.detail)
-        return found.groupdict() if found else {}
+        match = self._pattern.fullmatch(event.detail)
+        return match.groupdict() if match else {}
 
 
 _OF_KIND = {kind: tuple(code for code in EventCode if code.kind is kind) for kind in EventKind}

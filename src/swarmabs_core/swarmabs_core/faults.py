@@ -444,7 +444,7 @@ class DriveFailureFault(
         return True
 
 
-_ROBOT_FAULTS = {kind: each for kind, each in FAULTS.items() if issubclass(each, RobotFault)}
+_ROBOT_FAULTS = {name: fault for name, fault in FAULTS.items() if issubclass(fault, RobotFault)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -568,7 +568,7 @@ class RobotFaults:
 
     def acting(self, step: int) -> list[RobotFault]:
         """Return the faults that act in a step."""
-        return [each.fault for each in self._faults if each.acts(step)]
+        return [injected.fault for injected in self._faults if injected.acts(step)]
 
     def draw(self, step: int) -> str:
         """Return the string from which everything random in a step is drawn."""
@@ -583,8 +583,8 @@ class RobotFaults:
 
         In the robot's `first` step, every fault that acts is announced.
         """
-        for each in self._faults:
-            if each.acts(step) and (first or each.first == step):
-                yield from each.fault.announced()
-            elif each.end == step and not first:
-                yield from ((0.0, f"over: {text}") for _, text in each.fault.announced())
+        for injected in self._faults:
+            if injected.acts(step) and (first or injected.first == step):
+                yield from injected.fault.announced()
+            elif injected.end == step and not first:
+                yield from ((0.0, f"over: {text}") for _, text in injected.fault.announced())

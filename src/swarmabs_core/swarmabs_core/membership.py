@@ -161,15 +161,15 @@ class Membership:
 
     def changes(self, step: int) -> list[tuple[int, EventKind, str]]:
         """Return robot, kind and reason of every change that takes effect at a step, by robot id."""
-        found: list[tuple[int, EventKind, str]] = []
+        changes: list[tuple[int, EventKind, str]] = []
         if self._around(step).first != step:
-            return found
+            return changes
         for agent_id, span in self._spans.items():
             if span.first == step and step > 0:
-                found.append((agent_id, EventKind.JOINED, ""))
+                changes.append((agent_id, EventKind.JOINED, ""))
             if span.last is not None and span.last + 1 == step:
-                found.append((agent_id, EventKind.DEAD if span.stays else EventKind.LEFT, span.reason))
-        return found
+                changes.append((agent_id, EventKind.DEAD if span.stays else EventKind.LEFT, span.reason))
+        return changes
 
     def divides(self, step: int, window: int) -> bool:
         """Return whether the observer tells at a step how the abstract state divides (`StandingState`).

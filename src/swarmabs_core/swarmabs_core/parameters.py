@@ -115,6 +115,6 @@ def resolve(table: tuple[Parameter, ...], given: Settings, *, owner: str) -> dic
     """
     unknown = sorted(given.keys() - {parameter.name for parameter in table})
     if unknown:
-        known = ", ".join(parameter.name for parameter in table)
-        raise InputError(f"{owner} has no parameter {unknown[0]!r}", f"it has {known}")
+        names = ", ".join(parameter.name for parameter in table)
+        raise InputError(f"{owner} has no parameter {unknown[0]!r}", f"it has {names}")
     return {p.name: p.check(given[p.name]) if p.name in given else p.default for p in table}

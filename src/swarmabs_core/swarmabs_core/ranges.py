@@ -144,24 +144,24 @@ class RangeMonitor:
             if robot not in self._known:
                 self._known.add(robot)
                 self._first = [max(first, abs(x)) for first, x in zip(self._first, q, strict=True)]
-                self._ends = [_Ends.of(*each) for each in zip(self._ranges, self._first, strict=True)]
+                self._ends = [_Ends.of(*pair) for pair in zip(self._ranges, self._first, strict=True)]
 
     def _crossed(self, key: tuple[int, int], x: float, ends: _Ends) -> Phase | None:
         """Return the phase that a coordinate enters, if it is to be told."""
-        known = self._phases.get(key)
+        before = self._phases.get(key)
         far, inside = not ends.within(x, ends.reach), ends.within(x)
-        found: Phase | None = None
-        if known in (Phase.OUT, Phase.FAR):
-            found = Phase.BACK if inside else Phase.FAR if far and known is Phase.OUT else None
+        entered: Phase | None = None
+        if before in (Phase.OUT, Phase.FAR):
+            entered = Phase.BACK if inside else Phase.FAR if far and before is Phase.OUT else None
         elif far:
-            found = Phase.FAR
-        elif not ends.within(x, ends.margin if known is Phase.BACK else 0.0):
-            found = Phase.OUT
+            entered = Phase.FAR
+        elif not ends.within(x, ends.margin if before is Phase.BACK else 0.0):
+            entered = Phase.OUT
         elif ends.within(x, -ends.margin):
             self._phases.pop(key, None)
-        if found is not None:
-            self._phases[key] = found
-        return found
+        if entered is not None:
+            self._phases[key] = entered
+        return entered
 
     @staticmethod
     def _said(phase: Phase, of: Quantity, x: float, ends: _Ends) -> str:
@@ -230,21 +230,21 @@ class Strays:
         if (told := crossing_of(event)) is None:
             return
         key = (event.agent_id, told.coordinate)
-        known = self._found.get(key)
+        latest = self._found.get(key)
         if told.phase is Phase.BACK:
-            if known is not None:
+            if latest is not None:
                 self._end(key, event.step, time)
             return
-        if known is None or (known.back is not None and known.far is None):
-            known = Stray(*key, told.where, event.step)
-        if told.phase is Phase.FAR and known.far is None:
-            known = known._replace(where=told.where, far=(event.step, event.value))
-        self._found[key] = known._replace(back=None)
+        if latest is None or (latest.back is not None and latest.far is None):
+            latest = Stray(*key, told.where, event.step)
+        if told.phase is Phase.FAR and latest.far is None:
+            latest = latest._replace(where=told.where, far=(event.step, event.value))
+        self._found[key] = latest._replace(back=None)
 
     def _end(self, key: tuple[int, str], step: int, time: float) -> None:
-        known = self._found[key]
-        if known.back is None:
-            self._found[key] = known._replace(back=step)
+        stray = self._found[key]
+        if stray.back is None:
+            self._found[key] = stray._replace(back=step)
             self._clear_from = max(self._clear_from, time)
 
     @property
@@ -264,11 +264,11 @@ class Strays:
 
     def summary(self) -> dict[str, Any]:
         """Return numbers of robots and the first texts, as plain data; empty if no robot left its range."""
-        found = self.all
-        if not found:
+        strays = self.all
+        if not strays:
             return {}
-        robots, flown = ({stray.robot for stray in of} for of in (found, self.flown))
-        return {"robots": len(robots), "flown_off": len(flown), "first": [stray.text for stray in found[:SHOWN]]}
+        robots, flown = ({stray.robot for stray in of} for of in (strays, self.flown))
+        return {"robots": len(robots), "flown_off": len(flown), "first": [stray.text for stray in strays[:SHOWN]]}
 
 
 def reason_of(summary: Mapping[str, Any]) -> str:

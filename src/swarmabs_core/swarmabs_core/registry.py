@@ -134,12 +134,12 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
             If the name is unknown, a setting is invalid, or the object lacks a required method.
         """
         part = self.find(name)
-        made = part.make(resolve(part.settings, settings, owner=f"{self._noun} {name!r}"), context)
+        instance = part.make(resolve(part.settings, settings, owner=f"{self._noun} {name!r}"), context)
         for method in self._methods:
-            if not callable(getattr(made, method, None)):
-                what = f"{self._noun} {name!r} makes an object of type {type(made).__name__}"
+            if not callable(getattr(instance, method, None)):
+                what = f"{self._noun} {name!r} makes an object of type {type(instance).__name__}"
                 raise PluginError(f"{what}, which has no method {method}", _REMEDY)
-        return made
+        return instance
 
     def package(self, name: str) -> tuple[str, str] | None:
         """Return name and version of the package that provides a part; None for a built-in part."""
@@ -155,20 +155,20 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         """Return the entry points of all installed packages by name."""
         from importlib.metadata import entry_points  # noqa: PLC0415 - built-in parts do not need it
 
-        found: dict[str, list[EntryPoint]] = {}
+        points: dict[str, list[EntryPoint]] = {}
         for point in entry_points(group=self.group):
             if point.name in self.built_in:
                 raise PluginError(
                     f"{_origin(point)} provides a {self._noun} {point.name!r}, which is a built-in name",
                     "rename it, or uninstall the package",
                 )
-            found.setdefault(point.name, []).append(point)
-        return found
+            points.setdefault(point.name, []).append(point)
+        return points
 
     def _load(self, name: str, points: list[EntryPoint]) -> Part[ContextT, MadeT]:
         point, *others = points
         if others:
-            origins = " and ".join(sorted(_origin(each) for each in points))
+            origins = " and ".join(sorted(_origin(provider) for provider in points))
             raise PluginError(f"{self._noun} {name!r} is provided by {origins}", "uninstall all but one")
         what = f"{self._noun} {name!r} ({point.value} of {_origin(point)})"
         try:
@@ -176,8 +176,8 @@ class Registry(Mapping[str, Part[ContextT, MadeT]], Generic[ContextT, MadeT]):
         except Exception as error:  # a foreign module may raise anything; the error must name its package
             raise PluginError(f"{what} cannot be loaded: {type(error).__name__}: {error}", _REMEDY) from error
         if not isinstance(part, self._shape):
-            found = f"is an object of type {type(part).__name__}, not a {self._shape.__name__}"
-            raise PluginError(f"{what} {found}", _REMEDY)
+            problem = f"is an object of type {type(part).__name__}, not a {self._shape.__name__}"
+            raise PluginError(f"{what} {problem}", _REMEDY)
         if problem := problem_of(name, part):
             raise PluginError(f"{what} {problem}", _REMEDY)
         if point.dist is not None:
@@ -196,12 +196,12 @@ def problem_of(name: str, part: Any) -> str:
     if not callable(part.make):
         return "has no function make"
     settings = part.settings
-    if not isinstance(settings, tuple) or not all(isinstance(each, Parameter) for each in settings):
+    if not isinstance(settings, tuple) or not all(isinstance(parameter, Parameter) for parameter in settings):
         return "has settings that are not a tuple of Parameter"
-    known, taken = {each.name for each in settings}, {"type"}
+    names, taken = {parameter.name for parameter in settings}, {"type"}
     for setting in settings:
-        parents = {setting.name[: found.start()] for found in re.finditer(r"\.", setting.name)}
-        if not _PATH.fullmatch(setting.name) or setting.name in taken or parents & (known | {"type"}):
+        parents = {setting.name[: dot.start()] for dot in re.finditer(r"\.", setting.name)}
+        if not _PATH.fullmatch(setting.name) or setting.name in taken or parents & (names | {"type"}):
             return f"has a setting {setting.name!r}, whose name is malformed or already taken"
         taken.add(setting.name)
         if not isinstance(setting.default, (bool, int, float, str, tuple)):

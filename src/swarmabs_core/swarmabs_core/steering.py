@@ -59,12 +59,12 @@ class StepChange(NamedTuple):
         """
         try:
             step, value = text.split()
-            found = cls(int(step), float(value))
+            change = cls(int(step), float(value))
         except ValueError:
-            found = cls(-1, 0.0)
-        if found.step < 0 or not isfinite(found.value):
+            change = cls(-1, 0.0)
+        if change.step < 0 or not isfinite(change.value):
             raise InputError(f"{text!r} is not of the form 'STEP VALUE', such as '500 0.1'")
-        return found
+        return change
 
 
 class StepSchedule:

@@ -193,7 +193,7 @@ def _slopes(times: Sequence[float], values: Sequence[float]) -> list[Pair]:
     """Return the first and second derivatives at every knot by block elimination and back substitution."""
     inner = range(1, len(times) - 1)
     eliminated: list[tuple[_Matrix, Pair]] = []
-    previous, known = _Matrix(0.0, 0.0, 0.0, 0.0), (0.0, 0.0)
+    previous, shift = _Matrix(0.0, 0.0, 0.0, 0.0), (0.0, 0.0)
     for i in inner:
         h, k = times[i] - times[i - 1], times[i + 1] - times[i]
         rise, next_rise = (values[i] - values[i - 1]) / h, (values[i + 1] - values[i]) / k
@@ -205,13 +205,13 @@ def _slopes(times: Sequence[float], values: Sequence[float]) -> list[Pair]:
             -60.0 * (rise * h * h - next_rise * k * k),
         )
         below = _coupling(h).transposed()
-        taken, carried = below.product(previous), below.times(known)
+        taken, carried = below.product(previous), below.times(shift)
         pivot = _Matrix(
             diagonal.a - taken.a, diagonal.b - taken.b, diagonal.c - taken.c, diagonal.d - taken.d
         ).inverse()
-        known = pivot.times((right[0] - carried[0], right[1] - carried[1]))
+        shift = pivot.times((right[0] - carried[0], right[1] - carried[1]))
         previous = pivot.product(_coupling(k))
-        eliminated.append((previous, known))
+        eliminated.append((previous, shift))
     slopes: list[Pair] = [(0.0, 0.0)]
     for factor, constant in reversed(eliminated):
         shift = factor.times(slopes[-1])
@@ -231,9 +231,9 @@ TRAJECTORY = (
         "trajectory.type",
         Sine.type,
         "reference trajectory of the angle",
-        choices=(*(each.type for each in _DECLARED), "csv"),
+        choices=(*(kind.type for kind in _DECLARED), "csv"),
     ),
-    *(parameter for each in _DECLARED for parameter in parameters_of(each, prefix="trajectory.")),
+    *(parameter for kind in _DECLARED for parameter in parameters_of(kind, prefix="trajectory.")),
     Parameter("trajectory.times", (0.0, 1.0), "times of the rows of csv, increasing", unit="s", minimum=0.0),
     Parameter(
         "trajectory.angles", (0.0, 0.0), "angles of the rows of csv", unit="rad", minimum=-STEEPEST, maximum=STEEPEST
@@ -250,8 +250,8 @@ def make_trajectory(settings: Settings) -> Trajectory:
     InputError
         If the rows of a csv trajectory do not define a curve.
     """
-    for each in _DECLARED:
-        if settings["trajectory.type"] == each.type:
-            return made_of(each, settings, "trajectory.")
+    for kind in _DECLARED:
+        if settings["trajectory.type"] == kind.type:
+            return made_of(kind, settings, "trajectory.")
     times, angles = (cast("tuple[float, ...]", settings[f"trajectory.{name}"]) for name in ("times", "angles"))
     return QuinticSpline(times, angles)

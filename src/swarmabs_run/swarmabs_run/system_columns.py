@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 def system_on_columns(scenario: SystemScenario) -> bool:
     """Return whether the robots of a scenario, apart from faults, behave alike on a system that supports columns."""
-    return bool(getattr(scenario.named.made, "columns", False))
+    return bool(getattr(scenario.named.instance, "columns", False))
 
 
 def _add(terms: Iterable[Any]) -> float:
@@ -46,7 +46,7 @@ class _Kind:
     def __init__(self, system: SystemOnColumns, configs: Sequence[SystemAgentConfig]) -> None:
         first, laws = configs[0], [config.law() for config in configs]
         self.ids = [config.agent_id for config in configs]
-        self.law = laws[0].on(system.made, dynamics_of([law.dynamics for law in laws]))
+        self.law = laws[0].on(system.instance, dynamics_of([law.dynamics for law in laws]))
         states = [config.body().state(0, NEVER, Status.ACTIVE) for config in configs]
         self.state: RobotState = states[0]._replace(
             coordinates=column(state.coordinates for state in states),
@@ -55,7 +55,7 @@ class _Kind:
             constants=self.law.dynamics.constants,
         )
         self.rows = list(map(encode, states))
-        limits = getattr(system.made, "limits", None)
+        limits = getattr(system.instance, "limits", None)
         ends_of_robots = [limits(config.constants, word(first.kind)) for config in configs] if limits else []
         self._limits = tuple(zip(*(column(ends) for ends in zip(*ends_of_robots, strict=True)), strict=True))
 
@@ -87,7 +87,7 @@ class SystemSwarm:
         self._parent: SystemMotion = parent.motion(system, _add)
         self._period_ns = scenario.step_ns
         self.ids = [agent_id for kind in self._kinds for agent_id in kind.ids]
-        self.ranges = system.made.robot
+        self.ranges = system.instance.robot
         self._by_id = np.argsort(self.ids)
         payloads = [payload for kind in self._kinds for payload in kind.rows]
         rows = np.frombuffer(b"".join(payloads), layout_of(ROBOT_STATE, payloads[0]))

@@ -251,6 +251,6 @@ def _installed(tables: SystemTables) -> ParentSystem | None:
     """Return the parent system with these tables, if an installed package provides it."""
     try:
         named = NamedSystem(tables.name, tables.settings)
-        return named.made if SystemTables.read(named.description) == tables else None
+        return named.instance if SystemTables.read(named.description) == tables else None
     except InputError:
         return None

@@ -43,8 +43,8 @@ def rotors(*places: float) -> list[Robot]:
 def random_states(system: NamedSystem, count: int, kind: str, seed: int = 1) -> list[RobotState]:
     """Return moving robots at random coordinates."""
     draw = np.random.default_rng(seed)
-    d = len(system.made.robot)
-    names = [row.name for row in system.made.constants]
+    d = len(system.instance.robot)
+    names = [row.name for row in system.instance.constants]
     given = [
         Robot(
             n + 1,
@@ -61,7 +61,7 @@ def random_states(system: NamedSystem, count: int, kind: str, seed: int = 1) -> 
 def desired(system: NamedSystem, seed: int = 2, step: int = 0) -> SwarmDesired:
     """Return a random request."""
     draw = np.random.default_rng(seed)
-    vectors = [tuple(draw.normal(0.0, 0.3, len(system.made.abstract)).tolist()) for _ in range(5)]
+    vectors = [tuple(draw.normal(0.0, 0.3, len(system.instance.abstract)).tolist()) for _ in range(5)]
     return SwarmDesired(step * 10_000_000, step, system.hash, Mode.RUN, *vectors)
 
 
@@ -85,8 +85,8 @@ def rates(
 
 def jacobians(system: NamedSystem, states: Sequence[RobotState]) -> Array:
     """Return the Jacobians of all robots, (N, k, d)."""
-    return np.array([system.made.jacobian(s.coordinates, s.constants) for s in states])
+    return np.array([system.instance.jacobian(s.coordinates, s.constants) for s in states])
 
 
 def weights(system: NamedSystem, states: Sequence[RobotState]) -> Array:
-    return np.array([system.made.weight(s.constants) for s in states])
+    return np.array([system.instance.weight(s.constants) for s in states])

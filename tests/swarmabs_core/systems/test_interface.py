@@ -23,7 +23,7 @@ def test_the_hash_depends_on_the_settings_not_on_whether_they_are_defaults() -> 
     plain = NamedSystem("beam")
     assert plain.hash == NamedSystem("beam", {"added": 2.0}).hash
     assert len({plain.hash, NamedSystem("beam", {"added": 2.5}).hash, NamedSystem("tilting_plane").hash}) == 3
-    assert NamedSystem("beam", {"added": 2.5}).made.controller(0.01).ask(0.0, (0.0, 1.0), ()) == (2.5,)
+    assert NamedSystem("beam", {"added": 2.5}).instance.controller(0.01).ask(0.0, (0.0, 1.0), ()) == (2.5,)
 
 
 def test_ends_of_coordinates_are_described_where_they_are_stated() -> None:
@@ -37,9 +37,9 @@ def test_ends_of_coordinates_are_described_where_they_are_stated() -> None:
 
 def test_unknown_systems_and_settings_are_refused() -> None:
     with pytest.raises(InputError, match=r"there is no parent system 'boat'; available: beam, faulty, lift, satellite"):
-        _ = NamedSystem("boat").made
+        _ = NamedSystem("boat").instance
     with pytest.raises(InputError, match=r"has no parameter 'colour'; it has stiffness, "):
-        _ = NamedSystem("beam", {"colour": 1.0}).made
+        _ = NamedSystem("beam", {"colour": 1.0}).instance
 
 
 VECTORS = [

@@ -40,14 +40,14 @@ def by_row(size: int) -> SystemGains:
 def test_the_rate_of_the_abstract_state_is_what_the_law_wants_with_least_effort(name: str, count: int) -> None:
     system = NamedSystem(name)
     states = random_states(system, count, KINDS[name])
-    size = len(system.made.abstract)
+    size = len(system.instance.abstract)
     broadcast, gains = heard(system, states), by_row(size)
     wanted = np.array(gains.k) * (np.array(broadcast.desired.value) - broadcast.abstract.value)
     wanted += broadcast.desired.mean_rate
     found = rates(system, states, broadcast, gains)
     jacobian, weight = jacobians(system, states), weights(system, states)
     assert np.einsum("nkd,nd->k", jacobian, found) == pytest.approx(wanted, rel=1e-12, abs=1e-12)
-    own = np.array([system.made.own_motion(s.coordinates, s.constants) for s in states])
+    own = np.array([system.instance.own_motion(s.coordinates, s.constants) for s in states])
     columns = np.hstack([j / np.sqrt(w) for j, w in zip(jacobian, weight, strict=True)])
     drift = np.einsum("nkd,nd->k", jacobian, own)
     least = np.linalg.lstsq(columns, wanted - drift, rcond=None)[0].reshape(found.shape)
@@ -58,7 +58,7 @@ def test_the_rate_of_the_abstract_state_is_what_the_law_wants_with_least_effort(
 def test_the_acceleration_of_the_abstract_state_is_what_the_law_wants(name: str) -> None:
     system = NamedSystem(name)
     states = random_states(system, 7, "double_integrator")
-    size = len(system.made.abstract)
+    size = len(system.instance.abstract)
     broadcast, gains = heard(system, states), by_row(size)
     wish, now = broadcast.desired, broadcast.abstract
     wanted = np.array(gains.kp) * (np.array(wish.value) - now.value)
@@ -69,7 +69,7 @@ def test_the_acceleration_of_the_abstract_state_is_what_the_law_wants(name: str)
         """Return the abstract state of robots that accelerate as the law prescribes."""
         return np.sum(
             [
-                system.made.contribution(tuple(np.array(s.coordinates) + time * (v + 0.5 * time * a)), s.constants)
+                system.instance.contribution(tuple(np.array(s.coordinates) + time * (v + 0.5 * time * a)), s.constants)
                 for s, v, a in zip(states, np.array([s.velocities for s in states]), found, strict=True)
             ],
             axis=0,

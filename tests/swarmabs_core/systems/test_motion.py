@@ -77,9 +77,13 @@ def exact(system: NamedSystem, states: Sequence[RobotState], paths: Sequence[Pat
 
     def derivative(time: float, x: Array) -> tuple[float, ...]:
         now = [path(time) for path in paths]
-        a = np.sum([system.made.contribution(tuple(q), s.constants) for s, (q, _) in zip(states, now, strict=True)], 0)
-        b = [np.array(system.made.jacobian(tuple(q), s.constants)) @ v for s, (q, v) in zip(states, now, strict=True)]
-        return system.made.derivative(time, tuple(x), tuple(a), tuple(np.sum(b, axis=0)))
+        a = np.sum(
+            [system.instance.contribution(tuple(q), s.constants) for s, (q, _) in zip(states, now, strict=True)], 0
+        )
+        b = [
+            np.array(system.instance.jacobian(tuple(q), s.constants)) @ v for s, (q, v) in zip(states, now, strict=True)
+        ]
+        return system.instance.derivative(time, tuple(x), tuple(a), tuple(np.sum(b, axis=0)))
 
     solved = solve_ivp(derivative, (0.0, period), (0.15, 0.3), method="DOP853", rtol=1e-13, atol=1e-15)
     return np.array(solved.y[:, -1])

@@ -87,7 +87,7 @@ class _OfSystem:
     """The measures of a swarm on any other parent system."""
 
     def __init__(self, named: NamedSystem) -> None:
-        self._named, self._made = named, named.made
+        self._named, self._made = named, named.instance
         self.coordinates = self._made.robot
         self.ordinary_speed, self.rows = 1.0, len(self._made.abstract)
 

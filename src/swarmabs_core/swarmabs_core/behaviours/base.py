@@ -124,33 +124,33 @@ def place_of(state: AnyRobotState) -> float:
     return coordinates_of(state)[0]
 
 
-def refuse_conflict(known: Message, message: Message, source: str) -> None:
-    """Accept a message that repeats the known one.
+def refuse_conflict(earlier: Message, message: Message, source: str) -> None:
+    """Accept a message that repeats an earlier one.
 
     Raises
     ------
     ConflictError
         If it differs. Bytes are compared, because NaN does not equal itself.
     """
-    if known is not message and known != message and encode(known) != encode(message):
+    if earlier is not message and earlier != message and encode(earlier) != encode(message):
         raise ConflictError(source, message.step)
 
 
-def is_new(message: Message, known: Message | None, expected: int, source: str) -> bool:
+def is_new(message: Message, earlier: Message | None, expected: int, source: str) -> bool:
     """Return whether a message is the first one of the expected step; an earlier or repeated one is not.
 
     Raises
     ------
     StepAheadError, ConflictError
-        If its step cannot have started yet, or it differs from the known one.
+        If its step cannot have started yet, or it differs from the earlier one.
     """
     if message.step > expected:
         raise StepAheadError(source, got=message.step, expected=expected)
     if message.step < expected:
         return False
-    if known is not None:
-        refuse_conflict(known, message, source)
-    return known is None
+    if earlier is not None:
+        refuse_conflict(earlier, message, source)
+    return earlier is None
 
 
 class Gathering:

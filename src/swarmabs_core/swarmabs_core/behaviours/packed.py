@@ -102,7 +102,7 @@ class TableGathering(Gathering):
     def add(self, state: AnyRobotState) -> None:
         """Take a state, as the base class does."""
         if self._all is not None:
-            self._states, self._all = {known.agent_id: known for known in self._all}, None
+            self._states, self._all = {state.agent_id: state for state in self._all}, None
         super().add(state)
 
     def complete(self) -> bool:

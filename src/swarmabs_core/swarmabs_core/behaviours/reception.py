@@ -85,7 +85,7 @@ class Transmission:
 
     def _announced(self, faults: RobotFaults, state: AnyRobotState) -> list[SwarmEvent]:
         """Return events for the faults that start or end with a state; with the first state, for all that act."""
-        found = faults.announced(state.step, first=not self._begun)
+        announced = faults.announced(state.step, first=not self._begun)
         self._begun = True
         tell = EventCode.FAULT_INJECTED.event
-        return [tell(state.stamp, state.step, value, robot=state.agent_id, detail=text) for value, text in found]
+        return [tell(state.stamp, state.step, value, robot=state.agent_id, detail=text) for value, text in announced]

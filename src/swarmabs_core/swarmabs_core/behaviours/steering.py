@@ -156,8 +156,8 @@ class SteeringController:
 
     def decisions(self) -> list[Decision]:
         """Return the results of requests since the last call."""
-        found, self._decisions = self._decisions, []
-        return found
+        decisions, self._decisions = self._decisions, []
+        return decisions
 
     def start(self) -> Messages:
         """Publish an empty order for the first step."""
@@ -341,12 +341,12 @@ class Orders:
                 refuse_conflict(self._latest, order, STEERING.name)
             return []
         refuse_conflict(self._early.setdefault(order.step, order), order, STEERING.name)
-        found = []
+        orders = []
         while (latest := self._early.pop(self.known + 1, None)) is not None:
             self.known += 1
             self._latest = latest
-            found.append(latest)
-        return found
+            orders.append(latest)
+        return orders
 
 
 class Steered:
@@ -390,8 +390,8 @@ class Steered:
         answers: Messages = ()
         if order.step > self._orders.known + 2:  # orders are at most one step ahead, even if one was lost
             raise StepAheadError(STEERING.name, got=order.step, expected=self._orders.known + 1)
-        for known in self._orders.add(order):
-            self._behaviour.steer(known)
+        for following in self._orders.add(order):
+            self._behaviour.steer(following)
         early, self._early = self._early, []
         for message in early:
             answers = (*answers, *self.handle(message))

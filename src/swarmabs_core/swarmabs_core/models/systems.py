@@ -107,7 +107,7 @@ class SystemParentConfig(OfSystem, model.ParentConfig):
     @property
     def coordinates(self) -> tuple[Quantity, ...]:
         """The coordinates of a robot, with their ends."""
-        return self.named.made.robot
+        return self.named.instance.robot
 
     def motion(self, system: NamedSystem | None = None, add: Add = exact_sum) -> SystemMotion:
         """Return the parent at its initial state, by default for robots one by one, whose terms are added."""
@@ -145,7 +145,7 @@ class SystemMotion:
     def __init__(self, config: SystemParentConfig, system: NamedSystem, add: Add) -> None:
         self._config = config
         self._motion = ParentMotion(system, config.period_ns / 1e9, add)
-        self._state: Vector = tuple(map(float, config.named.made.initial))
+        self._state: Vector = tuple(map(float, config.named.instance.initial))
 
     def advance(
         self, step: int, robots: Iterable[tuple[AnyRobotState, AnyRobotState | None]], disturbance: float
@@ -177,7 +177,7 @@ class SystemMotion:
         """Return the measured state at a step."""
         config, measured = self._config, self._state
         if not config.sensor.perfect:
-            names = [row.name for row in config.named.made.parent]
+            names = [row.name for row in config.named.instance.parent]
             measured = config.sensor.measure_all(measured, f"{config.seed}:{step}:parent", names)
         return ParentState(step * config.period_ns, step, config.system_hash, measured)
 

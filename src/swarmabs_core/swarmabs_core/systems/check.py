@@ -68,22 +68,24 @@ def problems_of(
 
     Robots whose ids are in `later` join later; the control period is in s.
     """
-    found: list[Problem] = []
+    problems: list[Problem] = []
     requests, sensor = requests or Requests(), sensor or ParentSensor()
     try:
-        _check_tables(_called("its type", lambda: system.made, pure=False))
-        size = len(system.made.abstract)
+        _check_tables(_called("its type", lambda: system.instance, pure=False))
+        size = len(system.instance.abstract)
         given = {name: len(getattr(gains, name)) for name in ("k", "kp", "kd")}
         wrong = {name: many for name, many in given.items() if many not in {1, size}}
-        found += [(("swarm", "gains", x), f"{wrong[x]} gains for {size} rows", f"give one or {size}") for x in wrong]
-        found += [*_of_lists(system.made, requests, sensor)]
-        found += [problem for index, robot in enumerate(robots) for problem in _of_robot(system, index, robot)]
-        found += [] if found else _of_start(system, initial_states(system, robots), later, gains, period, requests)
+        problems += [(("swarm", "gains", x), f"{wrong[x]} gains for {size} rows", f"give one or {size}") for x in wrong]
+        problems += [*_of_lists(system.instance, requests, sensor)]
+        problems += [problem for index, robot in enumerate(robots) for problem in _of_robot(system, index, robot)]
+        problems += (
+            [] if problems else _of_start(system, initial_states(system, robots), later, gains, period, requests)
+        )
     except PluginError as error:
-        found.append((("system",), error.problem, error.remedy))
+        problems.append((("system",), error.problem, error.remedy))
     except _FaultyError as error:
-        found.append((("system",), f"parent system {system.type!r}: {error}", error.remedy))
-    return found
+        problems.append((("system",), f"parent system {system.type!r}: {error}", error.remedy))
+    return problems
 
 
 def generated(system: NamedSystem, number: int, count: int, constants: Mapping[str, float]) -> Vector:
@@ -94,25 +96,25 @@ def generated(system: NamedSystem, number: int, count: int, constants: Mapping[s
     InputError
         If it has no method for that, or the method fails.
     """
-    place = getattr(system.made, "generated", None)
+    place = getattr(system.instance, "generated", None)
     if place is None:
         raise InputError(f"{system.type} has no method generated", "give ranges of coordinates")
     given, what = constants_of(system, constants), f"generated() of robot {number}"
     try:
-        return _numbers(what, len(system.made.robot), lambda: place(number, count, given))
+        return _numbers(what, len(system.instance.robot), lambda: place(number, count, given))
     except _FaultyError as error:
         raise InputError(f"parent system {system.type!r}: {error}", error.remedy) from error
 
 
 def constants_of(system: NamedSystem, given: Mapping[str, float]) -> Vector:
     """Return a robot's constants in the order of the system, NaN for a missing one."""
-    rows = system.made.constants
+    rows = system.instance.constants
     return tuple(float(given.get(row.name, nan if row.default is None else row.default)) for row in rows)
 
 
 def initial_states(system: NamedSystem, robots: Sequence[StartingRobot]) -> list[RobotState]:
     """Return the states of robots of a scenario at step 0."""
-    rest = (0.0,) * len(system.made.robot)
+    rest = (0.0,) * len(system.instance.robot)
     states = []
     for robot in robots:
         head = 0, 0, system.hash, NEVER, robot.id, Kind.of(robot.kind), Status.ACTIVE
@@ -129,8 +131,8 @@ def approach(
     Yields robots, their Gram matrix, the root of sum W |q'|^2, and the error in units of the first one. If the last
     error is not below `NEAR`, the robots cannot reach the abstract state.
     """
-    made, first = system.made, 0.0
-    rows, k = made.abstract, by_row(gains.k, len(made.abstract))
+    instance, first = system.instance, 0.0
+    rows, k = instance.abstract, by_row(gains.k, len(instance.abstract))
     for _ in range(int(100.0 * max(k) / min(k))):
         abstract, auxiliary = observed(system, 0, 0, robots, curvature=False)
         error = [b - a for a, b in zip(abstract.value, goal, strict=True)]
@@ -148,7 +150,7 @@ def approach(
         moved = []
         for robot in robots:
             q, constants = robot.coordinates, robot.constants
-            rate = motion(made.jacobian(q, constants), y, made.weight(constants), len(q))
+            rate = motion(instance.jacobian(q, constants), y, instance.weight(constants), len(q))
             after = tuple(x + 0.25 / max(k) * v for x, v in zip(q, rate, strict=True))
             moved.append(robot._replace(coordinates=after))
         robots = moved
@@ -209,9 +211,9 @@ def _shown(value: object) -> str:
     return f"{' '.join(repr(value).split()):.80}"
 
 
-def _check_tables(made: ParentSystem) -> None:
+def _check_tables(instance: ParentSystem) -> None:
     for table, (of, least, most) in TABLES.items():
-        rows = _called(table, partial(getattr, made, table))
+        rows = _called(table, partial(getattr, instance, table))
         if not isinstance(rows, tuple) or not all(isinstance(row, of) for row in rows):
             raise _FaultyError(f"{table} is {_shown(rows)}; it must be a tuple of {of.__name__}")
         if not least <= len(rows) <= most:
@@ -231,26 +233,26 @@ def _check_tables(made: ParentSystem) -> None:
             if wrong or (of in (Quantity, Tracked) and numbers[0] <= 0.0):
                 said = row[1:3] if of is Quantity else row[1:]
                 raise _FaultyError(f"{table} {row.name!r} has {_shown(said)}, which is out of range")
-    units = {row.name: row.unit for row in made.parent}
-    for row in made.tracked:
-        if units.get(row.name) != units.get(made.tracked[0].name, ""):
+    units = {row.name: row.unit for row in instance.parent}
+    for row in instance.tracked:
+        if units.get(row.name) != units.get(instance.tracked[0].name, ""):
             raise _FaultyError(f"tracked {row.name!r} must be in parent, with the unit of the others")
-    _numbers("initial", len(made.parent), lambda: made.initial)
-    _positive("substep", lambda: made.substep)
+    _numbers("initial", len(instance.parent), lambda: instance.initial)
+    _positive("substep", lambda: instance.substep)
 
 
-def _of_lists(made: ParentSystem, requests: Requests, sensor: ParentSensor) -> Iterator[Problem]:
+def _of_lists(instance: ParentSystem, requests: Requests, sensor: ParentSensor) -> Iterator[Problem]:
     """Yield what is wrong with lists of the scenario that have a number for each row of a table."""
     lists: tuple[tuple[tuple[str, str], Vector, Sequence[Quantity | Need]], ...] = (
-        *((("sensor", name), getattr(sensor, name), made.parent) for name in ("noise", "resolution")),
-        *((("requests", name), getattr(requests, name), made.needs) for name in ("low", "high")),
+        *((("sensor", name), getattr(sensor, name), instance.parent) for name in ("noise", "resolution")),
+        *((("requests", name), getattr(requests, name), instance.needs) for name in ("low", "high")),
     )
     fits = True
     for where, numbers, rows in lists:
         if numbers and len(numbers) != len(rows):
             fits = False
             yield where, f"{len(numbers)} numbers for {len(rows)}", f"give {', '.join(row.name for row in rows)}"
-    for need, given in zip(made.needs, requests.needs(made) if fits else (), strict=fits):
+    for need, given in zip(instance.needs, requests.needs(instance) if fits else (), strict=fits):
         if not need.low <= given.low <= given.high <= need.high:
             text = f"{need.name} is limited to {given.low!r} to {given.high!r}"
             yield ("requests",), text, f"give low <= high, within {need.low!r} to {need.high!r} {need.unit}"
@@ -258,13 +260,17 @@ def _of_lists(made: ParentSystem, requests: Requests, sensor: ParentSensor) -> I
 
 def _of_robot(system: NamedSystem, index: int, robot: StartingRobot) -> Iterator[Problem]:
     """Yield what is wrong with a robot of the scenario."""
-    made, where, kind = system.made, ("swarm", "agents", index), robot.kind
-    names, size, needed = [row.name for row in made.constants], len(made.robot), KINDS[Kind.of(robot.kind)].constant
+    instance, where, kind = system.instance, ("swarm", "agents", index), robot.kind
+    names, size, needed = (
+        [row.name for row in instance.constants],
+        len(instance.robot),
+        KINDS[Kind.of(robot.kind)].constant,
+    )
     for name in robot.constants.keys() - set(names):
         near = get_close_matches(name, names, n=1)
         remedy = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"
         yield (*where, "constants", name), f"{system.type} has no constant {name!r}", remedy
-    for row, value in zip(made.constants, constants_of(system, robot.constants), strict=True):
+    for row, value in zip(instance.constants, constants_of(system, robot.constants), strict=True):
         if not isfinite(value):
             yield (*where, "constants"), f"robot {robot.id} lacks {row.name}", f"give {row.name} in {row.unit}"
         elif row.name == needed and value <= 0.0:
@@ -274,9 +280,9 @@ def _of_robot(system: NamedSystem, index: int, robot: StartingRobot) -> Iterator
         yield (*where, "kind"), text, "choose another kind, or add the constant to the system"
     for name, numbers in (("coordinates", robot.coordinates), ("velocities", robot.velocities)):
         if len(numbers) != size and (numbers or name == "coordinates"):
-            wanted = ", ".join(row.name for row in made.robot)
+            wanted = ", ".join(row.name for row in instance.robot)
             yield (*where, name), f"{len(numbers)} numbers for {size} coordinates", f"give {wanted}"
-    for one, x in zip(made.robot, robot.coordinates, strict=False):
+    for one, x in zip(instance.robot, robot.coordinates, strict=False):
         if not one.low <= x <= one.high:
             text = f"{x!r} {one.unit} is out of the range of {one.name}"
             yield (*where, "coordinates"), text, f"give a number from {one.low!r} to {one.high!r}"
@@ -293,34 +299,36 @@ def _of_start(
     requests: Requests,
 ) -> Iterator[Problem]:
     """Call each function of the system, and yield why the robots cannot control the abstract state at the start."""
-    made: Any = system.made
-    k, start, remedy = len(made.abstract), made.initial, "spread the robots, or add robots"
-    contributions = {robot.agent_id: _contribution(made, robot) for robot in robots}
-    if getattr(made, "columns", False):
+    instance: Any = system.instance
+    k, start, remedy = len(instance.abstract), instance.initial, "spread the robots, or add robots"
+    contributions = {robot.agent_id: _contribution(instance, robot) for robot in robots}
+    if getattr(instance, "columns", False):
         from swarmabs_core.systems.columns import problem_on_columns  # noqa: PLC0415 - numpy, which few systems need
 
-        if problem := problem_on_columns(made, robots):
+        if problem := problem_on_columns(instance, robots):
             remedy = "use only + - * / there (x * x, not x ** 2), or omit columns"
             raise _FaultyError(problem, remedy)
     present = [robot for robot in robots if robot.agent_id not in later]
     at_start = 0.0, start, total((contributions[robot.agent_id] for robot in present), k), (0.0,) * k
-    _numbers("derivative()", len(start), lambda: made.derivative(*at_start))
-    if hasattr(made, "reach"):
-        _called("reach()", lambda: bool(made.reach(at_start[2])))
-    if hasattr(made, "disturbed"):
-        _numbers("disturbed()", len(start), lambda: made.disturbed(*at_start, 0.0))
-    if hasattr(made, "failed") and (text := _called("failed()", lambda: made.failed(start))):
+    _numbers("derivative()", len(start), lambda: instance.derivative(*at_start))
+    if hasattr(instance, "reach"):
+        _called("reach()", lambda: bool(instance.reach(at_start[2])))
+    if hasattr(instance, "disturbed"):
+        _numbers("disturbed()", len(start), lambda: instance.disturbed(*at_start, 0.0))
+    if hasattr(instance, "failed") and (text := _called("failed()", lambda: instance.failed(start))):
         raise _FaultyError(f"it fails at the start: {_shown(text)}")
-    _numbers("reference()", len(made.tracked), lambda: made.reference(0.0))
-    if hasattr(made, "outline"):
-        _lines("outline()", lambda: made.outline(start))
-    for robot in robots if hasattr(made, "robot_body") else ():
-        _lines("robot_body()", partial(made.robot_body, robot.constants))
-    for robot in robots if hasattr(made, "robot_place") else ():
-        place = _called(what := "robot_place()", partial(made.robot_place, start, robot.coordinates, robot.constants))
+    _numbers("reference()", len(instance.tracked), lambda: instance.reference(0.0))
+    if hasattr(instance, "outline"):
+        _lines("outline()", lambda: instance.outline(start))
+    for robot in robots if hasattr(instance, "robot_body") else ():
+        _lines("robot_body()", partial(instance.robot_body, robot.constants))
+    for robot in robots if hasattr(instance, "robot_place") else ():
+        place = _called(
+            what := "robot_place()", partial(instance.robot_place, start, robot.coordinates, robot.constants)
+        )
         if not isinstance(place, (tuple, list)) or len(place) not in (1, 2, 3) or not all(map(_is_number, place)):
             raise _FaultyError(f"{what} is {_shown(place)}; it must be a tuple of 1 to 3 finite numbers")
-    limits = [(need.low, need.high) for need in requests.needs(made)]
+    limits = [(need.low, need.high) for need in requests.needs(instance)]
 
     def complete(needs: Sequence[float]) -> tuple[str, Vector]:
         limited = tuple(min(max(x, low), high) for x, (low, high) in zip(needs, limits, strict=True))
@@ -328,21 +336,23 @@ def _of_start(
 
     for needs in (*zip(*limits, strict=True), [0.0] * len(limits)):
         _, desired = complete(needs)
-    controller = _called("controller()", lambda: made.controller(period), pure=False)
+    controller = _called("controller()", lambda: instance.controller(period), pure=False)
     ask = "ask() of the controller"
-    asked = _numbers(ask, len(limits), lambda: made.controller(period).ask(0.0, start, desired))
+    asked = _numbers(ask, len(limits), lambda: instance.controller(period).ask(0.0, start, desired))
     if hasattr(controller, "offset_ask"):
         ask = "offset_ask() of the controller"
-        _numbers(ask, len(limits), lambda: made.controller(period).offset_ask(0.0, start, desired, 0.0))
+        _numbers(ask, len(limits), lambda: instance.controller(period).offset_ask(0.0, start, desired, 0.0))
     what, desired = complete(asked)
-    if unchanged := [row.name for n, row in enumerate(made.abstract) if present and not _changes(made, present, n)]:
+    if unchanged := [
+        row.name for n, row in enumerate(instance.abstract) if present and not _changes(instance, present, n)
+    ]:
         text = f"no robot can change row {unchanged[0]!r} of the abstract state: it has only zeros in every jacobian()"
         yield ("swarm", "agents"), text, "add a robot that can, or remove the row from the system's table abstract"
         return
     way = partial(approach, system, present, desired, gains)
     first, *others = _called(f"the way to {what}", lambda: list(way()), pure=False)
     if uncontrolled := first[1].uncontrolled:
-        row = made.abstract[uncontrolled[0]].name
+        row = instance.abstract[uncontrolled[0]].name
         text = f"the robots cannot control row {row!r}: their Gram matrix is singular at the start"
         yield ("swarm", "agents"), text, remedy
     elif not (others or [first])[-1][3] < NEAR:
@@ -350,45 +360,46 @@ def _of_start(
         yield ("swarm", "agents"), text, f"{remedy}, or correct the parent system"
 
 
-def _changes(made: ParentSystem, robots: Sequence[RobotState], row: int) -> bool:
+def _changes(instance: ParentSystem, robots: Sequence[RobotState], row: int) -> bool:
     """Return whether a robot can change a row of the abstract state, at the start or close to it."""
     for robot in robots:
         q = robot.coordinates
-        shifts = [(j, sign * each.scale) for j, each in enumerate(made.robot) for sign in (1.0, -1.0)]
+        shifts = [(j, sign * axis.scale) for j, axis in enumerate(instance.robot) for sign in (1.0, -1.0)]
         near = [(*q[:j], q[j] + shift, *q[j + 1 :]) for j, shift in shifts]
         for place in (q, *near):
             with suppress(Exception):  # robots may not be everywhere
-                if any(made.jacobian(place, robot.constants)[row]):
+                if any(instance.jacobian(place, robot.constants)[row]):
                     return True
     return False
 
 
-def _contribution(made: ParentSystem, robot: RobotState) -> Vector:
+def _contribution(instance: ParentSystem, robot: RobotState) -> Vector:
     """Return a robot's contribution, and check all functions of its coordinates and constants."""
-    q, constants, rows, d = robot.coordinates, robot.constants, made.abstract, len(made.robot)
+    q, constants, rows, d = robot.coordinates, robot.constants, instance.abstract, len(instance.robot)
     of = f"of robot {robot.agent_id}"
 
     def at(j: int, x: float) -> Vector:
         q_ = (*q[:j], x, *q[j + 1 :])
-        return _numbers(f"contribution() {of}", len(rows), lambda: made.contribution(q_, constants))
+        return _numbers(f"contribution() {of}", len(rows), lambda: instance.contribution(q_, constants))
 
     value = at(0, q[0])
-    found = _called(f"jacobian() {of}", lambda: made.jacobian(q, constants))
-    if not isinstance(found, (tuple, list)) or len(found) != len(rows):
-        raise _FaultyError(f"jacobian() {of} is {_shown(found)}; it must have {len(rows)} rows of {d} numbers")
+    matrix = _called(f"jacobian() {of}", lambda: instance.jacobian(q, constants))
+    if not isinstance(matrix, (tuple, list)) or len(matrix) != len(rows):
+        raise _FaultyError(f"jacobian() {of} is {_shown(matrix)}; it must have {len(rows)} rows of {d} numbers")
     for i, row in enumerate(rows):
-        line = _numbers(f"jacobian() {of}, row {row.name!r}", d, partial(found.__getitem__, i))
-        for j, (each, given) in enumerate(zip(made.robot, line, strict=True)):
-            h = _STEP * max(each.scale, abs(q[j]))
+        line = _numbers(f"jacobian() {of}, row {row.name!r}", d, partial(matrix.__getitem__, i))
+        for j, (coordinate, given) in enumerate(zip(instance.robot, line, strict=True)):
+            h = _STEP * max(coordinate.scale, abs(q[j]))
             slope = (at(j, q[j] + h)[i] - at(j, q[j] - h)[i]) / (2.0 * h)
             if abs(slope - given) > _AGREEMENT * max(1e-3 * row.scale, abs(slope), abs(given)):
-                text = f"jacobian() {of} has {given:.6g} in row {row.name!r}, column {each.name!r}, but differences of"
-                raise _FaultyError(f"{text} contribution() give {slope:.6g}")
-    _positive(f"weight() {of}", lambda: made.weight(constants))
-    _numbers(f"own_motion() {of}", d, lambda: made.own_motion(q, constants))
-    if hasattr(made, "limits"):
+                where = f"in row {row.name!r}, column {coordinate.name!r}"
+                text = f"jacobian() {of} has {given:.6g} {where}, but differences of contribution() give {slope:.6g}"
+                raise _FaultyError(text)
+    _positive(f"weight() {of}", lambda: instance.weight(constants))
+    _numbers(f"own_motion() {of}", d, lambda: instance.own_motion(q, constants))
+    if hasattr(instance, "limits"):
         kind = word(Kind(robot.kind))
-        bounds = _called(what := f"limits() {of}", lambda: made.limits(constants, kind))
+        bounds = _called(what := f"limits() {of}", lambda: instance.limits(constants, kind))
         if _called(what, lambda: [a <= b for a, b in zip(*bounds, strict=True)]) != [True] * d:
             raise _FaultyError(f"{what} is {_shown(bounds)}; it must be two tuples of {d}, low <= high")
     return value

@@ -38,17 +38,17 @@ class SystemOnColumns(NamedSystem):
     """A parent system by its type whose functions take and return columns."""
 
     @cached_property
-    def made(self) -> ParentSystem:
+    def instance(self) -> ParentSystem:
         """The parent system."""
-        found: Any = OnColumns(NamedSystem(self.type, self.settings).made)
-        return found  # type: ignore[no-any-return]  # it passes on all that it does not define
+        on_columns: Any = OnColumns(NamedSystem(self.type, self.settings).instance)
+        return on_columns  # type: ignore[no-any-return]  # it passes on all that it does not define
 
 
 class OnColumns:
     """A parent system whose functions of a robot also return columns where they return the same number for all."""
 
-    def __init__(self, made: ParentSystem) -> None:
-        self._made = made
+    def __init__(self, instance: ParentSystem) -> None:
+        self._made = instance
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._made, name)
@@ -78,8 +78,8 @@ def column(rows: Iterable[Vector]) -> tuple[Any, ...]:
 
 def dynamics_of(robots: Sequence[RobotDynamics]) -> RobotDynamics:
     """Return the numbers of robots of one kind as columns."""
-    found: Any = RobotDynamics._make(map(np.array, zip(*robots, strict=True)))
-    return found._replace(  # type: ignore[no-any-return]  # of columns, not of numbers
+    joined: Any = RobotDynamics._make(map(np.array, zip(*robots, strict=True)))
+    return joined._replace(  # type: ignore[no-any-return]  # of columns, not of numbers
         constants=column(robot.constants for robot in robots),
         drive=DoubleIntegratorDrive(*column(robot.drive for robot in robots)),
     )
@@ -102,7 +102,7 @@ class _Checked(np.ndarray[Any, Any]):
     __float__ = __int__ = __bool__ = __index__ = __len__ = __iter__ = __setitem__ = _refuse
 
 
-def problem_on_columns(made: ParentSystem, robots: Sequence[RobotState]) -> str:
+def problem_on_columns(instance: ParentSystem, robots: Sequence[RobotState]) -> str:
     """Return why the functions of a system cannot be applied to columns of robots; an empty text if they can."""
     q, constants = (
         tuple(numbers.view(_Checked) for numbers in column(rows))
@@ -110,19 +110,19 @@ def problem_on_columns(made: ParentSystem, robots: Sequence[RobotState]) -> str:
     )
 
     def rows_of(name: str, q: Vector, constants: Vector) -> list[Any]:
-        function: Any = getattr(made, name)
+        function: Any = getattr(instance, name)
         if name == "weight":
             return [function(constants)]
-        found = function(q, constants)
-        return [x for row in found for x in row] if name == "jacobian" else [*found]
+        returned = function(q, constants)
+        return [x for row in returned for x in row] if name == "jacobian" else [*returned]
 
     for name in ("contribution", "jacobian", "own_motion", "weight"):
         try:
-            found = [np.broadcast_to(np.asarray(x).view(np.ndarray), len(robots)) for x in rows_of(name, q, constants)]
+            rows = [np.broadcast_to(np.asarray(x).view(np.ndarray), len(robots)) for x in rows_of(name, q, constants)]
         except Exception as error:  # noqa: BLE001 - of the system
             return f"{name}() does not accept columns: {one_line(error)}"
         for number, robot in enumerate(robots):
             wanted = np.array(rows_of(name, robot.coordinates, robot.constants), dtype=float)
-            if wanted.tobytes() != np.array([row[number] for row in found], dtype=float).tobytes():
+            if wanted.tobytes() != np.array([row[number] for row in rows], dtype=float).tobytes():
                 return f"{name}() of robot {robot.agent_id} differs on columns"
     return ""

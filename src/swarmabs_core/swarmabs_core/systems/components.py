@@ -35,13 +35,13 @@ def components(system: SystemTables, message: type[Message]) -> dict[str, tuple[
     `REFERENCE`, the references of what is tracked.
     """
     units = {row.name: row.unit for row in system.parent}
-    found = {}
+    named = {}
     if message is ParentState:
-        found[REFERENCE] = tuple(Quantity(each.name, units[each.name]) for each in system.tracked)
+        named[REFERENCE] = tuple(Quantity(tracked.name, units[tracked.name]) for tracked in system.tracked)
     for field, declared in fields_of(message).items():
         if field == "gram" and isinstance(declared, Field):
             names = [row.name for row in system.abstract]
-            found[field] = tuple(
+            named[field] = tuple(
                 Quantity(f"{row}_{column}", declared.unit)
                 for number, row in enumerate(names)
                 for column in names[: number + 1]
@@ -50,8 +50,8 @@ def components(system: SystemTables, message: type[Message]) -> dict[str, tuple[
             table, times = _TABLES[field]
             unit = "by kind" if field == "command" else ""
             rows = getattr(system, table)
-            found[field] = tuple(Quantity(row.name, unit or derived(row.unit, times)) for row in rows)
-    return found
+            named[field] = tuple(Quantity(row.name, unit or derived(row.unit, times)) for row in rows)
+    return named
 
 
 def derived(unit: str, times: int = 1) -> str:

@@ -44,10 +44,13 @@ class Requests:
         (), "highest needs, within the ranges of the system; none: those of the system", item=0.0
     )
 
-    def needs(self, made: ParentSystem) -> tuple[Need, ...]:
+    def needs(self, instance: ParentSystem) -> tuple[Need, ...]:
         """Return the needs of a system with the ranges to which they are limited."""
-        low, high = self.low or [need.low for need in made.needs], self.high or [need.high for need in made.needs]
-        return tuple(need._replace(low=a, high=b) for need, a, b in zip(made.needs, low, high, strict=True))
+        low, high = (
+            self.low or [need.low for need in instance.needs],
+            self.high or [need.high for need in instance.needs],
+        )
+        return tuple(need._replace(low=a, high=b) for need, a, b in zip(instance.needs, low, high, strict=True))
 
 
 _REQUESTS = Requests()
@@ -65,19 +68,19 @@ class SystemDesiredState:
     ) -> None:
         self._system = system
         self._gains = gains
-        self._needs = requests.needs(system.made)
+        self._needs = requests.needs(system.instance)
         self._period = period_ns / 1e9
-        size = len(system.made.abstract)
+        size = len(system.instance.abstract)
         self.standing = system.nobody
         self._transition = CommandFilter(self._period, TRANSITION)
         # Distances of the desired state from the completion, and their rates, since robots stand or return.
         self._gaps = [(0.0, 0.0)] * size
         self._free: list[int] = []
         self._divided: StandingState | None = None
-        self.controller = system.made.controller(self._period)
+        self.controller = system.instance.controller(self._period)
         self._filter = CommandFilter(self._period, requests.bandwidth)
         self.filtered: list[tuple[float, float]] | None = None
-        self._clipped = [False] * len(system.made.needs)
+        self._clipped = [False] * len(system.instance.needs)
 
     @property
     def no_offset(self) -> str:
@@ -95,19 +98,19 @@ class SystemDesiredState:
             If the run cannot continue from this state, or the needs of the controller are not finite.
         """
         parent = cast("ParentState", parent)
-        made, period, step = self._system.made, self._period, parent.step
-        failed = getattr(made, "failed", None)
+        instance, period, step = self._system.instance, self._period, parent.step
+        failed = getattr(instance, "failed", None)
         if failed is not None and (problem := failed(parent.state)):
             raise RunError(f"step {step}: {problem}")
         before = self.filtered
-        known = self._clip((0.0,) * len(made.needs)) if before is None else tuple(value for value, _ in before)
-        ask = time_ns / 1e9, parent.state, self._completed(known)
+        needs = self._clip((0.0,) * len(instance.needs)) if before is None else tuple(value for value, _ in before)
+        ask = time_ns / 1e9, parent.state, self._completed(needs)
         if offset:
             asked: object = self.controller.offset_ask(*ask, offset)  # type: ignore[attr-defined]  # by the check
         else:
             asked = self.controller.ask(*ask)
-        if not isinstance(asked, (tuple, list)) or len(asked) != len(made.needs) or not all(map(isfinite, asked)):
-            wanted = ", ".join(need.name for need in made.needs)
+        if not isinstance(asked, (tuple, list)) or len(asked) != len(instance.needs) or not all(map(isfinite, asked)):
+            wanted = ", ".join(need.name for need in instance.needs)
             raise RunError(
                 f"step {step}: the controller of {self._system.type} returned {asked}; it must return {wanted}"
             )
@@ -145,11 +148,11 @@ class SystemDesiredState:
         """
         self._divided = divided
         standing = Standing.of(divided)
-        known, self.standing = self.standing, standing
-        if (known, known.robots) == (standing, standing.robots) or self.filtered is None:
+        before, self.standing = self.standing, standing
+        if (before, before.robots) == (standing, standing.robots) or self.filtered is None:
             return
         needs = tuple(value for value, _ in self.filtered)
-        old, new = (self._system.complete(needs, each) for each in (known, standing))
+        old, new = (self._system.complete(needs, robots) for robots in (before, standing))
         self._free = sorted({*self._free, *(row for row, (a, b) in enumerate(zip(old, new, strict=True)) if a != b)})
         self._gaps = [(gap + a - b, rate) for (gap, rate), a, b in zip(self._gaps, old, new, strict=True)]
 
@@ -160,7 +163,7 @@ class SystemDesiredState:
         """Return a desired state at its distance from the completion, and bring the next one closer."""
         period, now = self._period, self._gaps
         after = [self._transition.advance(gap, rate, 0.0) if gap or rate else (0.0, 0.0) for gap, rate in now]
-        rows = self._system.made.abstract
+        rows = self._system.instance.abstract
         closed = [max(abs(gap), abs(rate)) <= _CLOSED * row.scale for (gap, rate), row in zip(after, rows, strict=True)]
         self._gaps = [(0.0, 0.0) if done else pair for pair, done in zip(after, closed, strict=True)]
         both = list(zip(now, after, strict=True))
@@ -192,7 +195,7 @@ class SystemDesiredState:
                 kp, error, kd, error_rate, desired.mean_acceleration, divided.moving_curvature, strict=True
             )
         ]
-        remainder = Remainder(divided.moving_gram, self._system.made.abstract, free)
+        remainder = Remainder(divided.moving_gram, self._system.instance.abstract, free)
         most = FASTEST * sqrt(divided.moving_weight)
         slower = remainder.excess(velocity, most)
         weaker = remainder.excess(acceleration, GROWTH * most)

@@ -86,9 +86,9 @@ class Standing(tuple[float, ...]):  # noqa: SLOT001 - it has attributes
 
     def __new__(cls, contribution: Vector, robots: int, constants: Vector, moving: Vector) -> Self:
         """Make it of its parts."""
-        made = super().__new__(cls, contribution)
-        made.robots, made.constants, made.moving = robots, constants, moving
-        return made
+        standing = super().__new__(cls, contribution)
+        standing.robots, standing.constants, standing.moving = robots, constants, moving
+        return standing
 
     def __getnewargs__(self) -> tuple[Vector, int, Vector, Vector]:
         """Return what it is made of."""
@@ -302,7 +302,7 @@ class NamedSystem:
         return self
 
     @cached_property
-    def made(self) -> ParentSystem:
+    def instance(self) -> ParentSystem:
         """The parent system."""
         return SYSTEMS.make(self.type, self.settings, None)
 
@@ -310,7 +310,7 @@ class NamedSystem:
     def description(self) -> str:
         """Names, units, scales and ends of its numbers and its settings as JSON, the text of `SystemDescription`."""
         settings = resolve(SYSTEMS.find(self.type).settings, self.settings, owner=self.type)
-        tables = {name: [_stated(row) for row in getattr(self.made, name)] for name in TABLES}
+        tables = {name: [_stated(row) for row in getattr(self.instance, name)] for name in TABLES}
         return json.dumps({"name": self.type, **tables, "settings": settings}, sort_keys=True)
 
     @cached_property
@@ -321,20 +321,20 @@ class NamedSystem:
     @cached_property
     def nobody(self) -> Standing:
         """What stands if no robot does."""
-        none = (0.0,) * len(self.made.constants)
-        return Standing((0.0,) * len(self.made.abstract), 0, none, none)
+        none = (0.0,) * len(self.instance.constants)
+        return Standing((0.0,) * len(self.instance.abstract), 0, none, none)
 
     @cached_property
     def complete(self) -> Callable[[Vector, Standing], Vector]:
         """`ParentSystem.complete` with both parameters."""
-        complete: Callable[..., Vector] = self.made.complete
+        complete: Callable[..., Vector] = self.instance.complete
         if len(signature(complete).parameters) > 1:
             return lambda needs, standing: tuple(complete(needs, standing))
         return lambda needs, _: tuple(complete(needs))
 
     def constant(self, constants: Vector, name: str, default: float = 0.0) -> float:
         """Return a robot's constant by name, the default if the system has no such constant."""
-        names = [each.name for each in self.made.constants]
+        names = [row.name for row in self.instance.constants]
         return constants[names.index(name)] if name in names else default
 
 

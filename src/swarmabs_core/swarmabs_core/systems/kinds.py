@@ -78,7 +78,7 @@ class RobotKind:
     def dynamics(self, system: NamedSystem, constants: Vector, period: float) -> RobotDynamics:
         """Return the numbers of a robot for a control period, s."""
         del period
-        return RobotDynamics(constants, system.made.weight(constants))
+        return RobotDynamics(constants, system.instance.weight(constants))
 
     def command(self, own: RobotDynamics, q: Vector, velocity: Vector, rate: Vector) -> Vector:
         """Return the command (d,) that, held for a period, gives the rate of the law at coordinates and velocities."""
@@ -125,7 +125,7 @@ class DoubleIntegrator(RobotKind):
         z = damping * period / mass
         gain = mass * (z / -expm1(-z) if z else 1.0)
         drive = DoubleIntegratorDrive.of(period, mass, damping)
-        return RobotDynamics(constants, system.made.weight(constants), mass, damping, gain, drive=drive)
+        return RobotDynamics(constants, system.instance.weight(constants), mass, damping, gain, drive=drive)
 
     def command(self, own: RobotDynamics, q: Vector, velocity: Vector, rate: Vector) -> Vector:
         """Return the force (d,) that, held for a period, gives the mean acceleration of the law."""
@@ -166,7 +166,7 @@ class FirstOrderLag(RobotKind):
         """Return the numbers of a robot for a control period, s."""
         time_constant = system.constant(constants, "time_constant", 1.0)
         ratio = -period / time_constant
-        gain, weight = period / -expm1(ratio), system.made.weight(constants)
+        gain, weight = period / -expm1(ratio), system.instance.weight(constants)
         return RobotDynamics(constants, weight, gain=gain, time_constant=time_constant, decay=exp(ratio))
 
     def command(self, own: RobotDynamics, q: Vector, velocity: Vector, rate: Vector) -> Vector:

@@ -195,7 +195,7 @@ class RobotLaw:
         second_order: bool = True,
         effort: float = inf,
     ) -> None:
-        self.system, self._kind, self._period = system.made, kind, period
+        self.system, self._kind, self._period = system.instance, kind, period
         size = len(self.system.abstract)
         self._k, self._kp, self._kd = (by_row(gain, size) for gain in (gains.k, gains.kp, gains.kd))
         self._sigma, self._second_order, self._effort = gains.sigma, second_order, effort
@@ -238,10 +238,10 @@ class RobotLaw:
         if self._effort < inf:
             effort = sqrt(max(0.0, added(a * b for a, b in zip(right, y, strict=True))))
             y = [value * min(1.0, self._effort / effort) for value in y] if effort else y
-        found = motion(self.system.jacobian(q, self.dynamics.constants), y, self.dynamics.weight, len(q))
+        moved = motion(self.system.jacobian(q, self.dynamics.constants), y, self.dynamics.weight, len(q))
         if second_order:
-            return tuple(a - self._sigma * v for a, v in zip(found, velocity, strict=True))
-        target = [a + b for a, b in zip(self.system.own_motion(q, self.dynamics.constants), found, strict=True)]
+            return tuple(a - self._sigma * v for a, v in zip(moved, velocity, strict=True))
+        target = [a + b for a, b in zip(self.system.own_motion(q, self.dynamics.constants), moved, strict=True)]
         if force:
             return tuple((goal - v) / self._period for goal, v in zip(target, velocity, strict=True))
         return tuple(target)

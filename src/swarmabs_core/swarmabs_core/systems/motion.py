@@ -28,7 +28,7 @@ class ParentMotion:
     """
 
     def __init__(self, system: NamedSystem, period: float, add: Add = exact_sum) -> None:
-        self._system, self._period, self._add = system.made, period, add
+        self._system, self._period, self._add = system.instance, period, add
         self._named = system
         self._count = substeps(period, self._system.substep)
 
@@ -52,17 +52,17 @@ class ParentMotion:
             rate = tuple((c1 + s * (2.0 * c2 + s * 3.0 * c3)) / period for _, c1, c2, c3 in cubic)
             try:
                 if disturbance and disturbed is not None:
-                    found = disturbed(time + s * period, x, value, rate, disturbance)
+                    slope = disturbed(time + s * period, x, value, rate, disturbance)
                 else:
-                    found = system.derivative(time + s * period, x, value, rate)
+                    slope = system.derivative(time + s * period, x, value, rate)
             except Exception as error:
                 if all(abs(number) < _FAR for number in x):
                     raise
                 raise RunError(f"{_DIVERGED.format(time)} ({one_line(error)})") from error
-            if not isinstance(found, (tuple, list)) or len(found) != len(x):
+            if not isinstance(slope, (tuple, list)) or len(slope) != len(x):
                 wanted = f"it must return {len(x)} numbers"
-                raise RunError(f"derivative() returned {found!r} at {time + s * period:g} s; {wanted}")
-            return tuple(found)
+                raise RunError(f"derivative() returned {slope!r} at {time + s * period:g} s; {wanted}")
+            return tuple(slope)
 
         h = period / count
         x = state
@@ -80,14 +80,14 @@ class ParentMotion:
 
     def _cubic(self, robots: Iterable[tuple[RobotState, RobotState]]) -> list[tuple[float, float, float, float]]:
         """Return the coefficients of the abstract state by s in [0, 1], lowest power first, row by row."""
-        made, size, add = self._system, len(self._system.abstract), self._add
+        instance, size, add = self._system, len(self._system.abstract), self._add
         pairs = tuple(robots)
-        start = total((made.contribution(a.coordinates, a.constants) for a, _ in pairs), size, add)
-        end = total((made.contribution(b.coordinates, b.constants) for _, b in pairs), size, add)
+        start = total((instance.contribution(a.coordinates, a.constants) for a, _ in pairs), size, add)
+        end = total((instance.contribution(b.coordinates, b.constants) for _, b in pairs), size, add)
         slopes = [kind_of(b.kind).slopes(self._named, a, b, self._period) for a, b in pairs]
         moving = list(zip(pairs, slopes, strict=True))
-        d0 = total((along(made.jacobian(a.coordinates, a.constants), v) for (a, _), (v, _) in moving), size, add)
-        d1 = total((along(made.jacobian(b.coordinates, b.constants), v) for (_, b), (_, v) in moving), size, add)
+        d0 = total((along(instance.jacobian(a.coordinates, a.constants), v) for (a, _), (v, _) in moving), size, add)
+        d1 = total((along(instance.jacobian(b.coordinates, b.constants), v) for (_, b), (_, v) in moving), size, add)
         return [(a, u, *bends(u, v, b - a)) for a, b, u, v in zip(start, end, d0, d1, strict=True)]
 
 

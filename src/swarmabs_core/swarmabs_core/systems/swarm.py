@@ -57,22 +57,22 @@ def observed(
     add : callable
         What adds the terms of all states in one component.
     """
-    made = system.made
-    size = len(made.abstract)
+    instance = system.instance
+    size = len(instance.abstract)
     values, rates, drifts, grams, bends = [], [], [], [], []
     for robot in robots:
         q, velocity, constants = robot.coordinates, robot.velocities, robot.constants
-        jacobian = made.jacobian(q, constants)
+        jacobian = instance.jacobian(q, constants)
         rate = along(jacobian, velocity)
-        values.append(made.contribution(q, constants))
+        values.append(instance.contribution(q, constants))
         rates.append(rate)
         if robot.status == Status.ACTIVE:
-            grams.append(gram_of(jacobian, made.weight(constants)))
-            drifts.append(along(jacobian, made.own_motion(q, constants)))
+            grams.append(gram_of(jacobian, instance.weight(constants)))
+            drifts.append(along(jacobian, instance.own_motion(q, constants)))
         else:
             drifts.append(rate)
         if curvature:
-            bends.append(_curvature(made, q, velocity, constants))
+            bends.append(_curvature(instance, q, velocity, constants))
 
     def summed(rows: list[list[float]] | list[Vector], length: int = size) -> Vector:
         return total(rows, length, add)
@@ -93,15 +93,17 @@ def observed(
 
 def divided(system: NamedSystem, stamp: int, step: int, robots: Sequence[RobotState]) -> StandingState:
     """Return how the abstract state divides between robots that stand and those that follow the law or hold a limit."""
-    made = system.made
+    instance = system.instance
     parts: tuple[list[RobotState], list[RobotState]] = [], []
     for robot in robots:
         parts[robot.status in (Status.ACTIVE, Status.LIMITED)].append(robot)
-    size = len(made.abstract)
-    standing, moving = (total((made.contribution(r.coordinates, r.constants) for r in part), size) for part in parts)
-    still, active = (total((r.constants for r in part), len(made.constants)) for part in parts)
-    jacobians = [made.jacobian(r.coordinates, r.constants) for r in parts[1]]
-    found = list(zip(jacobians, parts[1], strict=True))
+    size = len(instance.abstract)
+    standing, moving = (
+        total((instance.contribution(r.coordinates, r.constants) for r in part), size) for part in parts
+    )
+    still, active = (total((r.constants for r in part), len(instance.constants)) for part in parts)
+    jacobians = [instance.jacobian(r.coordinates, r.constants) for r in parts[1]]
+    with_jacobians = list(zip(jacobians, parts[1], strict=True))
     return StandingState(
         stamp,
         step,
@@ -111,19 +113,23 @@ def divided(system: NamedSystem, stamp: int, step: int, robots: Sequence[RobotSt
         standing,
         still,
         moving,
-        total((along(jacobian, r.velocities) for jacobian, r in found), size),
-        total((_curvature(made, r.coordinates, r.velocities, r.constants) for r in parts[1]), size),
-        total((gram_of(jacobian, made.weight(r.constants)) for jacobian, r in found), size * (size + 1) // 2),
-        exact_sum(made.weight(r.constants) for r in parts[1]),
+        total((along(jacobian, r.velocities) for jacobian, r in with_jacobians), size),
+        total((_curvature(instance, r.coordinates, r.velocities, r.constants) for r in parts[1]), size),
+        total(
+            (gram_of(jacobian, instance.weight(r.constants)) for jacobian, r in with_jacobians),
+            size * (size + 1) // 2,
+        ),
+        exact_sum(instance.weight(r.constants) for r in parts[1]),
         active,
     )
 
 
-def _curvature(made: ParentSystem, q: Vector, velocity: Vector, constants: Vector) -> list[float]:
+def _curvature(instance: ParentSystem, q: Vector, velocity: Vector, constants: Vector) -> list[float]:
     """Return the second derivative of a robot's contribution, (k,), while it moves at constant velocity."""
     ahead, behind = (
         along(
-            made.jacobian(tuple(x + sign * _SHORT * v for x, v in zip(q, velocity, strict=True)), constants), velocity
+            instance.jacobian(tuple(x + sign * _SHORT * v for x, v in zip(q, velocity, strict=True)), constants),
+            velocity,
         )
         for sign in (1.0, -1.0)
     )

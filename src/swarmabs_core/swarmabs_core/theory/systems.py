@@ -78,7 +78,7 @@ class ClosedLoop:
 
     def __init__(self, setting: SystemSetting) -> None:
         first = setting.robots[0]
-        self._named, self._ns, system = first.named, first.period_ns, first.named.made
+        self._named, self._ns, system = first.named, first.period_ns, first.named.instance
         self._laws = [
             RobotLaw(
                 *(robot.named, robot.kind, robot.constants, robot.gains, self._ns / 1e9),
@@ -140,7 +140,7 @@ class ClosedLoop:
         return np.array(np.concatenate(sorts))
 
     def _placed(self, q: list[float], v: list[float]) -> list[RobotState]:
-        d = len(self._named.made.robot)
+        d = len(self._named.instance.robot)
         speeds = {n: tuple(v[i * d : (i + 1) * d]) for i, n in enumerate(self._forces)}
         return [
             robot._replace(coordinates=tuple(q[n * d : (n + 1) * d]), velocities=speeds.get(n, (0.0,) * d))
@@ -151,7 +151,7 @@ class ClosedLoop:
         """Return e = a_d - a in units of the rows' scales."""
         _, needs, _, _, q, v = (part.tolist() for part in np.split(state, self.ends[:-1]))
         abstract, _ = observed(self._named, 0, 0, self._placed(q, v), curvature=False)
-        wanted, rows = self._named.complete(tuple(needs), self._generator.standing), self._named.made.abstract
+        wanted, rows = self._named.complete(tuple(needs), self._generator.standing), self._named.instance.abstract
         return np.array([(b - a) / row.scale for a, b, row in zip(abstract.value, wanted, rows, strict=True)])
 
     def slope(self, function: Callable[[Array], Array], state: Array) -> Array:
@@ -239,7 +239,7 @@ def _loops(setting: SystemSetting) -> Iterator[tuple[str, Loop, str]]:
     if False in forces or not second_order:
         yield "first order", single_integrator_loop(max(gains.k)), "e[k+1] = e[k] - K h e[k-n], largest K"
     if second_order:
-        size = len(setting.robots[0].named.made.abstract)
+        size = len(setting.robots[0].named.instance.abstract)
         for kp, kd in sorted(set(zip(by_row(gains.kp, size), by_row(gains.kd, size), strict=True))):
             yield f"second order, {kp:g}, {kd:g}", double_integrator_loop(kp, kd), "e'' = -kp e - kd e', held"
         yield "unseen motion", single_integrator_loop(gains.sigma), "q'' = -sigma q' where a does not see it"
@@ -277,7 +277,7 @@ def _is_seen(real: float, imaginary: float) -> bool:
 def _completions(setting: SystemSetting) -> Iterator[Condition]:
     """Yield conditions on completions of needs, and on the robots on their way from the start to them."""
     first = setting.robots[0]
-    named, system = first.named, first.named.made
+    named, system = first.named, first.named.instance
     ends, draw = [(need.low, need.high) for need in setting.requests.needs(system)], np.random.default_rng(0).uniform
     corners = product(*ends) if len(ends) <= 4 else zip(*ends, strict=True)
     needs = [tuple(min(max(0.0, low), high) for low, high in ends), *corners]
