@@ -132,6 +132,7 @@ def spoil(scenario: Any, steps: list[Step], random: Random) -> Arrived:
     robot = next(each.message for each in records if each.topic is family.robot)
     spoilt: list[bytes | msg.Message] = [
         payload[:-8],
+        payload[:8] + (10**9).to_bytes(4, "little") + payload[12:],
         b"\x00\x00" + payload[2:],
         payload.replace(b"plane", b"world"),
         payload[:-1] + bytes([payload[-1] ^ 1]),

@@ -192,6 +192,10 @@ def test_a_start_that_the_go_library_takes_for_unknown_is_no_damage(tmp_path: Pa
     bag.check()
     assert bag.start == 0
     assert repair_bag(file).output is None  # there is nothing to repair
+    known = schema(1, b"std_msgs/msg/String") + channel(1, 1, b"/chatter")
+    empty, later_chunk = chunk(b"", times=(0, 0)), chunk(known + message(time=5), times=(5, 5))
+    file.write_bytes(sealed(MAGIC + HEADER + empty + later_chunk))
+    assert open_bag(file).start == 5, "a chunk without messages does not begin at time 0"
 
 
 def test_of_several_scenarios_info_and_repair_say_the_same(tmp_path: Path, whole: bytes) -> None:

@@ -28,7 +28,7 @@ from tests.transport.fleet import EPOCH
 
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError
-from swarmabs_bag.info import bag_info
+from swarmabs_bag.info import bag_info, said_steps
 from swarmabs_bag.mcap.output import RecordFile
 from swarmabs_bag.merge import ContradictionError, MergeReport, merge_bags
 from swarmabs_bag.reader import open_bag
@@ -374,6 +374,15 @@ def test_the_bytes_of_a_merged_bag_do_not_depend_on_the_time_that_merging_takes(
     monkeypatch.setattr("swarmabs_bag.merge.BagWriter", partial(BagWriter, monotonic=count().__next__))
     merge_bags([one, whole], tmp_path / "slow")
     assert [*files(tmp_path / "fast").values()] == [*files(tmp_path / "slow").values()]
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [(0, "no step"), (1, "step 0"), (5, "step 0, steps 10 to 11, step 20, steps 30 to 31, step 40")]
+    + [(n, f"step 0, steps 10 to 11, step 20, steps 30 to 31, step 40, {n - 5} more spans") for n in (6, 9)],
+)
+def test_the_first_spans_of_steps_are_named_and_the_others_counted(count: int, text: str) -> None:
+    assert said_steps([(10 * number, 10 * number + number % 2) for number in range(count)]) == text
 
 
 def test_attachments_of_all_bags_are_kept(whole: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 from tests.swarmabs_core.helpers import Run, agent_state, builtin, digest, singly
 
 from swarmabs_bag.run.figures import RealtimeFigures, RunFigures
-from swarmabs_bag.run.gatherer import RunCollector
+from swarmabs_bag.run.gatherer import RunCollector, UnplannedChangeError
 from swarmabs_bag.run.realtime_gatherer import (
     MEMORY,
     QUIET_STEPS,
@@ -121,10 +121,28 @@ def test_several_events_of_a_step_are_all_kept() -> None:
     run = short_run()
     added = [msg.SwarmEvent(0, 0, 4, msg.EventKind.LIMIT_HIT, value, "") for value in (2.0, 1.0, 2.0)]
     first = [message for message in messages(run) if message.step == 0]
-    book = collector(run)
-    (step,) = [found for message in [*added, *first] for found in book.add(Record.of(message))]
-    kept = [record.message for record in step.records if isinstance(record.message, msg.SwarmEvent)]
-    assert sorted(kept, key=lambda event: event.value) == [added[1], added[0]]
+    for arriving in (added, added[::-1], added[1:]):
+        book = collector(run)
+        (step,) = [steps for message in [*arriving, *first] for steps in book.add(Record.of(message))]
+        assert step.told == tuple(sorted({encode(event) for event in added})), "whatever the order of arrival"
+
+
+def test_a_change_of_membership_at_another_step_than_planned_is_refused() -> None:
+    run = short_run()
+    kinds = {msg.EventKind.JOINED, msg.EventKind.LEFT, msg.EventKind.DEAD}
+    changes = [event for event in run.events() if event.kind in kinds]
+    assert {event.kind for event in changes} == kinds
+    for event in changes:
+        for later in (-1, 1):
+            book = collector(run, drops=False)
+            for message in messages(run):
+                book.add(Record.of(message))
+            wrong = event._replace(step=event.step + later)
+            said = (
+                f"robot {event.agent_id} is reported as .* from step {wrong.step} on, which nothing in this run causes"
+            )
+            with pytest.raises(UnplannedChangeError, match=said):
+                book.add(Record.of(wrong))
 
 
 def test_the_wait_for_a_robot_ends_when_it_leaves_or_the_observer_says_that_it_is_dead() -> None:

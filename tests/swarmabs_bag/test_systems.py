@@ -290,6 +290,9 @@ def test_a_cut_bag_is_repaired_and_its_complete_steps_are_known(tmp_path: Path) 
     lacking = recorded_steps(bag_of(scenario, steps, tmp_path / "lacking"))
     assert lacking is not None and lacking.last_complete == 24
     assert lacking.by_topic["/swarm/robot_state"] == 24 and lacking.by_topic["/parent/state"] == 40
+    short = [*simulated(SHEET)[1][:40], Step.of(40, steps[40].records[:-1])]
+    ending = recorded_steps(bag_of(scenario, short, tmp_path / "ending"))
+    assert ending is not None and (ending.last_complete, ending.by_topic["/swarm/desired"]) == (39, 39)
     file = folder / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
     report = repair_bag(folder, tmp_path / "new")
@@ -333,7 +336,7 @@ def test_live_and_recorded_swarms_show_the_same(tmp_path: Path) -> None:
             assert (list(robot.coordinates) == place.tolist()) if there else np.isnan(place).all()
 
 
-def test_a_dead_robot_stays_where_it_died_with_all_coordinates() -> None:
+def test_a_dead_robot_stays_where_it_died_with_all_coordinates(tmp_path: Path) -> None:
     scenario, steps = simulated(SHEET)
     state = live(scenario, messages_of(steps))
     before = next(s for s in steps[20].states() if s.agent_id == 4)
@@ -346,6 +349,14 @@ def test_a_dead_robot_stays_where_it_died_with_all_coordinates() -> None:
     assert found[5] == ShownRobot(status="left")
     assert found[1].status == found[3].status == "active"
     assert state.members().standing == ((4, before.coordinates[0]),)
+    haunted = [*steps]
+    for step in (death, 38):
+        ghost = before._replace(step=step, stamp=step * 10**7, coordinates=(9.0, 9.0))
+        haunted[step] = Step.of(step, (*steps[step].records, Record.of(ghost)))
+    recorded = read_swarm(bag_of(scenario, haunted, tmp_path / "bag"))
+    for row in (death, 30, 38, 40):
+        assert recorded.shown_robots(row)[2] == found[4]
+        assert recorded.coordinates[row, 2].tolist() == list(before.coordinates)
     early = dict(zip([robot.id for robot in state.robots], state.shown_robots(5), strict=True))
     assert early[7] == ShownRobot()
     assert state.robots[4] == RobotIdentity(7, msg.Kind.DOUBLE_INTEGRATOR, (1.1, 0.2), joins=True)

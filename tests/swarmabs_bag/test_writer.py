@@ -107,11 +107,12 @@ def test_an_empty_bag_is_a_bag_and_messages_keep_their_order(tmp_path: Path, mon
     assert reader.index.header.library == "swarmabs"
     assert [channel.topic for channel in reader.channels] == [*MAIN_TOPICS, EVENTS]
     assert reader.attachment("scenario.yaml") == b""
-    with bag_writer(tmp_path / "unordered") as writer:
-        for step in (5, 2, 9):
+    with bag_writer(tmp_path / "unordered", chunk_bytes=1) as writer:
+        for step in (5, 9, 2):
             writer.write(*plane(step))
     reader = open_bag(tmp_path / "unordered")
-    assert [time for _, time, _ in reader.messages()] == [50_000_000, 20_000_000, 90_000_000]
+    reader.check()
+    assert [time for _, time, _ in reader.messages()] == [50_000_000, 90_000_000, 20_000_000]
     assert (reader.start, reader.end) == (20_000_000, 90_000_000)
 
 
