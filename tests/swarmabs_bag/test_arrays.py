@@ -144,12 +144,15 @@ def test_bags_without_a_topic_or_without_messages_and_payload_padded_by_dds(tmp_
 
 def test_hostile_steps_take_no_more_memory_than_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arrays, "MOST_ABSENT", 1000)
-    with BagWriter(tmp_path / "bag", topics=MAIN_TOPICS, attachments={}) as writer:
-        for number in range(1, 100):
-            state = AgentState(0, number * 10**15, 0, number, 1, 1, 1.0, 0.0, 0.0, 0.0, 0.0)
-            writer.write(TOPIC_OF[AgentState], 0, encode(state))
-    with pytest.raises(DamagedBagError, match="99 states of 99 agents over 99 steps: too sparse to load"):
-        load_arrays(tmp_path)
+    for robots in (33, 34):
+        with BagWriter(tmp_path / str(robots), topics=MAIN_TOPICS, attachments={}) as writer:
+            for number in range(1, robots + 1):
+                state = AgentState(0, number * 10**15, 0, number, 1, 1, 1.0, 0.0, 0.0, 0.0, 0.0)
+                writer.write(TOPIC_OF[AgentState], 0, encode(state))
+    assert 33 * 33 <= 1000 + 4 * 33
+    assert load_arrays(tmp_path / "33").agents.position.shape == (33, 33)
+    with pytest.raises(DamagedBagError, match="34 states of 34 agents over 34 steps: too sparse to load"):
+        load_arrays(tmp_path / "34")
 
 
 # The digest of a run, computed here from the contract's words alone, does not depend on how the bag was written

@@ -473,6 +473,7 @@ def test_in_real_time_messages_come_one_by_one() -> None:
     assert tracker.summary() == SwarmSummary({"?": 1, "A": 1, "L": 1}, "AL?", [500, 0, 0], [])
     tracker.hear(msg.SwarmEvent(0, 7, 1, msg.EventKind.HELD, 0.0, ""))
     tracker.hear(said[3]._replace(step=SILENT_STEPS + 1, position=1.0))
+    tracker.hear(said[1])  # late
     seen = tracker.summary()
     assert seen == SwarmSummary({"-": 1, "A": 1, "L": 1}, "-LA", [500, 0, 1000], ["step 7: robot 1 held"])
     for step in (8, 9, 10, 11):

@@ -7,14 +7,17 @@ from math import isnan
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_bag.realtime_bags import realtime_bag
 from tests.swarmabs_bag.sample_run import PERIOD, make_run, make_step
 from tests.swarmabs_core.realtime.bags import Stored
 
+from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.shown import swarm_state as module
+from swarmabs_bag.shown.percentiles import SIDES, starts_above
 from swarmabs_bag.shown.recorded_swarm import RecordedSwarm, read_swarm
 from swarmabs_bag.shown.swarm_state import (
     MOST_EVENTS,
@@ -157,6 +160,10 @@ def test_a_robot_that_says_nothing_is_silent_and_stays_where_it_was() -> None:
     assert statuses(state_of(stopped)) == ["safe_stop"] * 3
 
 
+def test_a_robot_that_starts_on_the_axis_is_on_the_lower_side() -> None:
+    assert [SIDES[starts_above(start)] for start in (-0.1, 0.0, 5e-324)] == ["≤ 0", "≤ 0", "> 0"]
+
+
 def test_strangers_cannot_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST_ROBOTS", 50)
     (state,) = (m for m in make_step(0, agents=(1,)) if isinstance(m, msg.AgentState))
@@ -253,6 +260,15 @@ def check_arrays(recorded: RecordedSwarm, row: int) -> None:
         if shown[robot].status == "left":
             before = recorded.on_plane[row - 1, column]
             assert not recorded.on_plane[row, column] or before, "on the plane for the last time"
+
+
+def test_in_real_time_a_moving_reference_counts_from_when_its_law_began(tmp_path: Path) -> None:
+    folder = realtime_bag(tmp_path / "bag", "adaptive", since_1970=True)
+    begins = {m.step: m.begun for _, _, m in open_bag(folder).decoded([msg.BASIS]) if m.source == msg.Source.CONTROLLER}
+    wanted, arrays = configure.reference(read_swarm(folder).scenario), load_arrays(folder)
+    expected = [wanted((step - begins[step]) * 0.01) for step in arrays.step.tolist() if step in begins]
+    assert arrays.reference[~np.isnan(arrays.reference)] == pytest.approx(expected, rel=1e-12)
+    assert len(set(expected)) > 10
 
 
 @pytest.mark.parametrize("since_1970", [False, True])
