@@ -37,7 +37,7 @@ from swarmabs_bag.mcap import index
 from swarmabs_bag.mcap.index import FileIndex
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair import repair_bag
-from swarmabs_bag.repair.examination import recorded_steps
+from swarmabs_bag.repair.completeness import complete_steps
 from swarmabs_bag.run.writer import BAG_FILE
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import MAIN_TOPICS, Message
@@ -323,5 +323,5 @@ def test_a_robot_that_joins_after_a_lifetime(tmp_path: Path, run: list[Message])
     robots = b", ".join(b"{id: %d, kind: single_integrator, mass: 1.0, position: 0.0%d}" % (i, i) for i in (1, 2, 7, 9))
     scenario = b"schema: 1\nduration: 2147483647.0\nstep: 1.0e-9\nswarm: {agents: [%s]}\n" % robots
     scenario += b"faults: [{kind: join, at: 2147483000.0, agent: 9}]\n"
-    found: Any = recorded_steps(write(tmp_path / "bag", run, {"scenario.yaml": scenario}))
+    found: Any = complete_steps(write(tmp_path / "bag", run, {"scenario.yaml": scenario}))
     assert (found.first, found.last_complete, found.last_planned) == (0, 40, 2147483647 * 10**9)

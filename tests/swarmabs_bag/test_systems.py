@@ -24,7 +24,7 @@ from swarmabs_bag.recorder import node
 from swarmabs_bag.recorder.recording import Recording
 from swarmabs_bag.recorder.swarm_summary import SummaryTracker
 from swarmabs_bag.repair import repair_bag
-from swarmabs_bag.repair.examination import recorded_steps
+from swarmabs_bag.repair.completeness import complete_steps
 from swarmabs_bag.run.figures import RunFigures, Tracking
 from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_bag.run.step import Step
@@ -284,14 +284,14 @@ def test_a_damaged_description_is_a_damaged_bag(text: str, tmp_path: Path) -> No
 def test_a_cut_bag_is_repaired_and_its_complete_steps_are_known(tmp_path: Path) -> None:
     scenario, steps = simulated(SHEET)
     folder = bag_of(scenario, steps, tmp_path / "bag")
-    whole = recorded_steps(folder)
+    whole = complete_steps(folder)
     assert whole is not None and (whole.first, whole.last_complete, whole.last_planned) == (0, 40, 40)
     steps[25] = Step.of(steps[25].step, steps[25].records[1:])
-    lacking = recorded_steps(bag_of(scenario, steps, tmp_path / "lacking"))
+    lacking = complete_steps(bag_of(scenario, steps, tmp_path / "lacking"))
     assert lacking is not None and lacking.last_complete == 24
     assert lacking.by_topic["/swarm/robot_state"] == 24 and lacking.by_topic["/parent/state"] == 40
     short = [*simulated(SHEET)[1][:40], Step.of(40, steps[40].records[:-1])]
-    ending = recorded_steps(bag_of(scenario, short, tmp_path / "ending"))
+    ending = complete_steps(bag_of(scenario, short, tmp_path / "ending"))
     assert ending is not None and (ending.last_complete, ending.by_topic["/swarm/desired"]) == (39, 39)
     file = folder / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])

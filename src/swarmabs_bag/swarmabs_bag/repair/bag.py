@@ -14,7 +14,8 @@ from swarmabs_bag.attached import contradiction
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError
 from swarmabs_bag.mcap.output import RecordFile
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.repair.examination import Part, examine, metadata_problem, recorded_steps, silent_topics
+from swarmabs_bag.repair.completeness import complete_steps
+from swarmabs_bag.repair.examination import Part, examine, metadata_problem, silent_topics
 from swarmabs_bag.repair.rebuild import Rebuilt
 from swarmabs_bag.run.channels import bag_topics
 from swarmabs_bag.run.metadata import (
@@ -83,7 +84,7 @@ class RepairReport:
     undecided : str or None
         A problem of the repaired bag that no repair can resolve.
     first_step, last_complete_step, last_planned_step : int or None
-        As for `RecordedSteps`; None without a scenario.
+        As for `CompleteSteps`; None without a scenario.
     """
 
     bag: str
@@ -201,7 +202,7 @@ def _is_unfinished(bag: Path, parts: Sequence[Part], kept: Sequence[Part]) -> bo
         return True
     if len(kept) == 1 or (last.path.parent / METADATA_FILE).exists():
         return False
-    steps = recorded_steps(bag)
+    steps = complete_steps(bag)
     return steps is not None and steps.last_complete < steps.last_planned
 
 
@@ -301,7 +302,7 @@ def _report(
         if rebuilt.stated is not None:
             there = {entry.name for entry in rebuilt.index.attachments}
             lost_attachments += [entry.name for entry in rebuilt.stated.attachments if entry.name not in there]
-    steps = recorded_steps(result)
+    steps = complete_steps(result)
     topics = bag_topics(part.index for part in parts)
     return RepairReport(
         bag=str(named),

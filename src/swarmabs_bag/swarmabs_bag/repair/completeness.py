@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from swarmabs_bag.attached import attached_scenario, is_realtime
+from swarmabs_bag.errors import DamagedBagError
+from swarmabs_bag.reader import open_bag
 from swarmabs_bag.repair.spans import Spans
 from swarmabs_bag.run.realtime_gatherer import MEMORY
 from swarmabs_config import configure
 from swarmabs_config.graph import usual_topic
+from swarmabs_core.errors import InputError
 from swarmabs_core.membership import Membership, Span
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -34,6 +38,7 @@ from swarmabs_core.messages import (
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+    from pathlib import Path
 
     from swarmabs_bag.realtime_world import RealtimeWorld
     from swarmabs_config.scenario import AnyScenario
@@ -216,3 +221,43 @@ class RealtimeCompleteness:
             for gap in spans
         )
         return sorted((*self._silent, *_gaps(missing)), key=lambda gap: (gap.first, gap.last, gap.topic or ""))
+
+
+@dataclass(frozen=True, slots=True)
+class CompleteSteps:
+    """The complete steps in a bag; if the first step is incomplete, the last complete one is the step before it.
+
+    Attributes
+    ----------
+    last_planned : int
+        Last step of the scenario.
+    first : int
+        First complete step; not 0 in a later file of a split bag, or if the beginning is lost.
+    last_complete, by_topic
+        Last step of the range from the first one without a missing message on any main topic, and on each.
+    """
+
+    last_planned: int
+    first: int
+    last_complete: int
+    by_topic: dict[str, int]
+
+
+def complete_steps(path: Path | str) -> CompleteSteps | None:
+    """Determine the complete steps of a bag; None if it is not the bag of a single swarm with its scenario."""
+    try:
+        bag = open_bag(path, damaged=True)
+        if is_realtime(bag):  # steps may lack messages
+            return None
+        scenario = attached_scenario(bag, steered=False)
+        family = bag.family
+        recorded = LockstepCompleteness(scenario, family)
+        for topic, _, message in bag.decoded():
+            recorded.add(topic, message)
+    except (DamagedBagError, InputError):
+        return None
+    first = recorded.first
+    last = {topic: recorded.first_missing(topic, first) - 1 for topic in family.main}
+    names = {channel.topic: channel.name for channel in bag.channels if channel.topic is not None}
+    by_topic = {names[topic]: step for topic, step in last.items() if topic in names}
+    return CompleteSteps(scenario.steps, first, min(last.values()), by_topic)

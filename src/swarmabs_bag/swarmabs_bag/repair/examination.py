@@ -1,4 +1,4 @@
-"""Examination of a damaged bag: its files, what can be recovered from each, the damage, and the recorded steps."""
+"""Examination of a damaged bag: its files, what can be recovered from each, the damage, and what metadata.yaml says."""
 
 from __future__ import annotations
 
@@ -10,19 +10,15 @@ from typing import TYPE_CHECKING, Any
 from mcap.opcode import Opcode
 from mcap.records import Header
 
-from swarmabs_bag.attached import attached_scenario, is_realtime
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.mcap.index import FileIndex, scan_index
 from swarmabs_bag.mcap.records import MAGIC, RecordError, parse, read_record
-from swarmabs_bag.reader import open_bag
-from swarmabs_bag.repair.completeness import LockstepCompleteness
 from swarmabs_bag.repair.rebuild import OWN, Rebuilt
 from swarmabs_bag.run.channels import bag_topics
 from swarmabs_bag.run.metadata import METADATA_FILE, BagChannel, custom_texts, listed_topic, load_yaml
 from swarmabs_bag.run_folder import SUFFIX, missing_files, split_files
 from swarmabs_config.scenario import ScenarioError
 from swarmabs_config.scenario.text_file import read_text
-from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -193,43 +189,3 @@ def _listed(stated: dict[str, Any]) -> list[BagChannel] | None:
         return [listed_topic(entry) for entry in stated.get("topics_with_message_count") or ()]
     except (AttributeError, TypeError, KeyError):
         return None
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedSteps:
-    """The complete steps in a bag; if the first step is incomplete, the last complete one is the step before it.
-
-    Attributes
-    ----------
-    last_planned : int
-        Last step of the scenario.
-    first : int
-        First complete step; not 0 in a later file of a split bag, or if the beginning is lost.
-    last_complete, by_topic
-        Last step of the range from the first one without a missing message on any main topic, and on each.
-    """
-
-    last_planned: int
-    first: int
-    last_complete: int
-    by_topic: dict[str, int]
-
-
-def recorded_steps(path: Path | str) -> RecordedSteps | None:
-    """Determine the complete steps of a bag; None if it is not the bag of a single swarm with its scenario."""
-    try:
-        bag = open_bag(path, damaged=True)
-        if is_realtime(bag):  # steps may lack messages
-            return None
-        scenario = attached_scenario(bag, steered=False)
-        family = bag.family
-        recorded = LockstepCompleteness(scenario, family)
-        for topic, _, message in bag.decoded():
-            recorded.add(topic, message)
-    except (DamagedBagError, InputError):
-        return None
-    first = recorded.first
-    last = {topic: recorded.first_missing(topic, first) - 1 for topic in family.main}
-    names = {channel.topic: channel.name for channel in bag.channels if channel.topic is not None}
-    by_topic = {names[topic]: step for topic, step in last.items() if topic in names}
-    return RecordedSteps(scenario.steps, first, min(last.values()), by_topic)

@@ -118,22 +118,33 @@ def _parts(messages: TopicMessages, family: Family) -> Iterator[tuple[TopicMessa
     Messages on other topics than the main ones, such as events, may precede a step, in a part of their own.
     """
     order = _order(messages, family)
-    last = len(family.main) - 1
-    ends = np.flatnonzero(order == last)  # the last message of each step
-    if not len(ends):
+    is_last = order == len(family.main) - 1  # the message that ends its step
+    count = int(np.count_nonzero(is_last))
+    if not count:
         return
-    starts = np.concatenate(([0], ends[:-1] + 1))
-    preceding = _count_between(order < 0, starts, ends)
-    whole = _are_whole(order, starts, ends, last)
-    robots = np.where(whole, ends + 1 - starts - preceding - last, 0)
-    # A part ends where the number of robots changes, and at everything that is not a whole step.
-    begins = np.flatnonzero((np.diff(robots, prepend=-1) != 0) | (preceding > 0) | ~whole).tolist()
-    for first, stop in zip(begins, [*begins[1:], len(ends)], strict=True):
-        begin, lead = int(starts[first]), int(preceding[first])
-        if whole[first] and lead:
-            yield messages[begin : begin + lead], 0
-            begin += lead
-        yield messages[begin : int(ends[stop - 1]) + 1], int(robots[first])
+    step = np.cumsum(is_last) - is_last  # to which each message belongs, numbered from 0
+
+    def per_step(flags: NDArray[np.bool_]) -> Integers:
+        """Return how many messages of each step have a flag."""
+        return np.bincount(step[flags], minlength=count)[:count]
+
+    others, robots = per_step(order < 0), per_step(order == 0)
+    # A step is whole with robots before each coordinator once, in the order of the topics.
+    before_earlier = np.append(np.diff(order) < 0, False) & ~is_last
+    whole = (per_step(before_earlier) == 0) & (robots > 0)
+    for coordinator in range(1, len(family.main)):
+        whole &= per_step(order == coordinator) == 1
+    robots[~whole] = 0
+    # A part begins where the number of robots changes, and at everything that is not a whole step.
+    begins = np.flatnonzero((np.diff(robots, prepend=-1) != 0) | (others > 0) | ~whole).tolist()
+    ends = np.flatnonzero(is_last) + 1
+    starts = np.append(0, ends[:-1])
+    for first, stop in zip(begins, [*begins[1:], count], strict=True):
+        begin, end = int(starts[first]), int(ends[stop - 1])
+        if whole[first] and others[first]:
+            yield messages[begin : begin + int(others[first])], 0
+            begin += int(others[first])
+        yield messages[begin:end], int(robots[first])
 
 
 def _order(messages: TopicMessages, family: Family) -> Integers:
@@ -146,22 +157,6 @@ def _order(messages: TopicMessages, family: Family) -> Integers:
     return places
 
 
-def _count_between(flags: NDArray[np.bool_], starts: Integers, ends: Integers) -> Integers:
-    """Return how many flags are set from each start to the end."""
-    until = np.concatenate(([0], np.cumsum(flags)))
-    counts: Integers = until[ends + 1] - until[starts]
-    return counts
-
-
-def _are_whole(order: Integers, starts: Integers, ends: Integers, last: int) -> NDArray[np.bool_]:
-    """Return which steps have each coordinator once, at the end and in order, and nothing out of order before."""
-    descending = np.concatenate((np.diff(order) < 0, [False]))  # of each message and the next one
-    whole: NDArray[np.bool_] = (_count_between(descending, starts, ends - 1) == 0) & (ends - starts >= last)
-    for back in range(last + 1):
-        whole &= order[ends - np.minimum(back, ends)] == last - back
-    return whole
-
-
 def _whole(messages: TopicMessages, robots: int, family: Family) -> Step | None:
     """Return the steps of messages with so many robots, None if they are not whole, or have other times."""
     stored = messages.stored
@@ -171,11 +166,11 @@ def _whole(messages: TopicMessages, robots: int, family: Family) -> Step | None:
         return None
     sizes, begins = stored.sizes.reshape(-1, count), stored.begins.reshape(-1, count)
     payloads = {}
-    for number, topic in enumerate(family.main):
-        columns = slice(robots) if not number else slice(robots + number - 1, robots + number)
-        size = sizes[:, columns]
+    columns = {topic: slice(place, place + 1) for place, topic in enumerate(family.main[1:], start=robots)}
+    for topic, of_topic in {family.robot: slice(robots), **columns}.items():
+        size = sizes[:, of_topic]
         if (size != size[0, 0]).any() or not size[0, 0]:
             return None
-        payloads[topic] = stored.gathered(begins[:, columns].ravel(), int(size[0, 0]))
+        payloads[topic] = stored.gathered(begins[:, of_topic].ravel(), int(size[0, 0]))
     steps = Step.whole(payloads)
     return steps if steps is not None and bool((steps.times == times[:, 0]).all()) else None
