@@ -16,7 +16,17 @@ from tests.transport.network import Inbox, Outbox
 from swarmabs_config.graph import Qos
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import RunError
-from swarmabs_core.messages import DESIRED_ABSTRACT_STATE, PLANE_STATE, Message, Messages, PlaneState, Topic
+from swarmabs_core.messages import (
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    PLANE_STATE,
+    EventKind,
+    Message,
+    Messages,
+    PlaneState,
+    SwarmEvent,
+    Topic,
+)
 from swarmabs_core.realtime.base import MOST_BACK, UNKNOWN, Health, Level, Schedule, Sender
 from swarmabs_ros.realtime import Engine, RealtimeLoop
 from swarmabs_ros.timing import BINS, JUMP, Lateness, Reading, StepClock
@@ -177,14 +187,14 @@ class World(Clocks):
         super().__init__()
         self.plans: list[tuple[int, Callable[[], object]]] = []
         self.published: list[tuple[int, int]] = []
-        self._inbox = Inbox({PLANE_STATE: Qos("best_effort", 1000)})
+        self._inbox = Inbox(dict.fromkeys((PLANE_STATE, EVENTS), Qos("best_effort", 1000)))
         self.take, self.writer = self._inbox.take, self._inbox.writer
 
     def plan(self, periods: float, do: Callable[[], object]) -> None:
         self.plans.append((at(periods), do))
 
-    def deliver(self, periods: float, data: bytes) -> None:
-        self.plan(periods, lambda: self._inbox.put(PLANE_STATE, data))
+    def deliver(self, periods: float, data: bytes, topic: Topic = PLANE_STATE) -> None:
+        self.plan(periods, lambda: self._inbox.put(topic, data))
 
     def sleep(self, seconds: float) -> None:
         end = self.steady + max(1, round(seconds * 1e9))
@@ -235,7 +245,7 @@ class Node:
 def engine_of(node: Node, world: World, phase: float = 0.0, wakes: tuple[Topic, ...] = ()) -> Engine:
     publishers = {DESIRED_ABSTRACT_STATE: cast("Any", Outbox(DESIRED_ABSTRACT_STATE, world.publish))}
     clock = StepClock(SCHEDULE, phase)
-    return Engine(node, clock, cast("Any", world), {PLANE_STATE: DEPTH}, publishers, wakes)
+    return Engine(node, clock, cast("Any", world), {PLANE_STATE: DEPTH, EVENTS: DEPTH}, publishers, wakes)
 
 
 class Run:
@@ -272,14 +282,16 @@ def test_a_step_is_made_every_period_and_hears_first_what_has_come() -> None:
     assert run.node.halts == 1, "halted when told to stop"
 
 
-def test_a_topic_that_wakes_is_answered_at_once_and_what_came_before_is_not_heard() -> None:
+def test_a_topic_that_wakes_is_answered_at_once_and_of_what_came_before_only_events_are_heard() -> None:
     run = Run(0.75, wakes=(PLANE_STATE,))
     run.world.deliver(0.0, plane(3))
+    run.world.deliver(0.0, encode(SwarmEvent(0, 2, 3, EventKind.DEAD, 0.1, "silent")), EVENTS)
     run.world.sleep(0.0)
     for time in (1.5, 2.5):
         run.world.deliver(time, plane(1))
     run.until(3.1)
-    assert [time for time, _ in run.world.published] == [at(0.75), at(1.5), at(1.75), at(2.5), at(2.75)]
+    assert [time for time, _ in run.world.published] == [at(0.75), at(0.75), at(1.5), at(1.75), at(2.5), at(2.75)]
+    assert [step for step, _ in run.node.heard] == [2, 1, 1]
 
 
 def test_garbage_is_refused_and_counted_and_a_flood_does_not_keep_the_steps_from_being_made() -> None:

@@ -327,9 +327,14 @@ def test_a_bad_time_to_end_is_refused(tmp_path: Path, text: str, monkeypatch: py
     [
         (FakeMachine(crashes=Counter(agent_002=RESTARTS)), ["agent_002"] * 2, 0.9),
         (FakeMachine(hangs=Counter(agent_002=1)), ["agent_002"], READY + START_SILENCE + 0.6),
+        (
+            FakeMachine(ready_after={RECORDER: 1.2}, due=[(BEGUN + 1.0, exited(0.0, "agent_002", -SIGSEGV)[1])]),
+            ["agent_002"],
+            1.0 + READY,
+        ),
         (FakeMachine(ready_after={name: 20.0 * n for n, name in enumerate(NAMES)}), [], 140.0),
     ],
-    ids=["crashes", "hangs", "one by one"],
+    ids=["crashes", "hangs", "crashes when ready", "one by one"],
 )
 def test_a_late_robot_is_restarted(tmp_path: Path, machine: FakeMachine, spawned: list[str], seconds: float) -> None:
     assert drive(machine, tmp_path).status == "ok"
