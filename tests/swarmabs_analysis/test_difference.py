@@ -38,6 +38,9 @@ def test_the_tolerance_holds_for_each_component_and_not_a_number_equals_itself()
     near = SUMS._replace(gram=(1.0 + 1e-12, 2.0, 3.0 + 1e-3), drift=(math.nan, -0.0))
     assert [name for name, _, _ in differing_fields(SUMS, near, 1e-9)] == ["gram[2]", "drift[0]"]
     assert list(differing_fields(near, near._replace(drift=(math.nan, -0.0)))) == []
+    # It is absolute near 0, and no number is near infinity.
+    assert list(differing_fields(SUMS._replace(drift=(1e-10, 0.0)), SUMS, 1e-9)) == []
+    assert [name for name, _, _ in differing_fields(SUMS, SUMS._replace(drift=(math.inf, 0.0)), 0.5)] == ["drift[0]"]
 
 
 @pytest.mark.parametrize(
@@ -51,12 +54,12 @@ def test_the_tolerance_holds_for_each_component_and_not_a_number_equals_itself()
 )
 def test_the_field_that_is_named_is_the_cause_of_the_others(wrong: dict[str, object], named: str) -> None:
     stored = ROBOT._replace(**wrong)
-    found = judge(Record.of(stored), ROBOT, 0.0)
-    assert found is not None
-    assert (found.topic, found.step, found.agent, found.field) == ("swarm/robot_state", 3, 5, named)
+    difference = judge(Record.of(stored), ROBOT, 0.0)
+    assert difference is not None
+    assert (difference.topic, difference.step, difference.agent, difference.field) == ("swarm/robot_state", 3, 5, named)
     field, index = component_of(named)
     values = [getattr(message, field) for message in (stored, ROBOT)]
-    assert [found.a, found.b] == (values if index < 0 else [value[index] for value in values])
+    assert [difference.a, difference.b] == (values if index < 0 else [value[index] for value in values])
 
 
 def test_lists_of_integers_are_compared_as_a_whole() -> None:
@@ -81,5 +84,5 @@ def test_deviations_of_vectors_are_those_of_their_components_in_order() -> None:
 
 
 def test_a_surplus_state_of_robot_0_names_it() -> None:
-    found = surplus(Record.of(ROBOT._replace(agent_id=0)), 3, "why")
-    assert (found.agent, found.missing) == (0, "B")
+    difference = surplus(Record.of(ROBOT._replace(agent_id=0)), 3, "why")
+    assert (difference.agent, difference.missing) == (0, "B")

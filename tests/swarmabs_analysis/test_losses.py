@@ -153,6 +153,17 @@ def test_losses_have_the_numbers_of_a_run_with_them(monkeypatch: pytest.MonkeyPa
     assert [loss.deviation for loss in planned] == [late.deviation]
 
 
+@pytest.mark.parametrize(("length", "verdict"), [(1.0, Verdict.HOLDS), (0.27, Verdict.FAILS)])
+def test_the_end_of_the_plane_that_a_robot_comes_closest_to_is_named(length: float, verdict: Verdict) -> None:
+    scenario = builtin("pd_het_4", "duration=0.5", f"plane.length={length}", "faults=[{kind: kill, at: 0.3, agent: 1}]")
+    conditions = groups(simulated(scenario))["undisturbed"].conditions
+    (reach,) = (condition for condition in conditions if condition.name == "reach")
+    run = simulate(scenario, {"faults": []})
+    place = run.agents.position.flat[np.argmax(np.abs(run.agents.position))]
+    assert (reach.corrected.value, reach.corrected.bound) == (place, np.copysign(length / 2.0, place))
+    assert reach.verdict is verdict
+
+
 def test_what_follows_each_planned_loss_is_judged_until_the_next() -> None:
     faults = "[{kind: leave, at: 1.0, agent: 1}, {kind: kill, at: 1.5, agent: 3}, {kind: freeze, at: 1.5, agent: 2}]"
     report = simulated(builtin("pd_het_4", "duration=4.0", f"faults={faults}"))
@@ -195,9 +206,9 @@ def test_the_command_prints_losses_and_exits_by_them(tmp_path: Path) -> None:
     assert done.return_value == 1
     assert "not covered: these conditions fail: remove_3: " in done.output
     assert "losses of robots, the worst of 1" in done.output
-    found = json.loads(CliRunner().invoke(command, [*weak, "--json"], standalone_mode=False).output)
-    assert not found["covered"]
-    assert [group["label"] for group in found["simulated"]] == ["undisturbed", "remove_3"]
-    (loss,) = found["losses"]
+    document = json.loads(CliRunner().invoke(command, [*weak, "--json"], standalone_mode=False).output)
+    assert not document["covered"]
+    assert [group["label"] for group in document["simulated"]] == ["undisturbed", "remove_3"]
+    (loss,) = document["losses"]
     assert set(loss) == set(Loss.document)
-    assert {f"remove_3.{name}" for name in loss["failed"]} == set(found["failed"])
+    assert {f"remove_3.{name}" for name in loss["failed"]} == set(document["failed"])

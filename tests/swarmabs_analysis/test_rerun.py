@@ -77,15 +77,15 @@ def again(tmp_path: Path) -> Callable[..., tuple[dict[str, Any], str]]:
 
 
 def test_the_digest_is_claimed_of_the_same_scenario_only(original: Path, again: Callable[..., Any]) -> None:
-    found, said = again(original)
+    rerun, said = again(original)
     digest = json.loads((original / "summary.json").read_text())["digest"]
     told = {"bag": str(original), "digest": digest, "last_step": 20, "differences": []}
-    assert found == {**told, "same": True, "compared": "digest"}
+    assert rerun == {**told, "same": True, "compared": "digest"}
     assert "the bag was made" not in said
     assert again(original, "--no-bag")[0]["same"] is True
     for words in (("--duration", "0.1"), ("--set", "plane.angle=0.05"), ("--set", "plane.angle=0.1")):
-        found, _ = again(original, *words)
-        assert (found["same"], found["compared"]) == (None, None)
+        rerun, _ = again(original, *words)
+        assert (rerun["same"], rerun["compared"]) == (None, None)
     assert again(original / "scenario.yaml")[0] is None  # a scenario is no rerun
 
 
@@ -97,12 +97,14 @@ def test_one_other_bit_is_another_run_and_a_short_one_is_compared(remake: Remake
     def cut(messages: list[Message]) -> list[Message]:
         return [message for message in messages if message.step <= 9]
 
-    found, said = again(remake(bent), code=1)
-    assert (found["same"], found["compared"], "the digest differs from that of" in said) == (False, "digest", True)
+    rerun, said = again(remake(bent), code=1)
+    assert (rerun["same"], rerun["compared"], "the digest differs from that of" in said) == (False, "digest", True)
     bag = remake(lambda messages: cut(messages)[:-2])  # the last step is not whole
-    found, _ = again(bag)
-    assert (found["same"], found["compared"], found["last_step"]) == (True, "prefix", 9)
+    rerun, _ = again(bag)
+    assert (rerun["same"], rerun["compared"], rerun["last_step"]) == (True, "prefix", 9)
     assert again(bag, "--no-bag")[0]["same"] is None
+    holed, _ = again(remake(lambda messages: [message for message in messages if message.step != 9]))
+    assert (holed["same"], holed["compared"], holed["last_step"]) == (True, "prefix", 20)
     assert again(remake(lambda messages: bent(cut(messages))), code=1)[0]["same"] is False
 
 
@@ -110,17 +112,17 @@ def test_another_arithmetic_gives_another_digest_which_is_no_error(remake: Remak
     said = provenance(SCENARIO, driver="simulate")
     assert said["arithmetic"] == 2
     for arithmetic in (1, 3):
-        found, told = again(remake(lambda messages: messages[:-1], arithmetic=arithmetic))
-        assert (found["same"], found["compared"]) == (None, None)
+        rerun, told = again(remake(lambda messages: messages[:-1], arithmetic=arithmetic))
+        assert (rerun["same"], rerun["compared"]) == (None, None)
         assert f"recorded under arithmetic {arithmetic}, and this version computes with 2: figures are close" in told
 
 
 def test_other_versions_are_named(remake: Remake, again: Callable[..., Any]) -> None:
     bag = remake(versions={"numpy": "0.1", "nothing_known": "7"}, machine="abacus")
-    found, said = again(bag)
-    assert found["same"] is True
+    rerun, said = again(bag)
+    assert rerun["same"] is True
     for text in ("numpy 0.1, here it is ", "nothing_known 7, here it is not installed", "machine abacus"):
-        assert any(text in difference for difference in found["differences"])
+        assert any(text in difference for difference in rerun["differences"])
         assert text in said
 
 
@@ -172,9 +174,9 @@ def event(step: int, robot: int, kind: EventKind, detail: str, value: float = 0.
 
 
 def test_a_robot_that_fell_silent_is_named_and_steering_that_nobody_knows_refused(remake: Remake) -> None:
-    found = recorded_run(remake(lambda messages: [*messages, event(6, 2, EventKind.DEAD, "silent")]))
-    assert "robot 2 fell silent at step 6" in found.differences[0]
-    assert Change(5, 2, ChangeKind.KILL) in configure.schedule(found.scenario)
+    repeatable = recorded_run(remake(lambda messages: [*messages, event(6, 2, EventKind.DEAD, "silent")]))
+    assert "robot 2 fell silent at step 6" in repeatable.differences[0]
+    assert Change(5, 2, ChangeKind.KILL) in configure.schedule(repeatable.scenario)
     unknown = event(5, 0, EventKind.STEERING, "controller.gains.0", 4.0)
     with pytest.raises(InputError, match=r"a setting was changed from outside at step 5 \('controller.gains.0'\)"):
         recorded_run(remake(lambda messages: [*messages, unknown]))
@@ -186,10 +188,10 @@ def test_what_was_done_from_outside_is_planned(remake: Remake) -> None:
         event(7, 2, EventKind.DEAD, "freeze"),
         event(9, 3, EventKind.LEFT, "remove"),
     )
-    found = recorded_run(remake(lambda messages: [*messages, *done], steered=True)).scenario
-    assert configure.step_changes(found, "reference") == ((5, 0.1),)
-    assert configure.schedule(found) == (Change(6, 2, ChangeKind.FREEZE), Change(8, 3, ChangeKind.REMOVE))
-    (loss,) = found.faults_of(RobotFault)
+    planned = recorded_run(remake(lambda messages: [*messages, *done], steered=True)).scenario
+    assert configure.step_changes(planned, "reference") == ((5, 0.1),)
+    assert configure.schedule(planned) == (Change(6, 2, ChangeKind.FREEZE), Change(8, 3, ChangeKind.REMOVE))
+    (loss,) = planned.faults_of(RobotFault)
     assert loss.kind == "loss"
 
 

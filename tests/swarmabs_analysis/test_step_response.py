@@ -17,27 +17,27 @@ TIME = np.linspace(0.0, 20.0, 4001)
 def test_a_second_order_system_agrees_with_control_and_textbook(damping: float, start: float, end: float) -> None:
     system = control.tf([4.0], [1.0, 4.0 * damping, 4.0])
     unit = np.asarray(control.step_response(system, TIME).outputs)
-    found = step_response(TIME, start + (end - start) * unit, np.full(len(TIME), end))
-    assert found is not None
+    response = step_response(TIME, start + (end - start) * unit, np.full(len(TIME), end))
+    assert response is not None
     oracle = control.step_info(unit, TIME, final_output=unit[-1])
-    assert found.rise_time == pytest.approx(oracle["RiseTime"], abs=0.006)
-    assert found.settling_time == pytest.approx(oracle["SettlingTime"], abs=0.006)
-    assert found.overshoot == pytest.approx(oracle["Overshoot"], abs=1e-6)
+    assert response.rise_time == pytest.approx(oracle["RiseTime"], abs=0.006)
+    assert response.settling_time == pytest.approx(oracle["SettlingTime"], abs=0.006)
+    assert response.overshoot == pytest.approx(oracle["Overshoot"], abs=1e-6)
     expected = 100.0 * exp(-pi * damping / sqrt(1.0 - damping**2)) if damping < 1.0 else 0.0
-    assert found.overshoot == pytest.approx(expected, abs=0.1)
-    assert found.steady_state_error == pytest.approx(0.0, abs=2e-3)
+    assert response.overshoot == pytest.approx(expected, abs=0.1)
+    assert response.steady_state_error == pytest.approx(0.0, abs=2e-3)
 
 
 def test_the_last_step_counts_and_an_error_that_remains_is_reported() -> None:
     reference = np.where(TIME < 10.0, 1.0, 3.0)
     value = np.where(TIME < 10.0, 1.0, 1.0 + 1.5 * (1.0 - np.exp(-(TIME - 10.0))))
-    found = step_response(TIME, value, reference)
-    assert found is not None
-    assert found.at == pytest.approx(10.0)
-    assert found.rise_time == pytest.approx(np.log(9.0), abs=0.01)
-    assert found.settling_time == pytest.approx(np.log(50.0), abs=0.02)
-    assert found.overshoot == 0.0
-    assert found.steady_state_error == pytest.approx(0.5, abs=1e-3)
+    response = step_response(TIME, value, reference)
+    assert response is not None
+    assert response.at == pytest.approx(10.0)
+    assert response.rise_time == pytest.approx(np.log(9.0), abs=0.01)
+    assert response.settling_time == pytest.approx(np.log(50.0), abs=0.02)
+    assert response.overshoot == 0.0
+    assert response.steady_state_error == pytest.approx(0.5, abs=1e-3)
 
 
 def test_what_is_no_step_response_has_no_metrics() -> None:
@@ -51,11 +51,11 @@ def test_what_is_no_step_response_has_no_metrics() -> None:
 def test_metrics_of_a_run_with_an_offset_of_the_reference() -> None:
     offset = {"kind": "reference", "at": 8.0, "offset": 0.1}
     run = simulate("pd_het_4", {"duration": 20.0, "faults": [offset]})
-    found = step_response(run.time, run.angle, run.reference)
-    assert found is not None
+    response = step_response(run.time, run.angle, run.reference)
+    assert response is not None
     after = run.angle[run.time >= 8.0]
     oracle = control.step_info(after - after[0], run.time[run.time >= 8.0] - 8.0, final_output=after[-1] - after[0])
-    assert found.at == 8.0
-    assert found.rise_time == pytest.approx(oracle["RiseTime"], abs=0.011)
-    assert found.settling_time == pytest.approx(oracle["SettlingTime"], abs=0.011)
-    assert found.steady_state_error == pytest.approx(0.1 - after[-1])
+    assert response.at == 8.0
+    assert response.rise_time == pytest.approx(oracle["RiseTime"], abs=0.011)
+    assert response.settling_time == pytest.approx(oracle["SettlingTime"], abs=0.011)
+    assert response.steady_state_error == pytest.approx(0.1 - after[-1])

@@ -200,10 +200,10 @@ def flipped(index: int) -> Callable[[tuple[float, ...]], tuple[float, ...]]:
 @pytest.mark.parametrize("name", ["beam", "sheet"])
 def test_a_run_is_verified_and_its_description_too(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     run = request.getfixturevalue(name)
-    found = BagToVerify(run).verify()
-    assert found.complete
-    assert found.messages == sum(len(Read(run).of(f"/{topic.name}")) for topic in TOPICS)
-    assert found.digest == simulate(BagToVerify(run).scenario).summary()["digest"]
+    result = BagToVerify(run).verify()
+    assert result.complete
+    assert result.messages == sum(len(Read(run).of(f"/{topic.name}")) for topic in TOPICS)
+    assert result.digest == simulate(BagToVerify(run).scenario).summary()["digest"]
     other = altered(run, tmp_path / "other", "/parent/system", 0, description=lambda text: text.replace("mass", "mess"))
     difference = BagToVerify(other).verify().difference
     assert difference is not None
@@ -242,8 +242,8 @@ def test_a_flipped_bit_is_found_and_named(
 
 def test_deviations_are_by_component_with_names_and_units(beam: Path, tmp_path: Path) -> None:
     other = record(tmp_path / "other", BEAM, "swarm.gains.k=[4.0]")
-    found = compare_bags(beam, other)
-    fields = {(t.topic, f.field): f for t in found.messages.topics for f in t.fields}
+    comparison = compare_bags(beam, other)
+    fields = {(t.topic, f.field): f for t in comparison.messages.topics for f in t.fields}
     for topic, field, index in (
         ("swarm/abstract", "value", 1),
         ("swarm/auxiliary", "gram", 2),
@@ -254,7 +254,7 @@ def test_deviations_are_by_component_with_names_and_units(beam: Path, tmp_path: 
         assert of.largest == np.abs(a - b).max()
         assert of.rms == pytest.approx(np.sqrt(np.mean((a - b) ** 2)), rel=1e-12)
         assert of.differing == np.count_nonzero(a != b)
-    assert [difference.field for difference in found.scenario] == ["swarm.gains.k"]
+    assert [difference.field for difference in comparison.scenario] == ["swarm.gains.k"]
     text = swarm(("compare", beam, other), tmp_path).out
     for named in (
         "value[1] inertia, kg m^2 ",
@@ -264,15 +264,17 @@ def test_deviations_are_by_component_with_names_and_units(beam: Path, tmp_path: 
     ):
         assert named in text
     assert "rms error, rad" in text
-    assert found.a.figures["max_abs_position"] == np.abs(Read(beam).column("/swarm/robot_state", "coordinates")).max()
+    assert (
+        comparison.a.figures["max_abs_position"] == np.abs(Read(beam).column("/swarm/robot_state", "coordinates")).max()
+    )
 
 
 def test_runs_on_different_parent_systems_have_no_message_in_common(beam: Path, sheet: Path, tmp_path: Path) -> None:
     plane = tmp_path / "plane"
     assert simulate_run(find_scenario("pd_het_4", ["duration=0.1"]).resolved(), new_run_folder(plane)).status == "ok"
-    found = compare_bags(plane, sheet)
-    assert {topic.compared for topic in found.messages.topics} == {0}
-    assert sum(t.missing_in_a for t in found.messages.topics) == found.b.figures["messages"]
+    comparison = compare_bags(plane, sheet)
+    assert {topic.compared for topic in comparison.messages.topics} == {0}
+    assert sum(t.missing_in_a for t in comparison.messages.topics) == comparison.b.figures["messages"]
     done = swarm(("compare", beam, sheet), tmp_path)
     assert done.code == 1
     assert "system" in done.out and "coordinates " in done.out
@@ -284,19 +286,19 @@ def test_runs_on_different_parent_systems_have_no_message_in_common(beam: Path, 
 )
 def test_a_node_answers_its_recording_as_it_did(beam: Path, nodes: str) -> None:
     bag = BagToVerify(beam)
-    found = bag.verify(trial=bag.trial(tuple(map(NodeName.parse, nodes.split()))))
-    assert (found.ok, found.complete, found.trial["deviations"]) == (True, True, [])
-    assert found.messages > 20
+    result = bag.verify(trial=bag.trial(tuple(map(NodeName.parse, nodes.split()))))
+    assert (result.ok, result.complete, result.trial["deviations"]) == (True, True, [])
+    assert result.messages > 20
 
 
 def test_a_controller_with_another_setting_answers_differently_to_the_same_states(beam: Path) -> None:
     bag, controller = BagToVerify(beam), (NodeName.parse("controller"),)
-    found = bag.verify(trial=bag.trial(controller, ("system.added=4.0",)))
-    first = found.difference
+    result = bag.verify(trial=bag.trial(controller, ("system.added=4.0",)))
+    first = result.difference
     assert first is not None
     assert (first.step, first.topic, first.field) == (1, "swarm/desired", "mean_rate[0]")
     assert first.b == pytest.approx(2.0 * first.a, rel=1e-12)  # torque = added * rate
-    assert {row["field"].partition("[")[0] for row in found.trial["deviations"]}.isdisjoint({"system", "step"})
+    assert {row["field"].partition("[")[0] for row in result.trial["deviations"]}.isdisjoint({"system", "step"})
     with pytest.raises(InputError, match="--set changes the control period"):
         bag.trial(controller, ("step=0.005",))
 
@@ -330,8 +332,8 @@ def test_tables_have_a_column_for_each_quantity(sheet: Path, tmp_path: Path) -> 
     }
     for (table, topic, field), names in columns.items():
         values = read.column(topic, field)
-        found = rows(tmp_path / "csv" / f"{table}.csv")
-        np.testing.assert_array_equal([[float(row[name]) for name in names] for row in found], values)
+        lines = rows(tmp_path / "csv" / f"{table}.csv")
+        np.testing.assert_array_equal([[float(row[name]) for name in names] for row in lines], values)
         frame = pq.read_table(tmp_path / "parquet" / f"{table}.parquet")
         np.testing.assert_array_equal(np.column_stack([frame[name].to_numpy() for name in names]), values)
     units = {(row["table"], row["column"]): row["unit"] for row in rows(tmp_path / "csv" / "columns.csv")}
@@ -341,8 +343,8 @@ def test_tables_have_a_column_for_each_quantity(sheet: Path, tmp_path: Path) -> 
     assert units["desired", "mean_acceleration_inertia_xy"] == "kg m^2/s^2"
     assert units["parent", "reference_be"] == "rad"
     goals = [Sheet().reference(step * 0.01) for step in range(31)]
-    found = rows(tmp_path / "csv" / "parent.csv")
-    assert [(float(row["reference_al"]), float(row["reference_be"])) for row in found] == goals
+    lines = rows(tmp_path / "csv" / "parent.csv")
+    assert [(float(row["reference_al"]), float(row["reference_be"])) for row in lines] == goals
     file = export_arrays(sheet, tmp_path / "run.npz")
     with np.load(file, allow_pickle=False) as arrays:
         assert json.loads(str(arrays["units"]))["agents_x"] == "m"
@@ -362,9 +364,13 @@ def test_tables_have_a_column_for_each_quantity(sheet: Path, tmp_path: Path) -> 
 
 def test_a_name_that_is_taken_is_preceded_by_its_field(beam: Path, tmp_path: Path) -> None:
     def renamed(text: str) -> str:
-        found = json.loads(text)
-        found["parent"][1]["name"], found["robot"][0]["name"], found["constants"][0]["name"] = "time", "kind", "kind"
-        return json.dumps(found)
+        document = json.loads(text)
+        document["parent"][1]["name"], document["robot"][0]["name"], document["constants"][0]["name"] = (
+            "time",
+            "kind",
+            "kind",
+        )
+        return json.dumps(document)
 
     bag = altered(beam, tmp_path / "bag", "/parent/system", 0, description=renamed)
     export_tables(bag, tmp_path / "csv", "csv")

@@ -55,9 +55,9 @@ def topic(found: MessageComparison, name: str) -> TopicComparison:
 
 
 def test_equal_runs_are_equal_and_every_message_is_counted() -> None:
-    found = compare(RUN, RUN)
-    assert found.equal
-    assert [(one.topic, one.compared, one.differing, one.fields) for one in found.topics] == [
+    comparison = compare(RUN, RUN)
+    assert comparison.equal
+    assert [(one.topic, one.compared, one.differing, one.fields) for one in comparison.topics] == [
         ("swarm/agent_state", 63, 0, ()),
         ("plane/state", 21, 0, ()),
         ("swarm/abstract_state", 21, 0, ()),
@@ -69,10 +69,12 @@ def test_equal_runs_are_equal_and_every_message_is_counted() -> None:
 
 def test_one_bit_is_found_and_named_and_the_first_difference_is_first_by_step_topic_robot_and_field() -> None:
     other = math.nextafter(STATE.command, math.inf)
-    found = compare(RUN, changed(RUN, STATE, command=other))
-    assert found.first == Difference("swarm/agent_state", 11, 2, "command", STATE.command, other)
-    assert shown(found) == (f"/swarm/agent_state step 11 agent 2: command is {STATE.command!r} in A, {other!r} in B")
-    assert [one.differing for one in found.topics] == [1, 0, 0, 0, 0, 0]
+    comparison = compare(RUN, changed(RUN, STATE, command=other))
+    assert comparison.first == Difference("swarm/agent_state", 11, 2, "command", STATE.command, other)
+    assert shown(comparison) == (
+        f"/swarm/agent_state step 11 agent 2: command is {STATE.command!r} in A, {other!r} in B"
+    )
+    assert [one.differing for one in comparison.topics] == [1, 0, 0, 0, 0, 0]
     run = changed(RUN, message(PlaneState, 5), angle=9.0)
     assert shown(compare(RUN, run)).startswith("/plane/state step 5: angle")
     for agent in (7, 2):
@@ -91,9 +93,12 @@ def test_deviations_are_those_of_numpy() -> None:
     assert (field.step, field.agent, field.largest) == (*worst, apart[worst])
     assert field.rms == pytest.approx(np.sqrt(np.mean(np.square(list(apart.values())))))
     state = message(PlaneState, 6)  # a mean is over the messages that have a deviation
-    found = compare(changed(RUN, PLANE, angle=math.nan), changed(RUN, state, angle=state.angle + 0.5))
-    (field,) = topic(found, "plane/state").fields
+    comparison = compare(changed(RUN, PLANE, angle=math.nan), changed(RUN, state, angle=state.angle + 0.5))
+    (field,) = topic(comparison, "plane/state").fields
     assert field == FieldDeviation("angle", 2, 0.5, 6, 0, pytest.approx(math.sqrt(0.25 / 20)), 1)
+    run = changed(changed(RUN, STATE, velocity=STATE.velocity + 0.5), message(AgentState, 11, 1), velocity=math.inf)
+    (field,) = topic(compare(RUN, run), "swarm/agent_state").fields
+    assert (field.largest, field.step, field.agent, field.undefined) == (pytest.approx(0.5), 11, 2, 1)
 
 
 @pytest.mark.parametrize(
@@ -108,32 +113,32 @@ def test_deviations_are_those_of_numpy() -> None:
     ],
 )
 def test_field_difference(one: dict[str, float], other: dict[str, float], expected: list[FieldDeviation]) -> None:
-    found = compare(changed(RUN, PLANE, **one), changed(RUN, PLANE, **other))
-    assert found.equal is (not expected)
-    assert list(topic(found, "plane/state").fields) == expected
+    comparison = compare(changed(RUN, PLANE, **one), changed(RUN, PLANE, **other))
+    assert comparison.equal is (not expected)
+    assert list(topic(comparison, "plane/state").fields) == expected
 
 
 def test_what_one_run_lacks_is_said_of_both_sides() -> None:
-    found = compare(make_run(15), make_run(20, AGENTS[:2]))
-    agents, planes = topic(found, "swarm/agent_state"), topic(found, "plane/state")
+    comparison = compare(make_run(15), make_run(20, AGENTS[:2]))
+    agents, planes = topic(comparison, "swarm/agent_state"), topic(comparison, "plane/state")
     assert (agents.compared, agents.missing_in_a, agents.missing_in_b) == (32, 10, 16)
     assert (planes.compared, planes.missing_in_a, planes.missing_in_b) == (16, 5, 0)
-    assert found.first == Difference("swarm/agent_state", 0, 7, "message", "message", None)
-    assert shown(found) == "/swarm/agent_state step 0 agent 7: missing in B"
+    assert comparison.first == Difference("swarm/agent_state", 0, 7, "message", "message", None)
+    assert shown(comparison) == "/swarm/agent_state step 0 agent 7: missing in B"
     assert shown(compare(make_run(20), make_run(15))) == "/swarm/agent_state step 16 agent 1: missing in B"
-    found = compare([m for m in RUN if m != PLANE], RUN)
-    assert found.first == Difference("plane/state", 4, None, "message", None, "message")
+    comparison = compare([m for m in RUN if m != PLANE], RUN)
+    assert comparison.first == Difference("plane/state", 4, None, "message", None, "message")
 
 
 def test_events_are_brought_together_wherever_they_stand() -> None:
     rest = [message for message in RUN if message != EVENT]
     assert compare([EVENT, *rest], [*rest, EVENT]).equal
-    found = compare(RUN, changed(RUN, EVENT, value=0.5))
-    assert found.first == Difference("swarm/events", 3, 7, "value", 1 / 3, 0.5)
-    assert shown(compare(RUN, changed(changed(RUN, EVENT, value=0.5), STATE, command=9.0))) == shown(found)
+    comparison = compare(RUN, changed(RUN, EVENT, value=0.5))
+    assert comparison.first == Difference("swarm/events", 3, 7, "value", 1 / 3, 0.5)
+    assert shown(compare(RUN, changed(changed(RUN, EVENT, value=0.5), STATE, command=9.0))) == shown(comparison)
     second = SwarmEvent(50_000_000, 5, 1, EventKind.JOINED, 0.0, "")
-    found = compare(RUN, [*RUN, second])
-    assert found.first == Difference("swarm/events", 5, 1, "message", None, "message")
+    comparison = compare(RUN, [*RUN, second])
+    assert comparison.first == Difference("swarm/events", 5, 1, "message", None, "message")
 
 
 def test_topics_may_overlap_but_only_so_far_and_a_message_is_there_once() -> None:
@@ -219,15 +224,15 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_figures_are_those_of_the_messages_and_other_settings_are_named_as_set_takes_them(
     runs: dict[str, Path],
 ) -> None:
-    found = compare_bags(runs["one"], runs["other"])
-    for side, path in ((found.a, runs["one"]), (found.b, runs["other"])):
+    comparison = compare_bags(runs["one"], runs["other"])
+    for side, path in ((comparison.a, runs["one"]), (comparison.b, runs["other"])):
         arrays = load_arrays(path)
         assert side.figures["rms_error"] == pytest.approx(np.sqrt(np.mean(arrays.angle**2)))
         assert side.figures["final_error"] == -arrays.angle[-1]
         assert side.figures["max_abs_position"] == np.nanmax(np.abs(arrays.agents.position))
         assert side.figures["settled_at"] is None
         assert (side.first_step, side.last_step) == (arrays.step[0], arrays.step[-1])
-    assert found.scenario == (
+    assert comparison.scenario == (
         SettingDifference("duration", 2.0, 1.5),
         SettingDifference("plane.angle", 0.1, 0.2),
         SettingDifference("faults.0.kind", None, "leave", "A"),
@@ -237,9 +242,9 @@ def test_figures_are_those_of_the_messages_and_other_settings_are_named_as_set_t
 
 
 def test_other_periods_are_compared_step_by_step(runs: dict[str, Path]) -> None:
-    found = compare_bags(runs["one"], runs["period"])
-    assert (found.a.period, found.b.period) == (0.01, 0.02)
-    plane = next(topic for topic in found.messages.topics if topic.topic == "plane/state")
+    comparison = compare_bags(runs["one"], runs["period"])
+    assert (comparison.a.period, comparison.b.period) == (0.01, 0.02)
+    plane = next(topic for topic in comparison.messages.topics if topic.topic == "plane/state")
     assert (plane.compared, plane.missing_in_b) == (101, 100)
     assert [field.field for field in plane.fields] == ["stamp", "angle", "angular_velocity"]
 
@@ -248,12 +253,12 @@ def test_other_robots_provenance_and_settings_are_named(tmp_path: Path) -> None:
     for name, agents in (("1", AGENTS[:2]), ("2", AGENTS)):
         provenance = json.dumps({"versions": {"x": name}, "m": 1}).encode()
         write_bag(tmp_path / name, make_run(agents=agents), {"provenance.json": provenance})
-    found = compare_bags(tmp_path / "1", tmp_path / "2")
-    assert (found.robots_only_in_a, found.robots_only_in_b) == ((), (7,))
-    assert (found.a.robots, found.b.robots) == (2, 3)
-    assert found.provenance == (SettingDifference("versions.x", "1", "2"),)
-    assert "contains no scenario" in (found.a.scenario_problem or "")
-    assert found.a.figures["rms_error"] is None
+    comparison = compare_bags(tmp_path / "1", tmp_path / "2")
+    assert (comparison.robots_only_in_a, comparison.robots_only_in_b) == ((), (7,))
+    assert (comparison.a.robots, comparison.b.robots) == (2, 3)
+    assert comparison.provenance == (SettingDifference("versions.x", "1", "2"),)
+    assert "contains no scenario" in (comparison.a.scenario_problem or "")
+    assert comparison.a.figures["rms_error"] is None
     # Lists are taken apart only if they hold mappings.
     a = {"gains": [1, 2], "agents": [{"id": 1}, {"id": 2}], "limits": None, "none": []}
     b = {"gains": [1, 3], "agents": [{"id": 1}], "limits": 0.5}
@@ -268,10 +273,10 @@ def test_a_cut_bag_is_compared_as_far_as_it_goes_and_a_flipped_bit_found(runs: d
     whole = next((runs["one"] / "bag").glob("*.mcap")).read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 3 // 4])
-    found = compare_bags(runs["one"], cut)
-    assert (found.equal, found.damaged) == (False, True)
-    assert str(cut) in (found.b.problem or "")
-    assert all(topic.differing == topic.missing_in_a == 0 for topic in found.messages.topics)
+    comparison = compare_bags(runs["one"], cut)
+    assert (comparison.equal, comparison.damaged) == (False, True)
+    assert str(cut) in (comparison.b.problem or "")
+    assert all(topic.differing == topic.missing_in_a == 0 for topic in comparison.messages.topics)
     a, b = (write_bag(tmp_path / name, make_run(), {"provenance.json": b"{}"}) for name in ("a", "b"))
     file = next(b.glob("*.mcap"))
     whole = file.read_bytes()
@@ -279,21 +284,21 @@ def test_a_cut_bag_is_compared_as_far_as_it_goes_and_a_flipped_bit_found(runs: d
         data = bytearray(whole)
         data[int(len(data) * place)] ^= 1
         file.write_bytes(data)
-        found = compare_bags(a, b)
-        assert (found.equal, found.damaged) == (False, True), place
+        comparison = compare_bags(a, b)
+        assert (comparison.equal, comparison.damaged) == (False, True), place
 
 
 def test_bags_of_other_recorders_may_overlap_by_many_steps(tmp_path: Path) -> None:
     late = sorted(RUN, key=lambda message: isinstance(message, PlaneState))
     a, b = (write_bag(tmp_path / name, messages) for name, messages in (("a", RUN), ("b", late)))
-    found = compare_bags(a, b)
-    assert (found.messages.equal, found.damaged) == (True, False)
+    comparison = compare_bags(a, b)
+    assert (comparison.messages.equal, comparison.damaged) == (True, False)
 
 
 def test_a_converted_bag_of_a_run_in_real_time_is_compared_as_one(tmp_path: Path) -> None:
     bag = realtime_bag(tmp_path / "bag")
-    found = compare_bags(bag, rewritten(bag, tmp_path / "converted.mcap", attachments=False))
-    assert (found.equal, found.a.digest, found.b.digest) == (True, None, None)
+    comparison = compare_bags(bag, rewritten(bag, tmp_path / "converted.mcap", attachments=False))
+    assert (comparison.equal, comparison.a.digest, comparison.b.digest) == (True, None, None)
 
 
 def test_the_command_gives_exit_codes_and_one_document(runs: dict[str, Path], tmp_path: Path) -> None:

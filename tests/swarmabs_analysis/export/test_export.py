@@ -18,6 +18,7 @@ from scipy.io import loadmat
 from tests.frozen.command import swarm
 from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_bag.conftest import SCENARIO
+from tests.swarmabs_bag.realtime_bags import realtime_bag
 from tests.swarmabs_bag.sample_run import make_run, make_step, write_bag
 
 from swarmabs_analysis.comparison import compare_bags
@@ -154,14 +155,14 @@ def doubles(file: Path) -> dict[str, tuple[tuple[int, ...], bytes]]:
 def test_matlab_files_have_every_bit_texts_as_cells_and_no_time_of_writing(bag: Path, tmp_path: Path) -> None:
     file = export_arrays(bag, tmp_path / "run.mat", "mat")
     assert file.read_bytes()[:116] == b"MATLAB 5.0 MAT-file, written by swarmabs".ljust(116)
-    found = doubles(file)
+    arrays_read = doubles(file)
     angle = [m.angle for m in RUN if isinstance(m, PlaneState)]
-    assert found["angle"] == ((len(angle), 1), struct.pack(f"<{len(angle)}d", *angle))
+    assert arrays_read["angle"] == ((len(angle), 1), struct.pack(f"<{len(angle)}d", *angle))
     read = loadmat(file, simplify_cells=True)
     robots = read["agents_ids"].tolist()
     by_robot = [[m.position for m in RUN if isinstance(m, AgentState) and m.agent_id == robot] for robot in robots]
     values = [position for robot in by_robot for position in robot]  # a column per robot, stored column by column
-    assert found["agents_position"] == ((len(angle), 3), struct.pack(f"<{len(values)}d", *values))
+    assert arrays_read["agents_position"] == ((len(angle), 3), struct.pack(f"<{len(values)}d", *values))
     assert read["events_detail"].tolist() == [m.detail for m in RUN if isinstance(m, SwarmEvent)]
     with np.load(export_arrays(bag, tmp_path / "run.npz")) as arrays:
         assert {name for name in read if not name.startswith("__")} == set(arrays.files)
@@ -250,6 +251,15 @@ def test_times_are_those_of_the_step_whatever_a_clock_says_or_the_stamp_without_
     export_tables(write_bag(tmp_path / "bag", make_run(3)), tmp_path / "bare", "csv")
     _, *rows = read_csv(tmp_path / "bare" / "plane.csv")
     assert [row[1] for row in rows] == [row[-1] for row in rows] == ["0.0", "0.01", "0.02", "0.03"]
+
+
+def test_times_of_a_run_in_real_time_count_from_its_first_step(tmp_path: Path) -> None:
+    bag = realtime_bag(tmp_path / "bag", "deaths")
+    run = load_arrays(bag)
+    assert len(run.events) > 1 and run.time[0] == 0.0
+    with np.load(export_arrays(bag, tmp_path / "run.npz")) as read:
+        assert sorted(read["events_time"].tolist()) == sorted(event.time for event in run.events)
+        assert read["time"].tolist() == run.time.tolist()
 
 
 def test_texts_that_would_not_fit_into_memory_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

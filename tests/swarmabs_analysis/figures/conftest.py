@@ -20,8 +20,8 @@ NAMES = tuple(name for figure in FIGURES.values() for name in figure.scenarios)
 
 def record(folder: Path, name: str, *overrides: str) -> Path:
     """Simulate a built-in scenario, by default for 0.3 s, and return the folder of its run."""
-    made = new_run_folder(folder)
-    outcome = simulate_run(find_scenario(name, ["duration=0.3", *overrides]).resolved(), made)
+    run = new_run_folder(folder)
+    outcome = simulate_run(find_scenario(name, ["duration=0.3", *overrides]).resolved(), run)
     assert outcome.status == "ok"
     return folder
 

@@ -30,8 +30,9 @@ from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.scenario import Scenario, dump_scenario
 from swarmabs_config.scenarios import find_scenario
+from swarmabs_core.cdr import encode
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
-from swarmabs_core.messages import MAIN_TOPICS, Kind
+from swarmabs_core.messages import MAIN_TOPICS, PLANE_STATE, Kind, PlaneState
 from swarmabs_core.systems.kinds import DOUBLE_INTEGRATOR, SINGLE_INTEGRATOR
 from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.simulated_run import simulate_run
@@ -57,12 +58,12 @@ def files(name: str, runs: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_files_are_pictures_of_the_printed_width(name: str, short_runs: Path) -> None:
-    found = files(name, short_runs)
-    assert found.keys() == {f"{name}.png", f"{name}.svg"}
-    picture = imread(io.BytesIO(found[f"{name}.png"]), format="png")
+    contents = files(name, short_runs)
+    assert contents.keys() == {f"{name}.png", f"{name}.svg"}
+    picture = imread(io.BytesIO(contents[f"{name}.png"]), format="png")
     assert picture.shape[1] == pytest.approx(WIDTHS[name] * 300, abs=1)
     assert picture.std() > 0.05
-    root = ET.fromstring(found[f"{name}.svg"])
+    root = ET.fromstring(contents[f"{name}.svg"])
     assert root.tag == "{http://www.w3.org/2000/svg}svg"
     assert float(root.attrib["width"].removesuffix("pt")) == pytest.approx(WIDTHS[name] * 72, abs=0.1)
 
@@ -90,9 +91,9 @@ ROWS = ("si", "di", "het")
 
 @cache
 def draw(name: str, runs: Path) -> Figure:
-    found = find_runs([runs], FIGURES[name].scenarios)
+    bags = find_runs([runs], FIGURES[name].scenarios)
     with styled():
-        figure = FIGURES[name].draw([found[scenario].load() for scenario in FIGURES[name].scenarios])
+        figure = FIGURES[name].draw([bags[scenario].load() for scenario in FIGURES[name].scenarios])
         figure.draw_without_rendering()
     return figure
 
@@ -161,15 +162,16 @@ def test_four_robots_have_the_colours_of_their_kinds_and_dashes_of_their_own(nam
     assert [dashes(entries[f"p{number}"]) for number in "₁₂₃₄"] == [dashes(line) for line in rows[0][1].lines[:4]]
 
 
-def test_kinds_have_the_colours_of_all_views(short_runs: Path) -> None:
-    (run,) = (found.load() for found in find_runs([short_runs], ["arise_het_4"]).values())
+def test_kinds_have_the_colours_of_all_views(tmp_path: Path) -> None:
+    record(tmp_path / "run", "arise_het_4", "faults=[{kind: join, agent: 4, at: 0.1}]")
+    run = find_runs([tmp_path], ["arise_het_4"])["arise_het_4"].load()
     figure = Figure()
     axes = figure.add_subplot()
     robots_by_kind(axes, run.arrays, run.arrays.agents.position)
     drawn = [line.get_color() for line in axes.lines]
     assert drawn == [
         (SINGLE_INTEGRATOR if kind == Kind.SINGLE_INTEGRATOR else DOUBLE_INTEGRATOR).colour
-        for kind in run.arrays.agents.kind[0].tolist()
+        for kind in run.arrays.agents.kind[-1].tolist()
     ]
     named = {str(line.get_label()): line.get_color() for line in kinds(run)}
     assert named == {"SI": SINGLE_INTEGRATOR.colour, "DI": DOUBLE_INTEGRATOR.colour}
@@ -189,11 +191,11 @@ def test_start_of_a_long_run_is_stretched_and_shaded(tmp_path: Path) -> None:
 
 def test_a_run_is_named_in_three_ways(short_runs: Path) -> None:
     for part in ("pd_si_4", "pd_si_4/bag", "pd_si_4/bag/bag_0.mcap"):
-        found = find_runs([short_runs / part], NAMES)
-        assert found.keys() == {"pd_si_4"}
-        assert found["pd_si_4"].bag == short_runs / "pd_si_4" / "bag" / "bag_0.mcap"
-        assert found["pd_si_4"].altered  # it is shorter than the paper's
-        assert len(found["pd_si_4"].load().arrays.time) == 31
+        bags = find_runs([short_runs / part], NAMES)
+        assert bags.keys() == {"pd_si_4"}
+        assert bags["pd_si_4"].bag == short_runs / "pd_si_4" / "bag" / "bag_0.mcap"
+        assert bags["pd_si_4"].altered  # it is shorter than the paper's
+        assert len(bags["pd_si_4"].load().arrays.time) == 31
 
 
 def test_a_folder_of_runs_is_searched_by_what_the_bags_say(short_runs: Path, tmp_path: Path) -> None:
@@ -217,20 +219,21 @@ def test_a_bag_of_no_use_is_left_out_among_others_and_refused_alone(short_runs: 
     with BagWriter(tmp_path / "foreign", topics=MAIN_TOPICS, attachments={}):
         pass
     scenario = dump_scenario(find_scenario("pd_di_4").resolved()).encode()
-    with BagWriter(tmp_path / "empty", topics=MAIN_TOPICS, attachments={"scenario.yaml": scenario}):
-        pass
+    with BagWriter(tmp_path / "ends_early", topics=MAIN_TOPICS, attachments={"scenario.yaml": scenario}) as writer:
+        for step in range(3000):
+            writer.write(PLANE_STATE, 0, encode(PlaneState(0, step, 0.0, 0.0)))
     (tmp_path / "stub.mcap").write_bytes(whole[:3])
     (tmp_path / "whole.mcap").write_bytes(whole)
     reasons: list[str] = []
     assert find_runs([tmp_path], NAMES, reasons.append)["pd_si_4"].bag == tmp_path / "whole.mcap"
     expected = (
         "cut.mcap is not complete: ",
-        "bag_0.mcap is not complete: 0 of 3001 states",
+        "bag_0.mcap is not complete: 3000 of 3001 states",
         "contains no scenario",
         "3 byt",
     )
     assert all(text in reason for text, reason in zip(expected, reasons, strict=True))
-    for name, text in zip(("cut.mcap", "empty", "foreign", "stub.mcap"), expected, strict=True):
+    for name, text in zip(("cut.mcap", "ends_early", "foreign", "stub.mcap"), expected, strict=True):
         with pytest.raises(SwarmabsError, match=re.escape(text)):
             find_runs([tmp_path / name], NAMES)
 
@@ -249,11 +252,11 @@ def test_what_is_no_bag_is_refused_and_why_a_run_ended_stays_in_its_line(tmp_pat
 
 def test_a_run_that_was_made_is_found_again_and_no_variant_or_leftovers(tmp_path: Path) -> None:
     assert find_made(tmp_path, ["pd_si_4"]) == {}
-    made = make_run(find_scenario("pd_si_4"), tmp_path, simulate_run, RunOptions())
+    bag = make_run(find_scenario("pd_si_4"), tmp_path, simulate_run, RunOptions())
     assert {path.name for path in (tmp_path / "pd_si_4").iterdir()} == {"bag", "logs", "scenario.yaml", "summary.json"}
     assert [path.name for path in tmp_path.iterdir()] == ["pd_si_4"]
-    assert find_made(tmp_path, ["pd_si_4", "pd_di_4"]) == {"pd_si_4": made}
-    assert not made.altered
+    assert find_made(tmp_path, ["pd_si_4", "pd_di_4"]) == {"pd_si_4": bag}
+    assert not bag.altered
     record(tmp_path / "pd_het_4", "pd_het_4")
     (tmp_path / "pd_di_4").mkdir()
     for name in ("pd_het_4", "pd_di_4"):

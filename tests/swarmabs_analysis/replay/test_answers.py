@@ -76,11 +76,11 @@ def test_answers_may_come_early_twice_or_late_and_are_the_same(bag: BagReader) -
             tested.hear(message)
             tested.hear(message._replace(stamp=1))  # a step that was heard before
         assert tested.missing() == ()
-    found = tested.to_dict()
-    assert (found["same"], found["first_difference"], found["deviations"]) == (True, None, [])
+    document = tested.to_dict()
+    assert (document["same"], document["first_difference"], document["deviations"]) == (True, None, [])
     states = sum(1 for m in recorded(bag, tested) if isinstance(m, msg.AgentState) and m.agent_id == 3)
     standing = sum(1 for m in recorded(bag, tested) if isinstance(m, msg.StandingState))
-    assert found["compared"] == 2 * 31 + states + standing
+    assert document["compared"] == 2 * 31 + states + standing
     assert (states, standing > 0) == (21, True)
 
 
@@ -92,12 +92,12 @@ def test_the_first_difference_and_the_deviation_of_each_field_are_reported(bag: 
             assert tested.missing() == (f"step {message.step} of swarm/desired_abstract_state",)
             if message.step < 30:  # it does not answer to the last one
                 tested.hear(message._replace(torque=message.torque + 0.25 * (message.step in {7, 9})))
-    found = tested.to_dict()
-    first = found["first_difference"]
+    document = tested.to_dict()
+    first = document["first_difference"]
     assert (first["step"], first["topic"], first["field"]) == (7, "swarm/desired_abstract_state", "torque")
     assert first["replayed"] - first["recorded"] == pytest.approx(0.25)
-    (torque,) = found["deviations"]
-    assert (torque["field"], torque["differing"], found["compared"], found["same"]) == ("torque", 2, 30, False)
+    (torque,) = document["deviations"]
+    assert (torque["field"], torque["differing"], document["compared"], document["same"]) == ("torque", 2, 30, False)
 
 
 def test_an_answer_that_is_missing_is_not_the_same(bag: BagReader) -> None:

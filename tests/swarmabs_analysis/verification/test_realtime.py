@@ -49,17 +49,17 @@ def judged(bag: Iterable[Stored]) -> int:
 def test_a_right_run_is_found_right_whatever_the_recorder_lost(name: str, way: dict[str, float]) -> None:
     scenario, bag, *_ = world(name, **way)
     # Bodies follow the clock of their node, but virtual ones that of the world: robot 1, whose clock is set, does not.
-    found = verify(scenario, bag, robots=(2, 3, 4) if name == "clocks" else members(scenario))
-    assert found.difference is None
-    assert found.messages + found.not_checkable.total() == judged(bag)
+    result = verify(scenario, bag, robots=(2, 3, 4) if name == "clocks" else members(scenario))
+    assert result.difference is None
+    assert result.messages + result.not_checkable.total() == judged(bag)
     # Where robots stand for a moment, each desired state continues from the one before for seconds.
-    unknown = found.not_checkable.total() - found.not_checkable[NO_ANSWER_BEFORE]
+    unknown = result.not_checkable.total() - result.not_checkable[NO_ANSWER_BEFORE]
     if way:
-        assert 0 < unknown < (0.6 if name == "clocks" else 0.5) * found.messages
+        assert 0 < unknown < (0.6 if name == "clocks" else 0.5) * result.messages
     elif name == "clocks":  # where a clock is set back, steps come twice, and the bag has the first of each
         assert unknown <= 600
     else:
-        assert found.not_checkable.total() == 0
+        assert result.not_checkable.total() == 0
 
 
 @pytest.mark.parametrize("ended", [True, False])
@@ -115,9 +115,9 @@ def test_a_changed_bit_anywhere_is_found(data: st.DataObject) -> None:
     original, bag[number] = bag[number], flipped(bag[number], bit)
     if renames_division(original, bag[number]):
         return  # of two that say the same, nobody knows which one was used
-    found = verify(recorded.scenario, bag)
-    if found.difference is None:  # a step or a time that now belongs to nothing: then something else lacks it
-        assert found.not_checkable.total() > 0
+    result = verify(recorded.scenario, bag)
+    if result.difference is None:  # a step or a time that now belongs to nothing: then something else lacks it
+        assert result.not_checkable.total() > 0
 
 
 # Robots and coordinators that cheat consistently
@@ -156,9 +156,9 @@ def test_a_robot_that_follows_what_is_too_old_or_does_not_stop_is_found(
         fleet.run(0.505)
         disturb(fleet)
         fleet.run(0.5)
-    found = verify(scenario, record(fleet, scenario).bag).difference
-    assert place(found)[2:] == (robot, "broadcast_step")
-    assert found is not None and reason in found.reason
+    difference = verify(scenario, record(fleet, scenario).bag).difference
+    assert place(difference)[2:] == (robot, "broadcast_step")
+    assert difference is not None and reason in difference.reason
 
 
 def edited(
@@ -204,10 +204,10 @@ def edited(
 )
 def test_what_was_edited_is_named(kind: type, fields: dict[str, Any], named: str) -> None:
     recorded = world("quiet")
-    found = verify(recorded.scenario, edited(recorded.bag, kind, 100, **fields)).difference
-    assert found is not None
-    assert found.step in {100, 101, fields.get("step")}
-    assert found.field == named or (kind is msg.DesiredAbstractState and "mode" in fields)
+    difference = verify(recorded.scenario, edited(recorded.bag, kind, 100, **fields)).difference
+    assert difference is not None
+    assert difference.step in {100, 101, fields.get("step")}
+    assert difference.field == named or (kind is msg.DesiredAbstractState and "mode" in fields)
 
 
 @pytest.mark.parametrize(("step", "named"), [(101, "command"), (102, "status")])
@@ -239,37 +239,37 @@ def without(bag: Sequence[Stored], topic: msg.Topic, step: int) -> list[Stored]:
 
 def test_without_bases_only_the_robots_are_checked_and_what_was_measured_is_not_recomputed() -> None:
     recorded = world("quiet")
-    found = verify(recorded.scenario, [s for s in recorded.bag if s.topic is not msg.BASIS])
+    result = verify(recorded.scenario, [s for s in recorded.bag if s.topic is not msg.BASIS])
     robots = sum(s.topic is msg.AGENT_STATE for s in recorded.bag)
     unknown = {"its provenance is not in the bag": judged(recorded.bag) - robots}
-    assert (found.difference, found.messages, dict(found.not_checkable)) == (None, robots, unknown)
+    assert (result.difference, result.messages, dict(result.not_checkable)) == (None, robots, unknown)
     bag = edited(recorded.bag, msg.PlaneState, 150, stamp=EPOCH)
-    found = verify(recorded.scenario, bag, robots=(), plane=False)
-    assert found.difference is None
-    assert found.not_checkable["it was measured, not computed"] == sum(s.topic is msg.PLANE_STATE for s in bag)
+    result = verify(recorded.scenario, bag, robots=(), plane=False)
+    assert result.difference is None
+    assert result.not_checkable["it was measured, not computed"] == sum(s.topic is msg.PLANE_STATE for s in bag)
     moved = edited(recorded.bag, msg.AgentState, 150, position=0.2)
-    found = verify(recorded.scenario, moved, robots=(), plane=False)
-    assert place(found.difference)[3] == "torque"
+    result = verify(recorded.scenario, moved, robots=(), plane=False)
+    assert place(result.difference)[3] == "torque"
     left = edited(recorded.bag, msg.AgentState, 150, status=msg.Status.LEFT)
-    found = verify(recorded.scenario, left, robots=(), plane=False)
-    assert place(found.difference) == (msg.AGENT_STATE.name, 150, 1, "status")
+    result = verify(recorded.scenario, left, robots=(), plane=False)
+    assert place(result.difference) == (msg.AGENT_STATE.name, 150, 1, "status")
 
 
 def test_a_law_with_memory_is_followed_again_after_a_reset() -> None:
     adaptive = world("adaptive")
     lost = without(adaptive.bag, msg.PLANE_STATE, 50)
     answers = sum(s.topic is msg.DESIRED_ABSTRACT_STATE and s.message.step > 50 for s in lost)
-    found = verify(adaptive.scenario, lost)
-    assert found.difference is None
-    assert found.not_checkable["the answer from which it continues is not in the bag"] >= answers
+    result = verify(adaptive.scenario, lost)
+    assert result.difference is None
+    assert result.not_checkable["the answer from which it continues is not in the bag"] >= answers
     # A law without memory is found again at once, and so is a plane whose true state is not recorded.
     for name in ("operator", "noisy plane"):
         recorded = world(name)
-        found = verify(recorded.scenario, without(recorded.bag, msg.PLANE_STATE, 50))
-        assert found.difference is None
+        result = verify(recorded.scenario, without(recorded.bag, msg.PLANE_STATE, 50))
+        assert result.difference is None
         # With losses robots stand for a moment, and for seconds the desired state is on its way to its curve.
-        continued = found.not_checkable[NO_ANSWER_BEFORE] if name == "noisy plane" else 0
-        assert found.not_checkable.total() - continued <= 4
+        continued = result.not_checkable[NO_ANSWER_BEFORE] if name == "noisy plane" else 0
+        assert result.not_checkable.total() - continued <= 4
 
 
 def test_what_comes_from_nowhere_gives_a_difference_and_no_error() -> None:
@@ -301,5 +301,5 @@ def test_a_clock_that_is_set_years_ahead_takes_no_time() -> None:
     last = recorded.bag[-1]
     step = configure.schedule(recorded.scenario, EPOCH).step(last.time) - WAIT
     bag = [*edited(recorded.bag, msg.AgentState, step, position=0.2), years_ahead(last)]
-    found = verify(recorded.scenario, bag).difference
-    assert place(found) == (msg.AGENT_STATE.name, step, 1, "position")
+    difference = verify(recorded.scenario, bag).difference
+    assert place(difference) == (msg.AGENT_STATE.name, step, 1, "position")

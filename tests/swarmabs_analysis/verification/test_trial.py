@@ -90,9 +90,9 @@ def published(steps: Sequence[Step], *nodes: str) -> Iterator[Record]:
 def test_nodes_answer_their_own_recording_as_they_did(case: str) -> None:
     scenario, steps = run(*RUNS[case])
     for nodes in NODES:
-        found = tried(scenario, steps, nodes, recorded=RUNS[case])
-        assert (found.difference, found.steps, found.trial["deviations"]) == (None, 101, []), nodes
-        assert found.messages == len(list(published(steps, *nodes))), nodes
+        result = tried(scenario, steps, nodes, recorded=RUNS[case])
+        assert (result.difference, result.steps, result.trial["deviations"]) == (None, 101, []), nodes
+        assert result.messages == len(list(published(steps, *nodes))), nodes
 
 
 def test_a_robot_that_was_dropped_is_dropped_again() -> None:
@@ -101,8 +101,8 @@ def test_a_robot_that_was_dropped_is_dropped_again() -> None:
     steps = [Step.of(step.step, map(_silenced, step.records)) for step in steps]
     scenario = builtin("pd_het_4", "duration=1", "lockstep.on_stall=drop").resolved()
     for nodes in NODES:
-        found = tried(scenario, steps, nodes, recorded=["lockstep.on_stall=drop"])
-        assert (found.difference, found.steps) == (None, 101), nodes
+        result = tried(scenario, steps, nodes, recorded=["lockstep.on_stall=drop"])
+        assert (result.difference, result.steps) == (None, 101), nodes
 
 
 def _silenced(record: Record) -> Record:
@@ -122,20 +122,20 @@ def test_an_earlier_bag_lacks_the_division_of_the_abstract_state() -> None:
 def test_other_gains_ask_for_another_torque_and_nothing_reacts() -> None:
     """The PD law asks for kp times the angle of a plane at rest; law and filter are linear in the gains."""
     scenario, steps = run("controller.gains=[4, 3.5]")
-    found = tried(scenario, steps, ["controller"], "controller.gains=[20, 17.5]")
-    first = found.difference
+    result = tried(scenario, steps, ["controller"], "controller.gains=[20, 17.5]")
+    first = result.difference
     assert first is not None
     assert (first.step, first.topic, first.field) == (0, "swarm/desired_abstract_state", "torque")
     assert first.a == pytest.approx(4 * scenario.plane.angle, rel=1e-15)
     assert first.b == pytest.approx(20 * scenario.plane.angle, rel=1e-15)
-    assert (found.steps, found.messages) == (101, 101)
-    (torque,) = (row for row in found.trial["deviations"] if row["field"] == "torque")
+    assert (result.steps, result.messages) == (101, 101)
+    (torque,) = (row for row in result.trial["deviations"] if row["field"] == "torque")
     asked = [record.message for record in published(steps, "controller")]
     by_law = [abs((5 - 1) * m.torque) for m in asked if isinstance(m, msg.DesiredAbstractState)]
     assert torque["largest"] == pytest.approx(max(by_law), rel=1e-9)
     assert torque["step"] == by_law.index(max(by_law))
     assert torque["rms"] == pytest.approx((sum(d * d for d in by_law) / len(by_law)) ** 0.5, rel=1e-9)
-    assert {row["topic"] for row in found.trial["deviations"]} == {"swarm/desired_abstract_state"}
+    assert {row["topic"] for row in result.trial["deviations"]} == {"swarm/desired_abstract_state"}
 
 
 def test_a_node_keeps_its_own_memory() -> None:
@@ -157,10 +157,10 @@ def test_a_node_keeps_its_own_memory() -> None:
 
 def test_a_node_that_cannot_continue_ends_the_trial_with_the_reason() -> None:
     scenario, steps = run()
-    found = tried(scenario, steps, ["parent"], "plane.friction=[1e12, 1e12, 1e12, 1e12, 1e12, 1e12]")
-    assert found.difference is not None
-    assert (found.difference.step, found.difference.field, found.difference.b) == (1, "message", None)
-    assert "not finite" in found.difference.reason
+    result = tried(scenario, steps, ["parent"], "plane.friction=[1e12, 1e12, 1e12, 1e12, 1e12, 1e12]")
+    assert result.difference is not None
+    assert (result.difference.step, result.difference.field, result.difference.b) == (1, "message", None)
+    assert "not finite" in result.difference.reason
 
 
 @pytest.mark.parametrize(
