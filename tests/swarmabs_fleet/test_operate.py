@@ -136,6 +136,8 @@ def test_a_robot_has_stopped_if_it_says_so_after_the_controller_has_confirmed_an
     monitor.hear(9, Status.SAFE_STOP, 10.02)
     monitor.confirm(10.025)
     assert monitor.problems() == dict.fromkeys(monitor.robots, "not heard"), "they may have missed the stop"
+    monitor.hear(1, Status.SAFE_STOP, 10.025)
+    assert monitor.problem(1) == "not heard", "what arrives with the confirmation was sent before"
     for robot, status in ((1, Status.SAFE_STOP), (2, Status.ACTIVE), (3, Status.LEFT)):
         monitor.hear(robot, status, 10.03)
     assert monitor.problems() == {2: "not stopped"}

@@ -110,6 +110,10 @@ def test_nodes_may_talk_to_those_they_meet_only(network: str, robot: str, base: 
     assert f"IPAddressAllow=localhost {allowed}\n" in controller
     servers = [node.host for node in node_plans(loaded.fleet) if node.name == DISCOVERY]
     assert servers == (["robot-4"] if network.startswith("server") else [])
+    for host in servers:
+        bundle = host_bundle(loaded, HostPlan(loaded.fleet, host), None)
+        server = bundle["systemd/swarmabs-lan-discovery_server.service"].content.decode()
+        assert "WatchdogSec=10\n" in server, "no robot waits for it"
     operator = files["nodes/operator.env"].content.decode().splitlines()
     assert {"ROS_DOMAIN_ID=40", "SWARMABS_PARTICIPANT=4"} <= set(operator)
     profile = files["dds/operator.xml"].content.decode()

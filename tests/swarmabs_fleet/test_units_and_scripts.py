@@ -125,9 +125,12 @@ def test_what_the_units_say(made: dict[str, Path], checkout: Path) -> None:
 def test_a_host_restarts_its_standbys_before_its_primaries(checkout: Path, tmp_path: Path) -> None:
     crossed = ("observer: {host: base, standby: spare}", "observer: {host: spare, standby: base}")
     loaded = here("standby", checkout, tmp_path, crossed)
-    order = node_files(HostPlan(loaded.fleet, "base"))["units.txt"].split()
-    names = ("abstraction_observer_standby", "recorder", "parent_controller")
-    assert order == [*(f"swarmabs-pair-{name}.service" for name in names), "swarmabs-pair.target"]
+    for host, names in (
+        ("base", ("abstraction_observer_standby", "recorder", "parent_controller")),
+        ("spare", ("recorder_standby", "parent_controller_standby", "abstraction_observer")),
+    ):
+        order = node_files(HostPlan(loaded.fleet, host))["units.txt"].split()
+        assert order == [*(f"swarmabs-pair-{name}.service" for name in names), "swarmabs-pair.target"]
 
 
 def test_units_ask_whether_an_address_is_this_hosts(capsys: pytest.CaptureFixture[str]) -> None:

@@ -59,6 +59,16 @@ def test_a_page_gets_the_past_first_and_then_what_is_new_also_a_robot_that_is_he
     assert sum(len(message.events) for message in told(said, protocol.Events)) == 1  # none is lost
 
 
+def test_of_the_events_only_the_new_ones_are_sent_and_those_in_their_order() -> None:
+    live = view_of(1)
+    session = LiveSession(live)
+    session.poll(0.0)
+    for step in (2, 3):
+        live.add(SwarmEvent(0, step, 1, EventKind.SAFE_STOP, 0.0, ""))
+    (events,) = told(session.poll(0.1), protocol.Events)
+    assert (events.replace, [event.step for event in events.events]) == (False, [2, 3])
+
+
 def test_something_is_said_every_second() -> None:
     session = LiveSession(view_of())
     times = [time / 10 for time in range(40) if session.poll(time / 10)]
@@ -131,6 +141,7 @@ def test_step_rate_is_that_of_the_last_seconds() -> None:
         live.refresh(look / 100)
     assert len(live.rate) <= RATE_WINDOW * 100 + 2
     assert live.rate.at(29.99) == pytest.approx(100.0)
+    assert live.rate.at(31.99) == pytest.approx(0.0, abs=1.0), "time without a step counts"
 
 
 def sets(*known: Any) -> protocol.Regions:

@@ -172,7 +172,7 @@ def deploy(loaded: LoadedFleet, output: Path, keys: Path | None, revoke: Sequenc
             store.revoke(loaded.fleet, revoke)
         _write(part / FLEET_FILE, BundleFile(loaded.fleet_text.encode()))
         _write(part / SCENARIO_FILE, BundleFile(loaded.scenario_text.encode()))
-        hosts = [host for host in (HostPlan(loaded.fleet, each.name) for each in loaded.fleet.hosts) if host.nodes]
+        hosts = [host for host in (HostPlan(loaded.fleet, host.name) for host in loaded.fleet.hosts) if host.nodes]
         for host in hosts:
             for path, file in host_bundle(loaded, host, store).items():
                 _write(part / host.name / path, file)

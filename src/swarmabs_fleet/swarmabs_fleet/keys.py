@@ -147,10 +147,10 @@ class Keys:
         hosts = {host.name: [*host_rights(HostPlan(fleet, host.name))] for host in fleet.hosts}
         enclaves: list[str] = []
         for name in names:
-            if not (found := [each for each in hosts.get(name, [name]) if each in kept]):
-                remedy = nearest(name, [*hosts, *(each for each in kept if each not in hosts)])
+            if not (certified := [enclave for enclave in hosts.get(name, [name]) if enclave in kept]):
+                remedy = nearest(name, [*hosts, *(enclave for enclave in kept if enclave not in hosts)])
                 raise InputError(f"{self.folder} has no certificate of '{name}'; {remedy}")
-            enclaves += found
+            enclaves += certified
         _Authority.of(self, fleet).revoke([*dict.fromkeys(enclaves)])
 
     def files(self, host: HostPlan) -> dict[str, bytes]:
@@ -266,9 +266,9 @@ class _Authority:
             entries.setdefault(serial, entry)
         for entry in entries.values():
             builder = builder.add_revoked_certificate(entry)
-        made = builder.add_extension(x509.CRLNumber(len(entries)), critical=False).sign(self._key, hashes.SHA256())
+        revoked = builder.add_extension(x509.CRLNumber(len(entries)), critical=False).sign(self._key, hashes.SHA256())
         # Write the list before removing keys: a certificate that no longer exists cannot be revoked.
-        self._keys.write(_REVOKED, made.public_bytes(serialization.Encoding.PEM))
+        self._keys.write(_REVOKED, revoked.public_bytes(serialization.Encoding.PEM))
         for name in names:
             self._keys.remove(f"sros2/{name}")
 

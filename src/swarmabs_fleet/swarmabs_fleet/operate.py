@@ -490,7 +490,7 @@ class HealthMonitor:
         heard, level, text, values = self._latest[node]
         if now - heard > SILENCE:
             return Row(node, host, SILENT, f"no diagnostics for {now - heard:.0f} s; last: {text}", values)
-        names = {int(each): each.name for each in Level}
+        names = {int(value): value.name for value in Level}
         return Row(node, host, names.get(level, STALE), text, values)
 
 

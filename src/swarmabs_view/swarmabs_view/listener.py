@@ -71,10 +71,10 @@ class DiagnosticsListener:
                 continue
             try:
                 array = deserialize_message(payload, DiagnosticArray)
-                found = [(str(one.hardware_id), {str(v.key): str(v.value) for v in one.values}) for one in array.status]
+                nodes = [(str(one.hardware_id), {str(v.key): str(v.value) for v in one.values}) for one in array.status]
             except Exception:  # noqa: BLE001, S112 - rclpy has no common base class
                 continue
-            yield from found
+            yield from nodes
 
 
 class Listener:
@@ -129,8 +129,8 @@ class Listener:
         names = {name for name, _ in self._node.get_topic_names_and_types()}
         first = f"{self._node.get_namespace().rstrip('/')}/{ROBOT_PREFIX}"
         robots = sorted({name.removeprefix(first).partition("/")[0] for name in names if name.startswith(first)})
-        found = [own_topic(topic, int(robot)) for robot in robots if _ID.fullmatch(robot) for topic in OWN]
-        self._subscribe({topic: self._most[usual_topic(topic)] for topic in found if topic not in self._most})
+        topics = [own_topic(topic, int(robot)) for robot in robots if _ID.fullmatch(robot) for topic in OWN]
+        self._subscribe({topic: self._most[usual_topic(topic)] for topic in topics if topic not in self._most})
 
     def _subscribe(self, topics: Mapping[Topic, int]) -> None:
         if not topics:

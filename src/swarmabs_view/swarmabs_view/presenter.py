@@ -169,11 +169,11 @@ class Presenter:
 
     def _place(self, state: ShownVector, robot: ShownRobot, identity: RobotIdentity) -> list[float] | None:
         """Return where a robot is drawn, by default at its first two coordinates, None if that is unknown."""
-        place, tables = getattr(self._drawing, "robot_place", None), self._tables
+        draw, tables = getattr(self._drawing, "robot_place", None), self._tables
         vectors = (state, tables.parent), (robot.coordinates, tables.robot), (identity.constants, tables.constants)
-        drawn = _drawn(place, (), *vectors) if place else robot.coordinates[:2]
-        known = [value for value in drawn if value is not None and isfinite(value)]
-        return known if known and len(known) == len(drawn) else None
+        drawn = _drawn(draw, (), *vectors) if draw else robot.coordinates[:2]
+        place = [value for value in drawn if value is not None and isfinite(value)]
+        return place if place and len(place) == len(drawn) else None
 
 
 def sides(points: Iterable[Placed]) -> dict[int, bool]:

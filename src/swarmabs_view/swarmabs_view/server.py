@@ -153,10 +153,10 @@ class ViewServer:
         """Close connections without a request, or whose answer is not taken, and those beyond the limit."""
         clock, waiting = asyncio.get_running_loop().time, dict[asyncio.Transport, tuple[int, float]]()
         while True:
-            known = [c.transport for c in server.connections if isinstance(c.transport, asyncio.Transport)]
+            open_ = [c.transport for c in server.connections if isinstance(c.transport, asyncio.Transport)]
             now, before = clock(), waiting
             waiting = {}
-            for number, transport in enumerate(known):
+            for number, transport in enumerate(open_):
                 unsent = transport.get_write_buffer_size()
                 if transport in self._heard and not unsent:
                     continue

@@ -342,10 +342,10 @@ class RunPanel:
                 column = index * width // _BINS
                 columns[column] = max(error, columns[column] or 0.0)
         last = min(width * progress.step // max(progress.steps, 1), width - 1)
-        known = 0.0
+        previous = 0.0
         for column in range(last + 1):  # a fast run leaves columns without a value
-            found = columns[column]
-            known = columns[column] = known if found is None else found
+            error = columns[column]
+            previous = columns[column] = previous if error is None else error
         largest = max((error for error in columns if error is not None), default=0.0)
         bars = _ASCII_BARS if ascii_only else _BARS
         return Text("".join(_column(error, largest, bars) for error in columns)).append(

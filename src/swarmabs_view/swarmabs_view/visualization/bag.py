@@ -26,9 +26,8 @@ from swarmabs_view.visualization.scene import Scene
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from typing import Any
 
-    from swarmabs_view.visualization.ros_messages import VisualTopic
+    from swarmabs_view.visualization.ros_messages import RosMessage, VisualTopic
 
 _KEPT = (SCENARIO_FILE, PROVENANCE_FILE)
 """Attachments copied to the new bag, so that it can be verified and repeated."""
@@ -68,7 +67,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
     ):
         now, period = bag.start, 1e9 / rate
 
-        def write(shown: VisualTopic, message: Any) -> None:
+        def write(shown: VisualTopic, message: RosMessage) -> None:
             if shown in drawn:
                 writer.write(drawn[shown], now, serialize_message(message))
 
@@ -103,9 +102,9 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
 
 def _recordable() -> list[VisualTopic]:
     """Return the topics whose definitions are installed, except the clock, which a player publishes itself."""
-    found = []
+    topics = []
     for topic in available_topics():
         with suppress(UnknownTypeError):
             message_schema(topic.ros_type)
-            found.append(topic)
-    return [topic for topic in found if topic is not CLOCK]
+            topics.append(topic)
+    return [topic for topic in topics if topic is not CLOCK]

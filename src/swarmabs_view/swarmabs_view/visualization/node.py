@@ -7,7 +7,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rclpy.serialization import serialize_message
 
@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
     from swarmabs_ros.status import StatusChannel
-    from swarmabs_view.visualization.ros_messages import VisualTopic
+    from swarmabs_view.visualization.ros_messages import RosMessage, VisualTopic
 
-    Publish = Callable[[VisualTopic, Any], None]
+    Publish = Callable[[VisualTopic, RosMessage], None]
 
 RATE = 30.0
 
@@ -140,7 +140,7 @@ class FoxgloveServer:
     def __exit__(self, *_: object) -> None:
         self._server.stop()
 
-    def publish(self, topic: VisualTopic, message: Any) -> None:
+    def publish(self, topic: VisualTopic, message: RosMessage) -> None:
         """Send a message of a visual topic."""
         payload = serialize_message(message)
         if topic is DESCRIPTION:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, TransformStamped
@@ -32,6 +32,10 @@ from swarmabs_view.visualization.scene import (
 
 if TYPE_CHECKING:
     from swarmabs_view.visualization.scene import Colour, Frame, Quaternion, Scene, Shape, Vector
+
+
+RosMessage: TypeAlias = Any
+"""A message of any ROS package; rclpy does not type them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,20 +85,20 @@ class Translator:
     """Converts frames to messages; reuses markers, because creating one costs more than moving it."""
 
     def __init__(self) -> None:
-        self._markers: dict[tuple[str, int], tuple[Any, Colour, Vector]] = {}
+        self._markers: dict[tuple[str, int], tuple[Marker, Colour, Vector]] = {}
 
-    def messages(self, frame: Frame, *, clock: bool) -> list[tuple[VisualTopic, Any]]:
+    def messages(self, frame: Frame, *, clock: bool) -> list[tuple[VisualTopic, RosMessage]]:
         """Return the messages of a frame with their topics, on request with the clock of a simulation."""
         stamp = Time(sec=frame.stamp // SECOND, nanosec=frame.stamp % SECOND)
-        found = [(JOINT_STATES, _joint_state(frame, stamp)), (MARKERS, self._array(frame, stamp))]
+        messages = [(JOINT_STATES, _joint_state(frame, stamp)), (MARKERS, self._array(frame, stamp))]
         transforms = message_class(TF.ros_type)
         if transforms is not None:
-            found.append((TF, transforms(transforms=_transforms(frame, stamp))))
+            messages.append((TF, transforms(transforms=_transforms(frame, stamp))))
         if clock:
-            found.append((CLOCK, Clock(clock=stamp)))
-        return found
+            messages.append((CLOCK, Clock(clock=stamp)))
+        return messages
 
-    def _array(self, frame: Frame, stamp: Any) -> Any:
+    def _array(self, frame: Frame, stamp: Time) -> MarkerArray:
         for key in frame.gone:
             self._markers.pop(key, None)
         markers = [
@@ -104,7 +108,7 @@ class Translator:
         markers += [self._marker(shape, stamp) for shape in frame.shapes]
         return MarkerArray(markers=markers)
 
-    def _marker(self, shape: Shape, stamp: Any) -> Any:
+    def _marker(self, shape: Shape, stamp: Time) -> Marker:
         key = (shape.group, shape.number)
         marker, colour, size = self._markers.get(key) or (_new(shape), None, None)
         if (colour, size) != (shape.colour, shape.size):
@@ -117,12 +121,12 @@ class Translator:
         return marker
 
 
-def description(scene: Scene, inertia: float) -> tuple[VisualTopic, Any]:
+def description(scene: Scene, inertia: float) -> tuple[VisualTopic, String]:
     """Return the message that describes a plane and its moment of inertia (kg m^2), with its topic."""
     return DESCRIPTION, String(data=plane_urdf(scene, inertia))
 
 
-def _joint_state(frame: Frame, stamp: Any) -> Any:
+def _joint_state(frame: Frame, stamp: Time) -> JointState:
     """Return angle, rate and the robots' torque as the state of the joint."""
     return JointState(
         header=Header(stamp=stamp),
@@ -133,20 +137,20 @@ def _joint_state(frame: Frame, stamp: Any) -> Any:
     )
 
 
-def _transforms(frame: Frame, stamp: Any) -> list[Any]:
+def _transforms(frame: Frame, stamp: Time) -> list[TransformStamped]:
     """Return the plane in the world, and each robot on the plane."""
     plane = TransformStamped(header=Header(stamp=stamp, frame_id=WORLD), child_frame_id=PLANE)
     _turn(plane.transform.rotation, tilt(frame.angle))
-    found = [plane]
+    transforms = [plane]
     for agent_id, place in frame.places.items():
         robot = TransformStamped(header=Header(stamp=stamp, frame_id=PLANE), child_frame_id=f"robot_{agent_id:03d}")
         _set(robot.transform.translation, place)
         _turn(robot.transform.rotation, NO_TURN)
-        found.append(robot)
-    return found
+        transforms.append(robot)
+    return transforms
 
 
-def _new(shape: Shape) -> Any:
+def _new(shape: Shape) -> Marker:
     points = [Point(x=point.x, y=point.y, z=point.z) for point in shape.points]
     header = Header(frame_id=WORLD)
     return Marker(
@@ -154,9 +158,9 @@ def _new(shape: Shape) -> Any:
     )
 
 
-def _set(target: Any, vector: Vector) -> None:
+def _set(target: RosMessage, vector: Vector) -> None:
     target.x, target.y, target.z = vector
 
 
-def _turn(target: Any, turn: Quaternion) -> None:
+def _turn(target: RosMessage, turn: Quaternion) -> None:
     target.x, target.y, target.z, target.w = turn

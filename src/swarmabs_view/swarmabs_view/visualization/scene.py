@@ -208,13 +208,13 @@ class Scene:
 
     def _places(self, robots: Mapping[int, ShownRobot]) -> dict[int, Vector]:
         """Return the centres of the robots on the plane, in its frame."""
-        found = {}
+        places = {}
         for agent_id, shown in robots.items():
             position = _first(shown.coordinates)
             if position is not None:
                 robot = self.robots[agent_id]
-                found[agent_id] = Vector(position, robot.lane, (self.thickness + robot.size) / 2.0)
-        return found
+                places[agent_id] = Vector(position, robot.lane, (self.thickness + robot.size) / 2.0)
+        return places
 
     def _lane_ends(self, lane: float) -> tuple[Vector, Vector]:
         """Return both ends of a lane on the surface, in the frame of the plane."""
