@@ -22,10 +22,10 @@ from swarmabs_bag.mcap.records import (
     Record,
     RecordError,
     crc_with,
-    message_head,
     parse,
     read_record,
     read_records,
+    stored_message,
     uncompress,
 )
 from swarmabs_bag.mcap.stored import ChunkContent, StoredMessages
@@ -83,7 +83,7 @@ class BagFile:
             # A damaged file ends at data_end; in a complete one, the DataEnd record there ends the loop.
             for record in read_records(stream, len(MAGIC), index.data_end if index.problem else stream.seek(0, 2)):
                 if record.opcode == Opcode.MESSAGE:
-                    message_head(record.content, 0, len(record.content), record.offset)
+                    stored_message(record)
                     single.append(record)
                 if single and (record.opcode != Opcode.MESSAGE or len(single) == _TOGETHER):
                     together, single = single, []

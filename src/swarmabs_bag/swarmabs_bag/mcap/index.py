@@ -40,10 +40,10 @@ from swarmabs_bag.mcap.records import (
     crc_with,
     encoded,
     indexed_channel,
-    message_head,
     parse,
     read_record,
     read_records,
+    stored_message,
     uncompress,
 )
 from swarmabs_bag.mcap.stored import ChunkContent
@@ -155,27 +155,26 @@ class FileIndex:
         elif opcode == Opcode.HEADER and record.offset == len(MAGIC):
             self.header = parse(Header, record)
         else:
-            self.take_inner(opcode, record.content, (0, len(record.content)), record.offset)
+            self.take_inner(record)
         self.check_number(record.offset)
         self.crc = crc_with(self.crc, record)
         self.data_end = record.end
 
-    def take_inner(self, opcode: int, data: bytes, span: tuple[int, int], offset: int) -> None:
-        """Add a record from inside or outside of a chunk, whose content is the given span of the data."""
-        begin, end = span
-        if opcode == Opcode.MESSAGE:
-            channel, _, log_time, _ = message_head(data, begin, end, offset)
-            statistics = self.statistics
-            if log_time < statistics.message_start_time or statistics.message_count == 0:
-                statistics.message_start_time = log_time
-            statistics.message_end_time = max(statistics.message_end_time, log_time)
+    def take_inner(self, record: Record) -> None:
+        """Add a record that may be inside or outside of a chunk."""
+        if record.opcode == Opcode.MESSAGE:
+            message, statistics = stored_message(record), self.statistics
+            if message.log_time < statistics.message_start_time or statistics.message_count == 0:
+                statistics.message_start_time = message.log_time
+            statistics.message_end_time = max(statistics.message_end_time, message.log_time)
             statistics.message_count += 1
-            statistics.channel_message_counts[channel] += 1
-        elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            record = Record(offset, opcode, data[begin:end])
-            self.define(parse(Schema, record) if opcode == Opcode.SCHEMA else parse(Channel, record), offset)
+            statistics.channel_message_counts[message.channel_id] += 1
+        elif record.opcode == Opcode.SCHEMA:
+            self.define(parse(Schema, record), record.offset)
+        elif record.opcode == Opcode.CHANNEL:
+            self.define(parse(Channel, record), record.offset)
         else:
-            self.unknown = opcode
+            self.unknown = record.opcode
 
     def define(self, definition: Schema | Channel, offset: int) -> None:
         """Add a schema or a channel; a repeated one replaces the previous."""
@@ -252,8 +251,8 @@ class FileIndex:
         chunk = parse(Chunk, record)
         inner = FileIndex()  # complete or an error: a partial chunk must not be in the statistics
         content = ChunkContent.of(data, record.offset)
-        for opcode, begin, end in content.others:
-            inner.take_inner(opcode, data, (begin, end), record.offset)
+        for _, other in content.others:
+            inner.take_inner(other)
         if content.problem is not None:
             raise content.problem
         content.messages.add_to(inner.statistics)
@@ -354,7 +353,7 @@ def _read_summary(index: FileIndex, stream: BinaryIO, size: int, start: int) -> 
         elif record.opcode == Opcode.METADATA_INDEX:
             index.metadata.append(parse(MetadataIndex, record))
         elif record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            index.take_inner(record.opcode, record.content, (0, len(record.content)), record.offset)
+            index.take_inner(record)
         index.check_number(record.offset)
     if stated is not None:
         _correct_start(stated, index.chunks)

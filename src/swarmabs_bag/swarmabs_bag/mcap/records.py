@@ -226,11 +226,12 @@ def indexed_channel(record: Record) -> int:
     return int(channel)
 
 
-def message_head(content: bytes, begin: int, end: int, offset: int) -> tuple[int, int, int, int]:
-    """Read channel, sequence number, log and publish time of a message whose content is `content[begin:end]`."""
-    if begin + _MESSAGE_HEAD.size > end:
-        raise RecordError(offset, "a message record is cut off")
-    return _MESSAGE_HEAD.unpack_from(content, begin)
+def stored_message(record: Record) -> StoredMessage:
+    """Return the message in a record."""
+    if len(record.content) < MESSAGE_HEAD_SIZE:
+        raise RecordError(record.offset, "a message record is cut off")
+    channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(record.content)
+    return StoredMessage(channel, sequence, log_time, publish_time, record.content[MESSAGE_HEAD_SIZE:])
 
 
 def encoded(record: McapRecord) -> bytes:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from swarmabs_bag.mcap.records import HEAD_SIZE, MESSAGE_HEAD_SIZE, RecordError, StoredMessage
+from swarmabs_bag.mcap.records import HEAD_SIZE, MESSAGE_HEAD_SIZE, Record, RecordError, StoredMessage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -114,25 +114,32 @@ class StoredMessages:
         return index_entries(self.heads["channel_id"], self.heads["log_time"], self.begins - MESSAGE_HEAD.itemsize)
 
 
-class InnerRecord(NamedTuple):
-    """A record in a chunk: opcode, and where its content begins and ends."""
-
-    opcode: int
-    begin: int
-    end: int
-
-
 class ChunkContent(NamedTuple):
-    """The records in a chunk: messages, the others, where they end, and why not all could be read."""
+    """The records in a chunk, up to the first that is cut off.
 
+    Attributes
+    ----------
+    data : bytes
+        The records.
+    messages : StoredMessages
+        The messages.
+    others : list of (int, Record)
+        All other records with their places in the data; their position in the file is that of the chunk.
+    end : int
+        Where the records end that could be read.
+    problem : RecordError or None
+        Why not all could be read.
+    """
+
+    data: bytes
     messages: StoredMessages
-    others: list[InnerRecord]
+    others: list[tuple[int, Record]]
     end: int
     problem: RecordError | None
 
     @classmethod
     def of(cls, data: bytes, offset: int) -> ChunkContent:
-        """Return the records in the chunk at `offset` of a file, up to the first that is cut off."""
+        """Return the records in the chunk at `offset` of a file."""
         positions, position, size, unpack = [], 0, len(data), _LENGTH.unpack_from
         problem = None
         last = size - HEAD_SIZE
@@ -153,11 +160,12 @@ class ChunkContent(NamedTuple):
             starts, ends, opcodes = starts[: short[0]], ends[: short[0]], opcodes[: short[0]]
             problem = RecordError(offset, "a message record is cut off")
         of_messages = opcodes == Opcode.MESSAGE
+        places = (array[~of_messages].tolist() for array in (starts, ends, opcodes))
         others = [
-            InnerRecord(int(opcodes[n]), int(starts[n]) + HEAD_SIZE, int(ends[n]))
-            for n in np.flatnonzero(~of_messages).tolist()
+            (start, Record(offset, opcode, data[start + HEAD_SIZE : end]))
+            for start, end, opcode in zip(*places, strict=True)
         ]
-        return cls(StoredMessages.at(data, starts[of_messages]), others, position, problem)
+        return cls(data, StoredMessages.at(data, starts[of_messages]), others, position, problem)
 
 
 def plain_bytes(size: int) -> np.dtype[np.void]:

@@ -16,13 +16,12 @@ from swarmabs_bag.mcap.index import RECORD_KEY, RECORD_NAME, FileIndex, ending, 
 from swarmabs_bag.mcap.records import (
     HEAD_SIZE,
     MAGIC,
-    MESSAGE_HEAD_SIZE,
     Record,
     RecordError,
     StoredMessage,
     encoded,
-    message_head,
     parse,
+    stored_message,
 )
 from swarmabs_bag.mcap.stored import ChunkContent
 from swarmabs_bag.repair.salvage import Damage, Salvage
@@ -123,13 +122,12 @@ class Rebuilt:
         elif record.opcode == Opcode.CHUNK:
             self._take_chunk(record, saved.data, cut=saved.cut)
         elif record.opcode == Opcode.MESSAGE:
-            head = message_head(record.content, 0, len(record.content), record.offset)
-            self._take_loose(StoredMessage(*head, record.content[MESSAGE_HEAD_SIZE:]), record.offset)
+            self._take_loose(stored_message(record), record.offset)
         elif record.opcode == Opcode.METADATA and (metadata := parse(Metadata, record)).name == RECORD_NAME:
             self.description = metadata.metadata.get(RECORD_KEY, "")
         else:
             self._flush()
-            self._put_other(record.opcode, record.content)
+            self._put_other(record)
 
     def _finish(self, name: str, custom: Mapping[str, str]) -> None:
         """Write the end of the file."""
@@ -162,43 +160,44 @@ class Rebuilt:
 
     def _take_chunk(self, record: Record, data: bytes, *, cut: bool) -> None:
         content = ChunkContent.of(data, record.offset)
-        if not self._is_described(content, data):
+        if not self._is_described(content):
             self._define()
-        if not cut and self._is_described(content, data):
+        if not cut and self._is_described(content):
             self._flush()
-            self._put_chunk(record, content, data)
+            self._put_chunk(record, content)
             return
-        for other in content.others:
-            self._put_other(other.opcode, data[other.begin : other.end])
+        for _, other in content.others:
+            self._put_other(other)
         for message in content.messages:
             self._take_loose(message, record.offset)
 
-    def _is_described(self, content: ChunkContent, data: bytes) -> bool:
+    def _is_described(self, content: ChunkContent) -> bool:
         """Return whether all messages in a chunk follow the definitions of their channels, and these their schemas."""
         defined: dict[int, float] = dict.fromkeys(self.index.channels, 0)  # where each channel is
         schemas = {0, *self.index.schemas}
-        for opcode, begin, _ in content.others:
-            number = int.from_bytes(data[begin : begin + 2], "little")
-            if opcode == Opcode.SCHEMA:
+        for place, other in content.others:
+            number = int.from_bytes(other.content[:2], "little")
+            if other.opcode == Opcode.SCHEMA:
                 schemas.add(number)
-            elif opcode == Opcode.CHANNEL:
-                defined.setdefault(number, begin)
-                if int.from_bytes(data[begin + 2 : begin + 4], "little") not in schemas:
+            elif other.opcode == Opcode.CHANNEL:
+                defined.setdefault(number, place)
+                if int.from_bytes(other.content[2:4], "little") not in schemas:
                     return False
         channels, firsts = np.unique(content.messages.heads["channel_id"], return_index=True)
         begins = content.messages.begins[firsts].tolist()
         return all(defined.get(number, inf) < begin for number, begin in zip(channels.tolist(), begins, strict=True))
 
-    def _put_other(self, opcode: int, content: bytes) -> None:
+    def _put_other(self, record: Record) -> None:
         """Write a record outside of chunks; a channel whose schema was not found gets none."""
-        if opcode == Opcode.CHANNEL:
-            channel = parse(Channel, Record(0, opcode, content))
+        content = record.content
+        if record.opcode == Opcode.CHANNEL:
+            channel = parse(Channel, record)
             if not self._has_schema(channel):
                 self._define()
             if not self._has_schema(channel):
                 self.unschemed.add(channel.id)
                 content = content[:2] + bytes(2) + content[4:]
-        self._put(opcode, content)
+        self._put(record.opcode, content)
 
     def _has_schema(self, channel: Channel) -> bool:
         return channel.schema_id in {0, *self.index.schemas}
@@ -228,8 +227,8 @@ class Rebuilt:
         for records, own in ((definitions.schemas, index.schemas), (definitions.channels, index.channels)):
             for number, record in sorted(records.items()):
                 if number not in own:
-                    content = encoded(record)
-                    self._put_other(content[0], content[HEAD_SIZE:])
+                    stored = encoded(record)
+                    self._put_other(Record(index.data_end, stored[0], stored[HEAD_SIZE:]))
 
     def _flush(self) -> None:
         """Write the messages outside of chunks to a new chunk."""
@@ -239,11 +238,10 @@ class Rebuilt:
             return
         contents = self._loose.take()
         record = Record(self.index.data_end, Opcode.CHUNK, encoded(contents.packed())[HEAD_SIZE:])
-        data = bytes(contents.data)
-        self._put_chunk(record, ChunkContent.of(data, record.offset), data)
+        self._put_chunk(record, ChunkContent.of(bytes(contents.data), record.offset))
         self._expected = {}
 
-    def _put_chunk(self, record: Record, content: ChunkContent, data: bytes) -> None:
+    def _put_chunk(self, record: Record, content: ChunkContent) -> None:
         """Write a chunk, with corrected times, and its message indexes."""
         stored, heads = record.content, content.messages.heads
         if len(heads):
@@ -252,7 +250,7 @@ class Rebuilt:
                 self.reindexed += 1
                 stored = _CHUNK_TIMES.pack(*times) + stored[_CHUNK_TIMES.size :]
         self._count_gaps(heads["channel_id"].tolist(), heads["sequence"].tolist())
-        self._put(Opcode.CHUNK, stored, data)
+        self._put(Opcode.CHUNK, stored, content.data)
         self._expected = {
             channel: message_index(channel, entries)[HEAD_SIZE:]
             for channel, entries in content.messages.index_entries().items()

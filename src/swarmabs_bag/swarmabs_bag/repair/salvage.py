@@ -237,10 +237,10 @@ def _cut_chunk(stream: BinaryIO, offset: int, size: int) -> tuple[bytes, int, in
         data = uncompressed(chunk.compression, chunk.data, stated, cut_off=True)
     except UNCOMPRESSING:
         data = b""
-    return data[: _end_of_valid(ChunkContent.of(data, offset), data, start, end)], start, end
+    return data[: _end_of_valid(ChunkContent.of(data, offset), start, end)], start, end
 
 
-def _end_of_valid(content: ChunkContent, data: bytes, start: int, end: int) -> int:
+def _end_of_valid(content: ChunkContent, start: int, end: int) -> int:
     """Return where the records of a truncated chunk end that are valid: its messages are from `start` to `end`, ns."""
     messages, valid = content.messages, content.end
     times = messages.heads["log_time"]
@@ -248,11 +248,11 @@ def _end_of_valid(content: ChunkContent, data: bytes, start: int, end: int) -> i
     if len(outside):
         valid = int(messages.begins[outside[0]]) - MESSAGE_HEAD.itemsize
     definitions = FileIndex()
-    for opcode, begin, stop in content.others:
+    for place, record in content.others:
         try:
-            definitions.take_inner(opcode, data, (begin, stop), begin)
+            definitions.take_inner(record)
         except RecordError:
-            return min(valid, begin - HEAD_SIZE)
+            return min(valid, place)
         if definitions.unknown is not None:
-            return min(valid, begin - HEAD_SIZE)
+            return min(valid, place)
     return valid
