@@ -15,7 +15,7 @@ from swarmabs_bag.mcap.records import HEAD_SIZE, MAGIC, Record, encoded
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mcap.records import Channel, Schema
+    from mcap.records import Channel, Schema, Statistics
 
     from swarmabs_bag.mcap.chunks import Column, MessageRecords
     from swarmabs_bag.mcap.output import RecordFile
@@ -43,6 +43,11 @@ class McapFile:
         self._chunk = ChunkBuilder(chunk_bytes)
         output.write(MAGIC)
         self._put(encoded(Header(_PROFILE, library)))
+
+    @property
+    def statistics(self) -> Statistics:
+        """Statistics of the records that are not in the current chunk."""
+        return self._index.statistics
 
     def attach(self, name: str, data: bytes, log_time: int) -> None:
         """Write an attachment with a log time, ns."""

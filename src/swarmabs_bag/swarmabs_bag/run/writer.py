@@ -6,7 +6,7 @@ import time
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from types import TracebackType
 
+    from mcap.records import Statistics
     from typing_extensions import Self
 
     from swarmabs_bag.run.step import Step
@@ -54,6 +55,18 @@ CHUNK_BYTES = 2**20
 _RESERVE_BASE = 2**18
 _RESERVE_PER_CHUNK = 256
 _MAX_CHUNKS_GIVEN_UP = 8
+
+
+class _Written(NamedTuple):
+    """A file of the bag whose messages are all written, and their numbers by channel."""
+
+    record: FileRecord
+    counts: Mapping[int, int]
+
+    @classmethod
+    def of(cls, name: str, statistics: Statistics) -> Self:
+        """Return a file by its name and statistics."""
+        return cls(FileRecord.of(name, statistics), dict(statistics.channel_message_counts))
 
 
 class BagWriter:
@@ -113,11 +126,9 @@ class BagWriter:
         self._monotonic = monotonic
         self._chunk_opened: float | None = None
         self._chunks = 0
-        self._chunks_in_file = 0
         self._first: int | None = None
         self._last = 0
-        # The files before the current one, with their message counts by channel.
-        self._complete: list[tuple[FileRecord, Mapping[int, int]]] = []
+        self._complete: list[_Written] = []
         self._error: BagWriteError | None = None
         self._closed = False
         with self._remembering_errors():  # the definitions are read from files
@@ -269,7 +280,7 @@ class BagWriter:
     def _is_full(self, log_time_ns: int) -> bool:
         """Return whether a step at this time belongs in the next file."""
         split, first = self._split, self._first or 0
-        by_size = 0 < split.bytes <= self._file.committed and self._chunks_in_file > 0
+        by_size = 0 < split.bytes <= self._file.committed and self._mcap.statistics.chunk_count > 0
         return by_size or 0 < split.nanoseconds <= log_time_ns - first
 
     def _next_file(self) -> None:
@@ -286,7 +297,7 @@ class BagWriter:
             path.unlink(missing_ok=True)
             raise
         self.path, self._file, self._mcap = path, file, mcap
-        self._first, self._last, self._chunks_in_file = None, 0, 0
+        self._first, self._last = None, 0
         self._counts = dict.fromkeys(self._counts, 0)
         self._register()
 
@@ -345,7 +356,6 @@ class BagWriter:
     def _end_chunk(self) -> None:
         self._chunk_opened = None
         self._chunks += 1
-        self._chunks_in_file += 1
         with self._remembering_errors():
             self._file.commit()
             self._reserve.hold(_RESERVE_BASE + self._chunks * _RESERVE_PER_CHUNK)
@@ -365,13 +375,12 @@ class BagWriter:
             for name, data in attachments.items():
                 self._mcap.attach(name, data, self._last)
             self._file.commit()
-            record = FileRecord(self.path.name, self._first or 0, self._last, sum(self._counts.values()))
-            description = self._description([(record, self._counts)], aborted)
-            self._mcap.finish(dump_yaml(description))
+            written = _Written.of(self.path.name, self._mcap.statistics)
+            self._mcap.finish(dump_yaml(self._description([written], aborted)))
             self._file.commit()
             self._file.sync()
             self._file.close()
-            self._complete.append((record, self._counts))
+            self._complete.append(written)
 
     def _finish_after_error(self, reason: str) -> None:
         if self._closed:  # the file was complete before the error
@@ -388,10 +397,9 @@ class BagWriter:
             with self.path.open("rb") as stream:
                 index = scan_index(stream, self._file.committed)
             self._file.cut(index.data_end)
-            file = FileRecord.of(self.path.name, index.statistics)
-            parts = [(file, index.statistics.channel_message_counts)]
+            written = _Written.of(self.path.name, index.statistics)
             try:
-                for piece in ending(index, dump_yaml(self._description(parts, reason))):
+                for piece in ending(index, dump_yaml(self._description([written], reason))):
                     self._file.write(piece)
                 self._file.commit()
             except OSError:
@@ -401,18 +409,16 @@ class BagWriter:
             else:
                 self._file.cut(self._file.committed)
                 self._file.sync()
-                write_metadata(self.folder, self._description([*self._complete, *parts], reason))
+                write_metadata(self.folder, self._description([*self._complete, written], reason))
                 return
 
-    def _description(
-        self, parts: Sequence[tuple[FileRecord, Mapping[int, int]]], aborted: str | None
-    ) -> dict[str, Any]:
+    def _description(self, files: Sequence[_Written], aborted: str | None) -> dict[str, Any]:
         return bag_metadata(
             [
-                replace(topic, message_count=sum(counts.get(channel, 0) for _, counts in parts))
+                replace(topic, message_count=sum(file.counts.get(channel, 0) for file in files))
                 for channel, topic in enumerate(self._topics, start=1)
             ],
-            files=[file for file, _ in parts],
+            files=[file.record for file in files],
             custom_data={} if aborted is None else {ABORTED_KEY: aborted},
         )
 
