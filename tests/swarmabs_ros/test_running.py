@@ -482,6 +482,7 @@ def test_gains_are_set_until_the_node_is_active_and_used_from_its_activation_on(
     assert managed.loop.asked == ["attach", "activate", "deactivate"], "it was made with what was set before"
     assert not managed.set("gains.k", [3.0, 4.0])
     assert not managed.set("gains.ksd", 5.0)
+    assert not managed.set("use_sim_time", value=False), "it has nothing to do with the gains"
     managed.trigger("activate")
     assert managed.loop.asked[3:] == ["ksd 5.0", "activate"]
     refusal = managed.set("gains.ksd", 6.0)

@@ -193,6 +193,7 @@ def test_a_jump_is_refused_and_believed_when_there_was_time_for_it(track: Track)
     track.offer(EPOCH, 0.0, 0.0, EPOCH)
     for late in range(10, 245, 10):
         assert refusal(track, EPOCH + late * MS, 0.5) == "jump"
+    assert refusal(track, EPOCH + 240 * MS, 0.5, now=EPOCH + 900 * MS) == "jump", "its own time counts"
     track.offer(EPOCH + 246 * MS, 0.5, 0.0, EPOCH + 246 * MS)
     assert track.newest == Sample(EPOCH + 246 * MS, 0.5, 0.0)
 

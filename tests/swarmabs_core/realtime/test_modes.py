@@ -125,6 +125,16 @@ def test_a_reset_that_is_refused_is_not_obeyed(hour: float, change: dict[str, fl
     assert node.health(at(hour + 1.4)).text == "safe stop: stop commanded"
 
 
+@pytest.mark.parametrize(("late", "obeyed"), [(300, True), (301, False)])
+def test_a_reset_that_comes_late_is_obeyed_for_some_time(late: int, *, obeyed: bool) -> None:
+    """At an overload it may be outdated wherever it arrives."""
+    body, node = robot()
+    tell(node, broadcasts(10, Mode.STOP), 10.6)
+    assert kinds(node.hear(broadcasts(100, Mode.RESET)[2], at(100.6 + late))) == [EventKind.REFUSED]
+    follow(node, 101 + late)
+    assert any(body.commands) is obeyed
+
+
 def test_an_old_reset_does_not_open_the_latch_after_the_clock_was_set_back() -> None:
     body, node = robot()
     follow(node, 1000, Mode.STOP)

@@ -7,9 +7,9 @@ from tests.swarmabs_core.realtime import nodes
 
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_core.abstraction import Weight, abstraction, second_moments
-from swarmabs_core.messages import NEVER, Basis, EventKind, Message, Mode, PlaneState, Status
+from swarmabs_core.messages import NEVER, Basis, EventKind, Message, Mode, PlaneState, Removal, Status
 from swarmabs_core.realtime.base import Level, StepCounter
-from swarmabs_core.realtime.observer import Role
+from swarmabs_core.realtime.observer import RealtimeObserver, Role
 from swarmabs_core.realtime.plane import RealtimePlane
 from swarmabs_core.realtime.validation import QUIET_NS, Problem, Refusals
 from swarmabs_core.swarm_law import LAWS
@@ -67,6 +67,18 @@ def test_a_robot_that_does_not_know_where_it_is_stops(trouble: dict[str, object]
     assert body.commands[-1] == 0.0
     assert (nodes.state_of(answer).status, nodes.state_of(answer).position) == (Status.SAFE_STOP, 0.1)
     assert "measurement" in node.health(nodes.at(23)).text
+
+
+def test_a_robot_that_leaves_says_so_for_ten_periods_and_is_back_when_asked() -> None:
+    body, node = nodes.robot()
+    nodes.follow(node, 10)
+    assert nodes.kinds(node.leave(nodes.at(11.2))) and not node.leave(nodes.at(11.3))
+    answers = [nodes.follow(node, step) for step in range(11, 25)]
+    assert [nodes.state_of(answer).status for answer in answers if answer] == [Status.LEFT] * 10
+    assert (len(body.commands), body.stops) == (1, 1)
+    assert nodes.kinds(node.join(nodes.at(26.2))) and not node.join(nodes.at(26.3))
+    nodes.follow(node, 26)
+    assert (nodes.state_of(nodes.follow(node, 27)).status, body.commands[-1] != 0.0) == (Status.ACTIVE, True)
 
 
 def test_a_law_without_a_finite_command_stops_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,6 +158,19 @@ def test_neither_outdated_states_nor_one_robot_that_followed_before_start_the_sw
         assert summed == ([] if first is None else list(range(first, 30)))
 
 
+def test_a_robot_that_was_silent_before_the_observer_restarted_counts_where_it_was() -> None:
+    *others, silent = nodes.states(100)
+    memory = {4: silent._replace(step=7)}
+    node = RealtimeObserver(configure.observer_config(nodes.scenario(), nodes.CLOCK), memory)
+    abstract, _ = nodes.sums(nodes.hear(node, others, 100))
+    on_plane = [*(Weight(s.mass, s.position, s.velocity) for s in others), Weight(silent.mass, silent.position, 0.0)]
+    assert abstract[2:] == (4, *abstraction(on_plane, 9.81)[:4])
+    assert memory == {4: silent._replace(step=7)}
+    assert node.hear(Removal(0, 6, 4, EventKind.LEFT, 0.0, ""), nodes.at(100.6)) == (), "it was heard after that"
+    nodes.hear(node, nodes.states(101), 101)
+    assert (memory, node.roles[4]) == ({}, Role.ACTIVE), "it is heard again"
+
+
 def test_an_observer_forgets_what_was_heard_when_its_clock_is_set_back_and_only_then() -> None:
     node = nodes.observer()
     for step in (1000, 5):
@@ -169,10 +194,16 @@ def test_missed_states_of_the_plane_are_caught_up() -> None:
 
 @pytest.mark.parametrize(
     ("step", "angle", "rate"),
-    [(5, nan, 0.0), (5, 0.1, inf), (5, 9.0, 0.0), (2**63, 0.1, 0.0), (0, 0.1, 0.0), (5, 0.1, 1e300), (5, 0.1, -101.0)],
+    [
+        *((25, nan, 0.0), (25, 0.1, inf), (25, 9.0, 0.0), (25, 0.1, 1e300), (25, 0.1, -101.0)),
+        *((2**63, 0.1, 0.0), (33, 0.1, 0.0), (19, 0.1, 0.0)),
+    ],
 )
 def test_a_state_of_the_plane_that_cannot_be_true_is_not_answered(step: int, angle: float, rate: float) -> None:
-    assert nodes.kinds(nodes.controller().hear(PlaneState(0, step, angle, rate), nodes.at(30.5))) == [EventKind.REFUSED]
+    node = nodes.controller()
+    assert nodes.kinds(node.hear(PlaneState(0, step, angle, rate), nodes.at(30.5))) == [EventKind.REFUSED]
+    for credible in (20, 32):  # as old and as far in the future as it may be
+        assert nodes.desired(node.hear(PlaneState(0, credible, 0.1, 0.0), nodes.at(30.5))).step == credible
 
 
 def test_a_swarm_that_waits_for_a_reset_is_told_so_without_a_plane_once_per_step() -> None:
@@ -208,7 +239,8 @@ def test_the_plane_is_held_until_a_robot_follows_and_then_makes_up_for_being_lat
     assert ("angular velocity, rad/s", "0.0000") in node.health(nodes.at(12)).values
     _, held = node.tick(nodes.at(12.5))
     assert held[2:] == (moved[2], 0.0)
-    late, punctual = (RealtimePlane(configure.plane_config(nodes.scenario(), nodes.CLOCK)) for _ in range(2))
+    pushed = nodes.scenario("plane.disturbance={amplitude: 0.5, angular_frequency: 9.0}")
+    late, punctual = (RealtimePlane(configure.plane_config(pushed, nodes.CLOCK)) for _ in range(2))
     for node in (late, punctual):
         nodes.hear(node, nodes.states(0, broadcast_step=0, velocity=0.0), 0)
     for step in range(1, 21):
