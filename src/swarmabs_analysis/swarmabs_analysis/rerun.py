@@ -15,7 +15,6 @@ from swarmabs_bag.attached import (
     attached_provenance,
     attached_scenario,
     is_realtime,
-    plugin_versions,
     supply_scenario,
     versions,
     was_steered,
@@ -207,7 +206,7 @@ def _differences(provenance: Mapping[str, object], scenario: AnyScenario) -> Ite
     made_with = provenance.get("versions")
     if isinstance(made_with, dict):
         there |= made_with
-        here |= dict.fromkeys(made_with, "not installed") | versions() | plugin_versions(scenario)
+        here |= dict.fromkeys(made_with, "not installed") | versions(scenario)
     for name, value in there.items():
         if value is not None and value != here[name]:
             then = f"{_text(name)} {_text(value)}"

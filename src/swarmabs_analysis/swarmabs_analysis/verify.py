@@ -20,7 +20,6 @@ from swarmabs_bag.attached import (
     events_in,
     is_realtime,
     lost,
-    plugin_versions,
     supply_scenario,
     versions,
 )
@@ -39,7 +38,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.messages import EVENTS, STANDING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from swarmabs_analysis.verification.base import Verification
@@ -157,19 +156,29 @@ class BagToVerify:
             result.difference = _other_digest(self._bag, result.digest)
         if self._former:
             result.notes = (*result.notes, _FORMER_NOTE)
-        notes = self._not_recomputed() if self._realtime else (*self._from_outside, *self._unsaid())
-        result.notes = (*result.notes, *notes, *(() if result.difference is None else self._elsewhere()))
+        result.notes = (*result.notes, *self._notes(differs=result.difference is not None))
         return result
 
-    def _not_recomputed(self) -> tuple[str, ...]:
-        """Return notes on what is not verified in a run in real time."""
-        assert self._realtime is not None  # noqa: S101 - called only for such runs
-        notes = [NOT_VERIFIED]
-        if measured := sorted(set(configure.members(self.scenario)) - set(self._realtime.robots)):
-            notes.append(f"not checked: the motion of robots {', '.join(map(str, measured))}, which was measured")
-        if not self._realtime.plane:
-            notes.append("not checked: the motion of the plane, which was measured")
-        return tuple(notes)
+    def _notes(self, *, differs: bool) -> Iterator[str]:
+        """Yield what was not verified, what the bag does not say and, if it differs, what may explain this."""
+        if self._realtime is not None:
+            yield NOT_VERIFIED
+            if measured := sorted(set(configure.members(self.scenario)) - set(self._realtime.robots)):
+                yield f"not checked: the motion of robots {', '.join(map(str, measured))}, which was measured"
+            if not self._realtime.plane:
+                yield "not checked: the motion of the plane, which was measured"
+        else:
+            yield from self._from_outside
+            if not self._provenance:
+                yield f"the bag has no readable {PROVENANCE_FILE}: its versions are unknown, and lockstep is assumed"
+        then = self._provenance.get("versions")
+        if differs and isinstance(then, dict):
+            now = versions(self.scenario)
+            changed = [
+                f"{name} {then[name]}, here {now.get(name, 'none')}" for name in then if then[name] != now.get(name)
+            ]
+            if changed:
+                yield f"the bag was recorded with {'; '.join(changed)}"
 
     def _follow(self, verification: Verification, on_step: Callable[[int], None] | None) -> str | None:
         """Feed the bag's messages to the verification until it is decided; return the damage of the file, if any."""
@@ -190,25 +199,6 @@ class BagToVerify:
         except DamagedBagError as error:
             return str(error)
         return self._bag.problem
-
-    def _unsaid(self) -> tuple[str, ...]:
-        """Return a note if the bag has no provenance."""
-        if self._provenance:
-            return ()
-        return (f"the bag has no readable {PROVENANCE_FILE}: its versions are unknown, and lockstep is assumed",)
-
-    def _elsewhere(self) -> tuple[str, ...]:
-        """Return notes on versions that differ from those of the recording and may explain a difference."""
-        notes = []
-        then = self._provenance.get("versions")
-        if isinstance(then, dict):
-            now = versions() | plugin_versions(self.scenario)
-            changed = [
-                f"{name} {then[name]}, here {now.get(name, 'none')}" for name in then if then[name] != now.get(name)
-            ]
-            if changed:
-                notes.append(f"the bag was recorded with {'; '.join(changed)}")
-        return tuple(notes)
 
 
 def open_to_verify(

@@ -47,8 +47,11 @@ UNDECIDED = "it contains several scenarios and does not state which one was run"
 _DISTRIBUTIONS = ("ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "mcap", "numpy")
 
 
-def versions() -> dict[str, str]:
-    """Return the versions that may affect the result of a run, of all packages installed as distributions."""
+def versions(scenario: AnyScenario | None = None) -> dict[str, str]:
+    """Return the versions that may affect the result of a run, of all packages installed as distributions.
+
+    With a scenario, those that provide its parent system, its controller and its swarm law are among them.
+    """
     installed = {"python": platform.python_version()}
     if own := own_version():
         installed["swarmabs_core"] = own
@@ -57,13 +60,8 @@ def versions() -> dict[str, str]:
             installed[name] = version(name)
         except PackageNotFoundError:
             continue
-    return installed
-
-
-def plugin_versions(scenario: AnyScenario) -> dict[str, str]:
-    """Return the versions of the packages that provide the scenario's parent system, its controller and swarm law."""
-    packages = [registry.package(name) for registry, name in plugins(scenario)]
-    return dict(package for package in packages if package is not None)
+    packages = [] if scenario is None else [registry.package(name) for registry, name in plugins(scenario)]
+    return installed | dict(package for package in packages if package is not None)
 
 
 def provenance(
@@ -92,7 +90,7 @@ def provenance(
         "scenario": scenario.name,
         "seed": scenario.seed,
         "driver": driver,
-        "versions": versions() | plugin_versions(scenario),
+        "versions": versions(scenario),
         "machine": platform.machine(),
         "byte_order": sys.byteorder,
         "arithmetic": ARITHMETIC,

@@ -77,11 +77,6 @@ class _OfPlane:
         moment = state.mass * state.position
         return moment, moment * state.position / (2.0 * self._length)
 
-    @staticmethod
-    def velocities(state: AnyRobotState) -> Vector:
-        """Return the velocity of a robot."""
-        return (state.velocity,) if isinstance(state, AgentState) else ()
-
 
 class _OfSystem:
     """The measures of a swarm on any other parent system."""
@@ -114,12 +109,6 @@ class _OfSystem:
         assert isinstance(state, RobotState)  # noqa: S101 - of this family
         values = self._made.contribution(state.coordinates, state.constants)
         return tuple(value / row.scale for value, row in zip(values, self._made.abstract, strict=True))
-
-    @staticmethod
-    def velocities(state: AnyRobotState) -> Vector:
-        """Return the velocities of a robot that moves; those of a lag are rates of what its drive puts out."""
-        assert isinstance(state, RobotState)  # noqa: S101 - of this family
-        return () if state.kind == Kind.FIRST_ORDER_LAG else state.velocities
 
 
 class Measures:
@@ -211,8 +200,9 @@ class Watch:
             if outside > self.outside.value:
                 self.outside, self.beyond = Place(outside, robot, step), (row, value)
             self.farthest = max(self.farthest, Place(abs(value), robot, step), key=_value)
-        for row, value in zip(self._of.coordinates, self._of.velocities(state), strict=False):
-            self.speed = max(self.speed, Place(abs(value) / row.scale, robot, step), key=_value)
+        if state.kind != Kind.FIRST_ORDER_LAG:  # its velocities are rates of what its drive puts out
+            for row, value in zip(self._of.coordinates, vector_of(state, "velocities"), strict=True):
+                self.speed = max(self.speed, Place(abs(value) / row.scale, robot, step), key=_value)
         self.robots[step] += 1
         self.limited[step] += state.broadcast_step != NEVER and self._of.limited(state)
         self.braking[step] += state.broadcast_step == NEVER and robot in self._known

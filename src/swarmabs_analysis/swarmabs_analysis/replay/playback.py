@@ -219,7 +219,7 @@ def play(
     RunError
         If nodes under test do not answer any more.
     """
-    initialise(NAME, ["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={_namespace(bag)}"])
+    initialise(NAME, ["--ros-args", "--disable-external-lib-logs", "-r", f"__ns:={namespace_of(bag)}"])
     node: Node = SwarmNode(NAME)
     try:
         publishers = {
@@ -257,7 +257,7 @@ def play(
         rclpy.try_shutdown()
 
 
-def _namespace(bag: BagReader) -> str:
+def namespace_of(bag: BagReader) -> str:
     """Return the namespace of the swarm that is read."""
     return (bag.namespace or "/").rstrip("/") or "/"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING
 
+from swarmabs_analysis.replay.playback import namespace_of
 from swarmabs_analysis.verification.trial import check_nodes
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.run_folder import RunFolder
@@ -48,5 +49,5 @@ def start_commands(bag: BagReader, nodes: Collection[NodeName]) -> Iterator[str]
     for node in nodes:
         process = processes[agent_name(node.agent_id) if node.kind is NodeKind.AGENT else names[node.kind]]
         process.parameters.update({name: value for name, value in changed.items() if name in process.parameters})
-        arguments = process.arguments((bag.namespace or "/").rstrip("/") or "/")
+        arguments = process.arguments(namespace_of(bag))
         yield shlex.join(["python", "-m", process.module, *arguments])
