@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings, strategies as st
 
-from swarmabs_core.summation import column_sums, determinant, each_sum, exact_sum, exact_units, robot_sums, rounded
+from swarmabs_core.summation import (
+    PLACES,
+    column_sums,
+    determinant,
+    each_sum,
+    exact_sum,
+    exact_units,
+    robot_sums,
+    rounded,
+)
 from swarmabs_run.swarm_columns import step_sums
 
 doubles = st.floats(allow_nan=False, allow_infinity=False)
@@ -38,9 +47,9 @@ def test_a_sum_that_is_not_finite_is_refused_and_rounds_to_nan(terms: list[float
 
 def test_a_product_that_overflows_is_nan_and_one_that_underflows_is_rounded() -> None:
     huge, tiny = exact_units([1e300]), exact_units([3e-170])
-    assert isnan(rounded(huge * huge, 2))
-    assert rounded(tiny * tiny, 2) == float(Fraction(3e-170) ** 2)
-    assert rounded(tiny * tiny * tiny, 3) == 0.0
+    assert isnan(rounded(huge * huge, 2 * PLACES))
+    assert rounded(tiny * tiny, 2 * PLACES) == float(Fraction(3e-170) ** 2)
+    assert rounded(tiny * tiny * tiny, 3 * PLACES) == 0.0
 
 
 @given(st.lists(st.tuples(st.floats(1e-3, 1e3), usual), min_size=1, max_size=12))

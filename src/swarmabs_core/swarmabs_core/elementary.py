@@ -18,7 +18,7 @@ How a result is found:
    value but those that are treated first lies halfway between two doubles: the others are transcendental numbers. (Of
    the quantile that is not proven; with such a value it would not end.)
 
-Nodes are computed in integers when they are first needed, and kept: 3 to 35 us and half a kilobyte each.
+Nodes are computed in integers when they are first needed, and kept: 1 to 35 us and half a kilobyte each.
 `swarmabs_core.elementary_arrays` applies the functions to numpy arrays with the same nodes, formulas and bits.
 """
 
@@ -223,16 +223,20 @@ def _node(value: int, slope: int, higher: Node, seventh: float, digits: int = 52
     seventh : float
         Bound of the seventh Taylor coefficient within 2**-9 of the node.
     """
-    parts = []
-    for number, kept in ((value, digits), (slope, digits - 30)):
-        dropped = _BITS - kept
-        head = number + (1 << dropped - 1) >> dropped
-        parts += [head / (1 << kept), (number - (head << dropped)) / (1 << _BITS)]
-    second, *others = map(abs, higher)
-    curvature = second + 2.0**-9 * sum(others)
+    f0, f0l = _head_and_tail(value, digits)
+    f1, f1l = _head_and_tail(slope, digits - 30)
+    a2, a3, a4, a5, a6 = higher
+    curvature = abs(a2) + 2.0**-9 * (abs(a3) + abs(a4) + abs(a5) + abs(a6))
     # The bound is derived in near.
-    e = 24.0 * 2.0**-71 * curvature + 2.0**-74 * abs(parts[2]) + 2.0**-79 + 1.01 * 2.0**-63 * seventh
-    return (*parts, *higher, e)
+    e = 24.0 * 2.0**-71 * curvature + 2.0**-74 * abs(f1) + 2.0**-79 + 1.01 * 2.0**-63 * seventh
+    return f0, f0l, f1, f1l, a2, a3, a4, a5, a6, e
+
+
+def _head_and_tail(number: int, digits: int) -> tuple[float, float]:
+    """Return the nearest multiple of 2**-digits, and what is left of a number in units of 2**-_BITS."""
+    dropped = _BITS - digits
+    head = number + (1 << dropped - 1) >> dropped
+    return head / (1 << digits), (number - (head << dropped)) / (1 << _BITS)
 
 
 def near(nodes: Any, x: Any, t: Any) -> tuple[Any, Any, Any]:
@@ -378,6 +382,9 @@ def _exp_of(c: float) -> tuple[int, int]:
 
 
 def _tanh_node(c: float) -> Node:
+    if c < 0.0:
+        f0, f0l, f1, f1l, a2, a3, a4, a5, a6, e = _TANH[-c]
+        return -f0, -f0l, f1, f1l, -a2, a3, -a4, a5, -a6, e
     whole = (2.0 * c + _WHOLE) - _WHOLE
     (large, q), (small, r) = _exp_of(whole), _exp_of(2.0 * c - whole)
     power, one = large * small >> _BITS, 1 << q + r - _BITS
@@ -420,9 +427,22 @@ def _tanh_near_zero(x: float) -> float:
 # Sine and cosine
 
 
+@cache
+def _sin_cos_of(c: float) -> tuple[int, int]:
+    return _sin_cos(c, _BITS)
+
+
+@lru_cache(maxsize=1)  # sine and cosine of an angle are often needed together
+def _sin_cos_at(c: float) -> tuple[int, int]:
+    """Return sine and cosine of a multiple of 2**-8, from those of a multiple of 2**-4 and of the rest."""
+    coarse = ((16.0 * c + _WHOLE) - _WHOLE) / 16.0
+    (s, k), (s1, k1) = _sin_cos_of(coarse), _sin_cos_of(c - coarse)
+    return s * k1 + k * s1 >> _BITS, k * k1 - s * s1 >> _BITS
+
+
 def _sine_node(c: float, quarter: int) -> Node:
     """Return a node of the sine, or of the cosine, which is a quarter turn ahead."""
-    sine, cosine = _sin_cos(c, _BITS)
+    sine, cosine = _sin_cos_at(c)
     value, slope = (cosine, -sine) if quarter else (sine, cosine)
     f0, f1 = value / (1 << _BITS), slope / (1 << _BITS)
     return _node(value, slope, (-f0 / 2.0, -f1 / 6.0, f0 / 24.0, f1 / 120.0, -f0 / 720.0), 1 / 5040)
