@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import AnyScenario
     from swarmabs_core.arrays import SystemArrays
     from swarmabs_core.plant import Plane
-    from swarmabs_core.sensing import PlaneSensor, RobotSensor
     from swarmabs_core.systems import SystemTables
 
     Floats = NDArray[np.float64]
@@ -265,12 +264,12 @@ class Recorded:
     @property
     def measured(self) -> bool:
         """Whether the recorded motion of the plane comes from an imperfect sensor."""
-        return self.plane is not None and _imperfect(self.plane.sensor)
+        return self.plane is not None and not self.plane.sensor.perfect
 
     @property
     def sensed(self) -> bool:
         """Whether robots on the plane measure their states with imperfect sensors."""
-        return self.plane is not None and _imperfect(self.run.scenario.swarm.sensor)
+        return self.plane is not None and not self.run.scenario.swarm.sensor.perfect
 
 
 def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | None = None) -> Recorded:
@@ -302,10 +301,6 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
         summary_note=note,
         realtime=None if realtime is None else realtime.realtime(),
     )
-
-
-def _imperfect(sensor: PlaneSensor | RobotSensor) -> bool:
-    return any((*sensor.noise, *sensor.resolution))
 
 
 def _metrics(swarm: RecordedSwarm, arrays: RunArrays | SystemArrays) -> dict[str, float | int | None]:

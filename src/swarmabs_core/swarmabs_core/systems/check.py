@@ -8,6 +8,7 @@ from functools import partial
 from math import inf, isfinite, nan
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
+from swarmabs_core.declaration import entries_of
 from swarmabs_core.errors import InputError, one_line
 from swarmabs_core.messages import NEVER, Kind, RobotState, Status, word
 from swarmabs_core.registry import PluginError
@@ -244,7 +245,7 @@ def _check_tables(instance: ParentSystem) -> None:
 def _of_lists(instance: ParentSystem, requests: Requests, sensor: ParentSensor) -> Iterator[Problem]:
     """Yield what is wrong with lists of the scenario that have a number for each row of a table."""
     lists: tuple[tuple[tuple[str, str], Vector, Sequence[Quantity | Need]], ...] = (
-        *((("sensor", name), getattr(sensor, name), instance.parent) for name in ("noise", "resolution")),
+        *((("sensor", name), getattr(sensor, name), instance.parent) for name, *_ in entries_of(type(sensor))),
         *((("requests", name), getattr(requests, name), instance.needs) for name in ("low", "high")),
     )
     fits = True
