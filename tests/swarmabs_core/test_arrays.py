@@ -19,7 +19,11 @@ from swarmabs_run.simulation import simulate
 
 @cache
 def scenario() -> Scenario:
-    return builtin("pd_het_4", "duration=0.2", "faults=[{at: 0.1, kind: kill, agent: 3}]")
+    return builtin(
+        "pd_het_4",
+        "duration=0.2",
+        "faults=[{at: 0.1, kind: kill, agent: 3}, {kind: clock_offset, agent: 1, offset: -0.5}]",
+    )
 
 
 @cache

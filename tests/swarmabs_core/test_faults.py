@@ -19,6 +19,7 @@ from swarmabs_core.faults import (
     RobotFaults,
     true_state,
 )
+from swarmabs_core.messages import RobotState
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.sensing import Sensor, standard_normal
 
@@ -112,6 +113,14 @@ def test_a_lie_is_undone_for_its_robot_while_it_lasts() -> None:
     assert lie.injected.fault.falsified(true) == said
     for other in (agent_state(3, 9), agent_state(3, 20), agent_state(2, 10)):
         assert true_state(other, [lie]) is other
+
+
+def test_a_lie_on_another_parent_system_concerns_all_coordinates() -> None:
+    lie = Falsification.parse("3 lie 10 20 0.05 2.0 1.0")
+    said = RobotState(0, 10, 5, 9, 3, 1, 1, (0.25, -0.15), (0.0, 0.0), (0.0, 0.0), (0.5,))
+    true = true_state(said, [lie])
+    assert true == said._replace(coordinates=(pytest.approx(0.1, abs=1e-15), pytest.approx(-0.1, abs=1e-15)))
+    assert lie.injected.fault.falsified(true).coordinates == pytest.approx(said.coordinates)
 
 
 @pytest.mark.parametrize("text", ["1:0:plane:value", "7:803:17:rate", "2:5:3:value"])

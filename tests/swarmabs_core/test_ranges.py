@@ -5,7 +5,7 @@ from math import inf, nan
 import pytest
 
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_core.ranges import ASSUMED, RangeMonitor, Strays, crossing_of, lane
+from swarmabs_core.ranges import ASSUMED, RangeMonitor, Strays, crossing_of, lane, reason_of, texts_of
 from swarmabs_core.systems import Quantity
 
 LANE = lane(1.0)
@@ -152,6 +152,19 @@ def test_what_events_tell_of_the_robots_of_a_run(
     assert [stray.robot for stray in strays.flown] == flown
     assert [stray.text for stray in strays.all] == texts
     assert strays.clear_from == clear
+
+
+def test_the_reason_of_a_failed_run_names_the_first_robot_and_counts_the_others() -> None:
+    first = "robot 1 is out of range at the end: p above 0.5 m since step 3"
+    for robots, others, untold in ((1, "", 0), (2, "; 1 more robot likewise", 0), (7, "; 6 more robots likewise", 2)):
+        summary = Strays(event(3, robot, OUT) for robot in range(1, robots + 1)).summary()
+        assert (summary["robots"], summary["flown_off"]) == (robots, robots)
+        assert reason_of(summary) == first + others
+        more = [f"{untold} more robots were out of range"] if untold else []
+        assert texts_of(summary)[0] == first
+        assert [*texts_of(summary)[5:]] == more
+    back = Strays([event(3, 1, OUT), event(5, 1, BACK)]).summary()
+    assert (reason_of(back), reason_of({}), texts_of({})) == ("", "", ())
 
 
 def test_crossings_are_read_as_they_are_told() -> None:

@@ -97,6 +97,7 @@ UNFIT: dict[str, tuple[str, str]] = {
         for name, settings in {
             "a": "Parameter('a', 1.0, 'x'), Parameter('a', 2.0, 'x')",
             "type": "Parameter('type', 'x', 'x')",
+            r"type\.a": "Parameter('type.a', 1.0, 'x')",
             r"a\.b": "Parameter('a', 1.0, 'x'), Parameter('a.b', 2.0, 'x')",
             "Gain 1": "Parameter('Gain 1', 1.0, 'x')",
         }.items()

@@ -278,14 +278,16 @@ def test_a_push_is_two_changes_of_the_disturbance_and_what_changes_it_meanwhile_
 
 
 def test_a_push_waits_for_what_the_scenario_sets_before_its_end_and_stays_in_range() -> None:
-    made = controller(torques=(StepChange(4, 1.5),))
-    made.ask(Request(msg.Action.DISTURBANCE, 0, 1.0, steps=3))
-    assert ordered(made, *range(10)) == [msg.Action.NONE] * 10
-    (decision,) = made.decisions()
-    assert (decision.step, decision.reason) == (
-        None,
-        "1.0 N m and the disturbance of 1.5 N m are together out of range; a disturbance is at most 2 N m in magnitude",
-    )
+    for held, push in ((1.5, 1.0), (-1.5, -1.0)):
+        made = controller(torques=(StepChange(4, held),))
+        made.ask(Request(msg.Action.DISTURBANCE, 0, push, steps=3))
+        assert ordered(made, *range(10)) == [msg.Action.NONE] * 10
+        (decision,) = made.decisions()
+        assert decision.step is None
+        assert decision.reason == (
+            f"{push} N m and the disturbance of {held} N m are together out of range; "
+            "a disturbance is at most 2 N m in magnitude"
+        )
     made = controller()
     made.ask(Request(msg.Action.DISTURBANCE, 0, 1.0, steps=30))
     assert ordered(made, *range(11)) == [msg.Action.DISTURBANCE] + [msg.Action.NONE] * 9, "the run ends during it"

@@ -183,6 +183,7 @@ def test_arrays_give_the_bits_and_the_order_of_the_state_machines(scenario: Scen
         "limits={velocity: 0.01}",
         "limits={force: 0.1}",
         "plane.end_stop=0.101",
+        "plane.robot_gravity=true",
         *(f"{of}.sensor.{what}" for of in ("plane", "swarm") for what in ("noise=[1e-4, 0]", "resolution=[0, 1e-4]")),
         "swarm.actuator_lag=0.02",
         "observer={type: parent_response}",

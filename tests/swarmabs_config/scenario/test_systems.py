@@ -101,6 +101,7 @@ def test_a_swarm_that_cannot_be_generated_is_refused(changes: dict[str, object],
     ("part", "problem"),
     [
         ({"sensor": {"noise": [0.1]}}, r"sensor\.noise: 1 numbers for 2; give angle, rate$"),
+        ({"sensor": {"resolution": [0.1]}}, r"sensor\.resolution: 1 numbers for 2; give angle, rate$"),
         ({"sensor": {"resolution": [0.1, -0.1]}}, r"sensor\.resolution\.1: -0\.1 is out of range"),
         ({"requests": {"bandwidth": 0.0}}, r"requests\.bandwidth: 0\.0 is out of range; give a number > 0$"),
         ({"requests": {"low": [1.0, 2.0]}}, r"requests\.low: 2 numbers for 1; give torque$"),

@@ -168,6 +168,16 @@ def test_command_is_limited_and_that_is_told_once(kind: msg.Kind, limits: Limits
     assert hear(free, broadcasts()) == hear(started(kind)[0], broadcasts()), "within the limits it is untouched"
 
 
+def test_limits_are_over_once_they_have_not_acted_for_half_a_second() -> None:
+    node, before = started(limits=Limits(velocity=0.5 * abs(law(state(Agent(config()).start()), desired=2.0))))
+    assert abs(law(before, desired=2.0)) > abs(law(before))
+    assert events(hear(node, broadcasts(0, desired=2.0)))[0][2] == msg.EventKind.LIMIT_HIT
+    told = {step: events(hear(node, broadcasts(step))) for step in range(1, 53)}
+    assert {step: said for step, said in told.items() if said} == {
+        50: [(51, 3, msg.EventKind.RECOVERED, "command within its limits")]
+    }
+
+
 def test_double_integrator_keeps_the_speed_limit_and_brakes_within_the_limit_of_force() -> None:
     node, _ = started(DI, velocity=0.09, limits=Limits(velocity=0.1))
     speeds = [abs(state(hear(node, broadcasts(step, desired=9.0))).velocity) for step in range(20)]

@@ -16,7 +16,8 @@ from swarmabs_config import configure
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_core import messages as msg
 from swarmabs_core.arrays import canonical_table, layout_of
-from swarmabs_core.behaviours import Observer, Parent
+from swarmabs_core.behaviours import Agent, Observer, Parent
+from swarmabs_core.behaviours.base import OtherSystemError
 from swarmabs_core.behaviours.packed import PackedObserver, PackedParent
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import SwarmabsError
@@ -117,7 +118,7 @@ def test_no_single_state_of_an_ordinary_step_is_decoded(few: int, monkeypatch: p
     parent = PackedParent(configure.parent_config(scenario))
     for step in steps[:5]:
         payloads = [record.payload for record in step.records if record.topic is msg.AGENT_STATE]
-        packed, *sums = together(observer, msg.AGENT_STATE, payloads)
+        packed, *sums = together(observer, msg.AGENT_STATE, payloads[::-1])
         assert [encode(answer) for answer in sums] == [step.records[place].payload for place in (-3, -2)]
         assert encode(parent.handle(packed)[-1]) == step.records[-4].payload
         monkeypatch.setattr("swarmabs_core.behaviours.packed.decode", None)
@@ -209,6 +210,11 @@ def test_states_of_another_system_are_refused_by_both_nodes() -> None:
         lambda: PackedParent(configure.parent_config(scenario)).handle(SwarmStates(0, 0, b"".join(payloads))),
     ):
         assert "its parent system has another description" in str(outcome(node))
+    *_, desired = steps[0].records
+    abstract, auxiliary = (record.message for record in steps[0].records[-3:-1])
+    packed = msg.SwarmBroadcast(0, 0, abstract._replace(system=5), auxiliary, desired.message)
+    agent = Agent(configure.agent_configs(scenario)[0], packed=True)
+    assert outcome(lambda: agent.handle(packed))[0] is OtherSystemError
 
 
 def test_a_robot_that_stays_silent_is_missing_and_one_that_repeats_itself_is_not_counted_twice() -> None:
