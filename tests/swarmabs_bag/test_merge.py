@@ -419,6 +419,18 @@ def test_bags_in_lockstep_that_contradict_each_other_are_refused(
     assert {path.name for path in tmp_path.iterdir()} == {"one", "other"}
 
 
+def test_bags_contradict_each_other_also_where_a_message_is_late(tmp_path: Path) -> None:
+    """What a recorder would still take is compared, however long the run."""
+    run = sample_run.make_run(520, agents=(1,))
+    attachments = {"scenario.yaml": SCENARIO, "provenance.json": json.dumps(PROVENANCE).encode()}
+    whole = sample_run.write_bag(tmp_path / "whole", run, attachments, chunk_bytes=10**6)
+    (changed,) = (m for m in sent(whole) if m.topic is PLANE_STATE and m.message.step == 450)
+    late = changed._replace(payload=encode(another(changed.message)), time=510 * sample_run.PERIOD)
+    other = piece(whole, tmp_path / "other", [late])
+    with pytest.raises(ContradictionError, match="/plane/state at step 450; "):
+        merge_bags([whole, other], tmp_path / "new")
+
+
 @pytest.mark.parametrize(
     ("changes", "difference"),
     [
@@ -597,7 +609,9 @@ def test_different_messages_in_real_time_are_recorded_by_receipt_and_told(fleet:
     assert (topic, robot, step) == kept.place
     assert not report.complete
     found = sent(tmp_path / "new")
-    told = [m.message for m in found if m.topic is EVENTS and m.message.kind == EventKind.REFUSED]
+    added = [m for m in found if m.topic is EVENTS and m.message.kind == EventKind.REFUSED]
+    told = [m.message for m in added]
+    assert [m.published for m in added] == [e.stamp for e in told]
     assert [(e.step, e.agent_id, e.detail) for e in told] == [
         (
             at,

@@ -20,6 +20,7 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, IndexType
 from rich.console import Console
 from rosbags.rosbag2 import Reader
+from tests.processes import ROOT
 from tests.swarmabs_bag.answers import kept, read_everywhere
 from tests.swarmabs_bag.conftest import SCENARIO, STEPS_PER_FILE, WriteBag
 from tests.swarmabs_bag.mcap_files import MAGIC, Recorded, rewritten, split
@@ -456,6 +457,8 @@ def test_table_shows_what_matters_and_a_cut_off_bag_as_far_as_it_goes(copy: Path
     ):
         assert part in text
     assert "swarms in" not in text
+    assert "the former one" not in text
+    assert "1, the former one" in shown(ROOT / "tests/data/schema_1")
     (copy / "bag_0.mcap").write_bytes(data[:-10])
     info = bag_info(copy)
     assert info.problem is not None

@@ -26,6 +26,7 @@ from swarmabs_config.graph import STANDBY_TOPICS, own_topic
 from swarmabs_core import messages as msg
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError
 from swarmabs_core.cdr import encode
+from swarmabs_core.events import EventCode
 from swarmabs_core.membership import Change, ChangeKind
 from swarmabs_core.realtime.base import Health, Level, Realtime, Schedule
 from swarmabs_core.realtime.validation import Bounds
@@ -159,6 +160,29 @@ def test_the_wait_for_a_robot_ends_when_it_leaves_or_the_observer_says_that_it_i
     for message in (agent_state(1), agent_state(2, status=msg.Status.LEFT), *coordinators):
         book.add(Record.of(message))
     assert (book.step, book.missing_agents()) == (1, (1,))
+
+
+def test_events_in_a_batch_are_taken_one_after_the_other() -> None:
+    """The first one completes a step, after which the other one is late."""
+    run = Run(builtin("pd_si_4", "duration=0.01"))
+    first = [agent_state(1), *(r.message for r in run.steps[0].records if not isinstance(r.message, msg.AgentState))]
+    events = [msg.SwarmEvent(0, 0, robot, kind, 0.0, "") for robot, kind in ((2, msg.EventKind.DEAD), (1, 7))]
+    single, batch = RunCollector((1, 2), (), 5), RunCollector((1, 2), (), 5)
+    for message in first:
+        assert single.add(Record.of(message)) == batch.add(Record.of(message)) == []
+    expected = [step for event in events for step in single.add(Record.of(event))]
+    assert list(batch.add_all(msg.EVENTS, [encode(event) for event in events])) == expected
+    assert [step.events for step in expected] == [(events[0],), (events[1],)]
+
+
+def test_a_requested_end_of_a_robot_is_none_that_nothing_causes() -> None:
+    run = short_run()
+    schedule = (Change(2, 1, ChangeKind.LEAVE), Change(3, 2, ChangeKind.JOIN))
+    book = RunCollector((1, 2, 3, 4), schedule, len(run.steps) - 1, division=200, steered=True, drops=False)
+    for step in range(len(run.steps)):
+        kill = step == 5
+        book.steer(msg.Steering(0, step, int(kill), msg.Action.KILL if kill else msg.Action.NONE, 3 * kill, 0.0))
+    assert singly([step for message in messages(run) for step in book.add(Record.of(message))]) == run.steps
 
 
 @pytest.mark.parametrize(
@@ -397,6 +421,15 @@ def test_what_is_of_another_swarm_or_time_is_refused(message: msg.Message, reaso
     assert kept.refused == 2
 
 
+def test_a_dispute_is_over_when_the_clock_is_set_back() -> None:
+    kept = Kept()
+    for message, writer in ((PLANE._replace(step=500), FIRST), (PLANE._replace(step=500, angle=0.2), SECOND)):
+        kept.take(message, CLOCK.begin(500), writer)
+    ended, state = kept.take(ROBOT, CLOCK.begin(5), FIRST)
+    assert isinstance(ended, msg.SwarmEvent) and disputed(ended) == Dispute(SECOND_WRITER, "plane/state", 0, None, 500)
+    assert state == ROBOT
+
+
 def test_messages_are_recorded_up_to_an_age() -> None:
     kept = Kept()
     assert kept.take(PLANE, CLOCK.begin(5 + MEMORY)) == (PLANE,)
@@ -451,6 +484,22 @@ def test_the_first_state_of_a_fallen_plane_is_named() -> None:
         found.add(Record.of(PLANE._replace(step=step, angle=angle)))
     assert found.fallen.startswith("t = 3.12 s, step 312: the plane's angle is -1.5 rad and a run ends at 1.5 rad: ")
     assert "plane.end_stop" in found.fallen
+
+
+def test_a_robot_out_of_range_counts_in_the_time_of_the_law_until_it_has_left() -> None:
+    found = figures(BASIS._replace(step=100, begun=100), PLANE._replace(step=100, angle=0.0))
+    assert found.figures()["settled_at"] == 0.0
+    found.add(Record.of(EventCode.OUT_OF_RANGE.event(0, 105, 0.6, robot=2, where="position above 0.5 m")))
+    assert found.figures()["settled_at"] is None
+    found.add(Record.of(EVENT._replace(step=120, kind=msg.EventKind.LEFT)))
+    assert found.figures()["settled_at"] == 0.2
+
+
+def test_the_largest_angle_shown_stays() -> None:
+    metrics = RunFigures(lambda _: 0.0)
+    for step, (angle, largest) in enumerate(((-0.5, 0.5), (0.2, 0.5), (0.7, 0.7))):
+        metrics.follow(step, 0.0, (angle, 0.0))
+        assert metrics.max_abs_shown == largest
 
 
 def test_the_angle_is_told_without_an_error_once_the_controller_does_not_answer_any_more() -> None:

@@ -110,8 +110,10 @@ def test_an_empty_bag_is_a_bag_and_messages_keep_their_order(tmp_path: Path, mon
     with bag_writer(tmp_path / "unordered", chunk_bytes=1) as writer:
         for step in (5, 9, 2):
             writer.write(*plane(step))
+        writer.close({"run.log": b""})
     reader = open_bag(tmp_path / "unordered")
     reader.check()
+    assert reader.index.attachments[-1].log_time == 90_000_000
     assert [time for _, time, _ in reader.messages()] == [50_000_000, 90_000_000, 20_000_000]
     assert (reader.start, reader.end) == (20_000_000, 90_000_000)
 

@@ -237,7 +237,7 @@ def was_steered(bag: BagReader) -> bool:
 
 def events_in(bag: BagReader) -> Iterator[SwarmEvent]:
     """Yield the readable events of a bag; other readers report the damage."""
-    if bag.problem is None and not any(channel.message_count for channel in bag.channels if channel.topic is EVENTS):
+    if not any(channel.message_count for channel in bag.channels if channel.topic is EVENTS):
         return  # without reading all of the bag
     with suppress(DamagedBagError, UnknownTypeError):
         for _, _, message in bag.decoded((EVENTS,)):
