@@ -60,13 +60,13 @@ def test_a_page_gets_the_past_first_and_then_what_is_new_also_a_robot_that_is_he
 
 
 def test_of_the_events_only_the_new_ones_are_sent_and_those_in_their_order() -> None:
-    live = view_of(1)
+    live = view_of(20)
     session = LiveSession(live)
-    session.poll(0.0)
-    for step in (2, 3):
+    assert len(told(session.poll(0.0), protocol.Events)[0].events) == 1
+    for step in (21, 22):
         live.add(SwarmEvent(0, step, 1, EventKind.SAFE_STOP, 0.0, ""))
     (events,) = told(session.poll(0.1), protocol.Events)
-    assert (events.replace, [event.step for event in events.events]) == (False, [2, 3])
+    assert (events.replace, [event.step for event in events.events]) == (False, [21, 22])
 
 
 def test_something_is_said_every_second() -> None:
