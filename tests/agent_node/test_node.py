@@ -96,11 +96,11 @@ def test_every_choice_of_a_setting_is_a_text_on_a_command_line() -> None:
     choices = [choice for setting in TOPIC.settings for choice in setting.choices or ()]
     words = {f"drive__probe{index}": choice for index, choice in enumerate(choices)}
     with started_node(*given(**words)) as node:
-        found = [node.get_parameter(name.replace("__", ".")).value for name in words]
-    assert found == choices
+        values_seen = [node.get_parameter(name.replace("__", ".")).value for name in words]
+    assert values_seen == choices
 
 
-def made(node: FakeNode, **values: Value) -> Drive:
+def drive_with(node: FakeNode, **values: Value) -> Drive:
     settings = realtime_settings_from(PARAMETERS, agent_id=7, **values)
     return drive_of(settings.declared(RealtimeAgentConfig), cast("RealtimeNode", node))
 
@@ -139,7 +139,7 @@ WHEEL = {"header": Header(stamp=STAMP), "name": ["wheel"]}
 )
 def test_commands_are_stock_messages(kind: str, values: dict[str, Value], topic: str, message: object) -> None:
     node = FakeNode()
-    drive = made(node, kind=kind, drive__type="topic", drive__stamp="arrival", **values)
+    drive = drive_with(node, kind=kind, drive__type="topic", drive__stamp="arrival", **values)
     assert drive.read(NOW) is None
     node.sensors["~/odom"].append(odometry())
     assert drive.read(NOW) == Measurement(NOW, 0.0, 0.0)
@@ -155,7 +155,7 @@ def odometry() -> Any:
 def test_a_topic_drive_hears_base_and_imu_and_knows_the_robot_s_constants(stamp: str, age: float) -> None:
     node = FakeNode()
     values: dict[str, Value] = {"mass": 0.7, "gravity": 1.62, "limits__force": 0.1, "drive__offset": 0.25}
-    drive = made(node, kind="double_integrator", drive__type="topic", drive__stamp=stamp, **values)
+    drive = drive_with(node, kind="double_integrator", drive__type="topic", drive__stamp=stamp, **values)
     assert isinstance(drive, TopicDrive)
     assert node.sensors.keys() == {"~/odom", "~/imu"}  # nothing of the swarm
     imu = Imu(header=Header(frame_id="imu_link"), angular_velocity=Vector3(y=-0.5))

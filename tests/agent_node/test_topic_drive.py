@@ -47,7 +47,9 @@ class Wire:
         self.sent.append(value)
 
 
-def made(kind: Kind, *, mass: float = 0.5, limits: Limits | None = None, **given: Value) -> tuple[TopicDrive, Wire]:
+def wired_drive(
+    kind: Kind, *, mass: float = 0.5, limits: Limits | None = None, **given: Value
+) -> tuple[TopicDrive, Wire]:
     wire = Wire()
     body = Body(1, kind, Schedule(10 * MS), mass, 0.0, GRAVITY, limits or Limits(), connect=wire.connect)
     drive = DRIVES.make("topic", {name.replace("__", "."): value for name, value in given.items()}, body)
@@ -62,7 +64,7 @@ def heard(drive: TopicDrive, wire: Wire, *readings: Reading, now: int = EPOCH) -
 
 @given(AXES, FACING, st.floats(-0.4, 0.4), st.floats(-0.5, 0.5), st.floats(-1.0, 1.0), st.floats(-0.2, 0.2))
 def test_odometry(axis: str, facing: float, heading: float, position: float, velocity: float, offset: float) -> None:
-    drive, wire = made(SI, axis=axis, offset=offset)
+    drive, wire = wired_drive(SI, axis=axis, offset=offset)
     where = {"axis": "xy".index(axis[-1]), "sign": -1.0 if axis[0] == "-" else 1.0}
     measured = heard(drive, wire, odometry(EPOCH, position, velocity, facing=facing, heading=heading, **where))
     assert measured is not None
@@ -93,21 +95,21 @@ def test_a_body_on_a_tilting_plane_feels_the_force_of_the_law_alone(
 
     second = (r(step) - 2.0 * r(0.0) + r(-step)) / step**2
     needed = mass * float((second + np.array([0.0, 0.0, GRAVITY])) @ lane(tilt[0]))
-    drive, wire = made(DI, mass=mass)
+    drive, wire = wired_drive(DI, mass=mass)
     heard(drive, wire, odometry(EPOCH, *motion[:2], facing=facing), imu(EPOCH, *tilt[:2], facing, yaw))
     drive.write(mass * motion[2], EPOCH)
     assert facing * wire.sent[-1] == pytest.approx(needed, abs=2e-6)
 
 
 def test_forces_stay_within_the_limit_and_are_told_only_while_the_motion_is_known() -> None:
-    drive, wire = made(DI, mass=2.0, limits=Limits(inf, 1.5))
+    drive, wire = wired_drive(DI, mass=2.0, limits=Limits(inf, 1.5))
     heard(drive, wire, odometry(EPOCH, 0.0, 0.0), imu(EPOCH, 0.1, 0.0, 1.0))
     for command in (1.5, -1.5, -0.5):
         drive.write(command, EPOCH)
     assert wire.sent == pytest.approx([1.5, 2.0 * 9.81 * sin(0.1) - 1.5, 2.0 * 9.81 * sin(0.1) - 0.5])
     # Zero force is no rest on a tilted plane; a velocity of zero is.
     for kind, told in ((DI, []), (SI, [0.0])):
-        drive, wire = made(kind, gravity="none")
+        drive, wire = wired_drive(kind, gravity="none")
         drive.write(0.0, EPOCH)
         assert wire.sent == told
         heard(drive, wire, odometry(EPOCH, 0.1, 0.0))
@@ -117,7 +119,7 @@ def test_forces_stay_within_the_limit_and_are_told_only_while_the_motion_is_know
 
 
 def test_a_double_integrator_is_measured_only_while_its_imu_is_heard() -> None:
-    drive, wire = made(DI)
+    drive, wire = wired_drive(DI)
     assert heard(drive, wire, odometry(EPOCH, 0.1, 0.0)) is None
     assert heard(drive, wire, imu(EPOCH - 5 * MS, 0.1, 0.0, 1.0)) == pytest.approx((EPOCH - 5 * MS, 0.1, 0.0))
     later = EPOCH + 500 * MS
@@ -141,14 +143,14 @@ def test_a_wheel_by_its_radius(source: str, kind: Kind, sent: float, facing: flo
     base = odometry(EPOCH, facing * 0.2, facing * 0.1, facing=facing)
     told, extra = (wheel, {"reversed": facing < 0}) if source == "joint_state" else (base, {})
     joint: dict[str, Value] = {"command": "joint", "joint__name": "wheel", "joint__scale": 0.05, **extra}
-    drive, wire = made(kind, source=source, gravity="none", offset=0.1, **joint)
+    drive, wire = wired_drive(kind, source=source, gravity="none", offset=0.1, **joint)
     assert heard(drive, wire, told) == pytest.approx((EPOCH, 0.1 + facing * 0.2, facing * 0.1))
     drive.write(0.2, EPOCH)
     assert wire.sent == pytest.approx([facing * sent])
 
 
 def test_a_joint_without_velocity_is_differentiated() -> None:
-    drive, wire = made(DI, source="joint_state", joint__name="cart", gravity="none")
+    drive, wire = wired_drive(DI, source="joint_state", joint__name="cart", gravity="none")
     for time in range(EPOCH, EPOCH + 300 * MS, 5 * MS):
         measured = heard(drive, wire, Joints(time, ("cart",), (0.4e-9 * (time - EPOCH),), ()), now=time)
     assert measured == pytest.approx((EPOCH + 295 * MS, 0.118, 0.4))
@@ -170,7 +172,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("reason", REFUSED)
 def test_what_cannot_be_vouched_for_is_refused_and_counted(reason: str) -> None:
-    drive, wire = made(SI)
+    drive, wire = wired_drive(SI)
     good = heard(drive, wire, odometry(EPOCH, 0.1, 0.0))
     assert heard(drive, wire, REFUSED[reason], now=EPOCH + 10 * MS) == good
     assert drive.refused.counts == {reason: 1}
@@ -190,7 +192,7 @@ def test_what_cannot_be_vouched_for_is_refused_and_counted(reason: str) -> None:
     ],
 )
 def test_an_imu_that_cannot_be_vouched_for(change: dict[str, object], reason: str) -> None:
-    drive, wire = made(DI)
+    drive, wire = wired_drive(DI)
     reading = imu(EPOCH, 0.1, 0.0, 1.0)._replace(**change)  # type: ignore[arg-type]
     assert heard(drive, wire, odometry(EPOCH, 0.1, 0.0), reading) is None
     assert drive.refused.counts == {reason: 1}
@@ -210,13 +212,13 @@ def test_an_imu_that_cannot_be_vouched_for(change: dict[str, object], reason: st
 )
 def test_settings_that_make_no_sense_are_refused(kind: Kind, settings: dict[str, Value], text: str) -> None:
     with pytest.raises(InputError, match=text):
-        made(kind, **settings)
+        wired_drive(kind, **settings)
     with pytest.raises(InputError, match="needs a ROS node"):
         DRIVES.make("topic", {}, Body(1, SI, Schedule(MS), 0.5))
 
 
 def test_a_body_that_was_turned_round_is_believed_after_a_while_or_when_the_clock_was_set_back() -> None:
-    drive, wire = made(SI)
+    drive, wire = wired_drive(SI)
     heard(drive, wire, odometry(EPOCH, 0.1, 0.0))
     for time in range(10, 510, 10):
         now = EPOCH + time * MS
@@ -228,7 +230,7 @@ def test_a_body_that_was_turned_round_is_believed_after_a_while_or_when_the_cloc
     assert wire.sent[-1] == -0.2
     assert drive.refused.counts == {"heading": 49}
     assert "turned around 0.490 s after" in drive.refused.last
-    drive, wire = made(SI)
+    drive, wire = wired_drive(SI)
     heard(drive, wire, odometry(EPOCH, 0.1, 0.0))
     earlier = EPOCH - SECOND
     measured = heard(drive, wire, odometry(earlier, 0.1, 0.0, facing=-1.0), now=earlier)

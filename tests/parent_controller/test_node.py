@@ -50,7 +50,7 @@ def in_real_time(**values: Value) -> RealtimeSpec:
 
 def modes(spec: RealtimeSpec, *services: str) -> list[int]:
     """Return the modes that are published when the plane is heard at first, and after each command of an operator."""
-    found = []
+    modes = []
     observed = AbstractState(0, 0, 4, 0.1, 0.03, 0.01, 0.002)
     spec.behaviour.hear(observed, 0)
     for step, service in enumerate(("", *services), start=1):
@@ -58,8 +58,8 @@ def modes(spec: RealtimeSpec, *services: str) -> list[int]:
         told = spec.services[service](now) if service else ()
         told += spec.behaviour.hear(observed._replace(stamp=now, step=step), now)
         told += spec.behaviour.hear(PlaneState(now, step, 0.1, 0.0), now)
-        found.append(next(message.mode for message in reversed(told) if isinstance(message, DesiredAbstractState)))
-    return found
+        modes.append(next(message.mode for message in reversed(told) if isinstance(message, DesiredAbstractState)))
+    return modes
 
 
 def test_in_real_time_it_answers_the_plane_unless_it_is_too_old_and_takes_an_operators_commands() -> None:

@@ -175,38 +175,40 @@ def lockstep_violations(scenario: Scenario, steps: Steps | None = None) -> list[
     with TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         recording = Recording(scenario, bag, driver="simulate")
-        found = violations(scenario, steps(), recording.add)
-        if found:
+        violated = violations(scenario, steps(), recording.add)
+        if violated:
             recording.abort("an invariant does not hold")
-            return found
+            return violated
         digest = str(recording.close()["digest"])
         verdict, again = BagToVerify(bag).verify(), Digest()
     for step in steps():
         again.update(step)
     if (difference := verdict.difference) is not None:
-        found.append(Violation("verification", difference.step, difference.agent, str(difference)))
+        violated.append(Violation("verification", difference.step, difference.agent, str(difference)))
     elif not verdict.ok or verdict.digest != digest:
-        found.append(Violation("verification", None, None, f"{verdict.problem}, digest {verdict.digest}, not {digest}"))
+        violated.append(
+            Violation("verification", None, None, f"{verdict.problem}, digest {verdict.digest}, not {digest}")
+        )
     if again.hexdigest() != digest:
-        found.append(Violation("repetition", None, None, f"a second run has {again.hexdigest()}, and not {digest}"))
-    return found
+        violated.append(Violation("repetition", None, None, f"a second run has {again.hexdigest()}, and not {digest}"))
+    return violated
 
 
 def violations(
     scenario: Scenario, steps: Iterator[Step], record: Callable[[Step], None] = lambda _: None
 ) -> list[Violation]:
     """Watch a run, and return what does not hold in it."""
-    found: list[Violation] = []
+    violated: list[Violation] = []
     invariants = (StaysInLane(scenario), NothingStale(scenario), WithinLimits(scenario), Recovers(scenario))
     try:
         for step in steps:
             record(step)
             for invariant in invariants:
-                found.extend(invariant.check(step))
-            if len(found) > MOST_VIOLATIONS:
-                return found
+                violated.extend(invariant.check(step))
+            if len(violated) > MOST_VIOLATIONS:
+                return violated
     except RunError as error:
-        return [*found, Violation("run", None, None, str(error))]
+        return [*violated, Violation("run", None, None, str(error))]
     for invariant in invariants:
-        found.extend(invariant.finish())
-    return found
+        violated.extend(invariant.finish())
+    return violated

@@ -62,8 +62,8 @@ CALM = builtin("pd_het_4", "duration=2", "plane.angle=0")
 
 def changed_at(step: int, change: Callable[[Step], Step | None]) -> Iterator[Step]:
     """Yield the steps of a run of which one is changed, or left out."""
-    for each in singly(Simulation(CALM).steps()):
-        changed = change(each) if each.step == step else each
+    for original in singly(Simulation(CALM).steps()):
+        changed = change(original) if original.step == step else original
         if changed is not None:
             yield changed
 
@@ -90,7 +90,7 @@ def failing(_: Step) -> Step:
 )
 def test_what_is_wrong_with_a_run_is_found(first: Any, second: Any, expected: list[object]) -> None:
     runs = iter((first, second))
-    assert [found[:3] for found in lockstep_violations(CALM, lambda: changed_at(40, next(runs)))] == expected
+    assert [violation[:3] for violation in lockstep_violations(CALM, lambda: changed_at(40, next(runs)))] == expected
 
 
 FAULTS = (
@@ -108,7 +108,7 @@ def world(*overrides: str) -> tuple[Scenario, tuple[Step, ...]]:
     return scenario, singly(Simulation(scenario).steps())
 
 
-def found(changes: dict[Any, dict[str, Any]], *overrides: str) -> list[tuple[str, int | None, int | None]]:
+def violations_where(changes: dict[Any, dict[str, Any]], *overrides: str) -> list[tuple[str, int | None, int | None]]:
     """Return what is found where messages, by (class, step, robot), are changed."""
     scenario, steps = world(*overrides)
 
@@ -137,19 +137,19 @@ def found(changes: dict[Any, dict[str, Any]], *overrides: str) -> list[tuple[str
 def test_each_invariant_holds_in_a_run_and_is_found_broken_if_one_message_is_changed(
     name: str | None, place: tuple[type[Message], int, int], fields: dict[str, Any], overrides: tuple[str, ...]
 ) -> None:
-    assert found({place: fields}, *overrides) == ([(name, place[1], place[2] or None)] if name else [])
+    assert violations_where({place: fields}, *overrides) == ([(name, place[1], place[2] or None)] if name else [])
 
 
 def test_a_robot_beyond_the_end_needs_an_event_and_its_true_place_counts() -> None:
     events = [r.message for s in world(OFF)[1] for r in s.records if isinstance(r.message, SwarmEvent)]
     first = next(e for e in events if e.kind == EventKind.LIMIT_HIT and "out of range" in e.detail)
     unsaid = {(SwarmEvent, first.step, first.agent_id): {"detail": ""}}
-    assert found(unsaid, OFF) == [("lane", first.step, first.agent_id)]
-    assert "lane" not in {name for name, *_ in found({}, LIE)}
+    assert violations_where(unsaid, OFF) == [("lane", first.step, first.agent_id)]
+    assert "lane" not in {name for name, *_ in violations_where({}, LIE)}
 
 
 def test_recovery_counts_from_the_last_fault_to_the_end() -> None:
-    assert found({(PlaneState, 600, 0): {"angle": 0.011}}, FAULTS) == [("recovery", 200, None)]
+    assert violations_where({(PlaneState, 600, 0): {"angle": 0.011}}, FAULTS) == [("recovery", 200, None)]
     assert last_fault(world(FAULTS)[0]) == 200
     assert last_fault(world()[0]) == 0
     assert last_fault(builtin("pd_het_4", "duration=6", "faults=[{kind: loss, probability: 0.1}]")) == 600
@@ -194,8 +194,8 @@ def grown(samples: list[Sample]) -> list[str]:
 
 def test_growth_is_told_from_caches_that_fill_and_runs_of_different_size() -> None:
     calm = Sample(60.0, 50_000, 6, 1, 0)
-    for name, each in (("memory", 3.0), ("objects", 300), ("descriptors", 1), ("threads", 1), ("children", 1)):
-        assert grown([calm._replace(**{name: getattr(calm, name) + each * run}) for run in range(30)]) == [name]
+    for name, growth in (("memory", 3.0), ("objects", 300), ("descriptors", 1), ("threads", 1), ("children", 1)):
+        assert grown([calm._replace(**{name: getattr(calm, name) + growth * run}) for run in range(30)]) == [name]
     warm = [calm._replace(memory=20.0 * run, objects=10_000 * run, descriptors=run) for run in range(WARM_UP)]
     steady = [calm._replace(memory=60.0 + 10.0 * (run % 2), objects=50_000 + 500 * (run % 3)) for run in range(20)]
     assert grown([*warm, *steady]) == []

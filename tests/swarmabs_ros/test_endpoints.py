@@ -54,11 +54,11 @@ def matched(publishers: dict[Topic, Publisher], *inboxes: Receiver) -> None:
 
 
 def receive(inbox: Receiver, topic: Topic, count: int) -> list[bytes]:
-    found: list[bytes] = []
-    while len(found) < count:
+    messages: list[bytes] = []
+    while len(messages) < count:
         until(lambda: inbox.wait((topic,), 0.1), f"{count} messages arrive")
-        found.extend(iter(lambda: inbox.take(topic), None))
-    return found
+        messages.extend(iter(lambda: inbox.take(topic), None))
+    return messages
 
 
 def test_writers_of_messages_are_those_of_the_graph(node: SwarmNode, capfd: pytest.CaptureFixture[str]) -> None:
@@ -130,8 +130,8 @@ def test_topics_are_kept_apart_and_nothing_there_is_none_and_a_wait_that_ends(no
     publishers[EVENTS].publish(event)
     until(lambda: inbox.wait(BOTH, 0.1), "one of two is enough")
     publishers[PLANE_STATE].publish(MESSAGES[0])
-    (found,) = receive(inbox, EVENTS, 1)
-    assert found.rstrip(b"\0") == event.rstrip(b"\0")
+    (taken,) = receive(inbox, EVENTS, 1)
+    assert taken.rstrip(b"\0") == event.rstrip(b"\0")
     assert receive(inbox, PLANE_STATE, 1) == [MESSAGES[0]]
     assert inbox.take(EVENTS) is None
 

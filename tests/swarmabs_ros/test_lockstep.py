@@ -22,11 +22,11 @@ from swarmabs_ros.lockstep import FIRST, LONGEST, SLICE, Lockstep, NodeSpec, Rep
 
 def silence(repeater: Repeater, now: float, count: int) -> list[tuple[float, int]]:
     """Return times and sizes of the next repetitions if nothing comes."""
-    found = []
+    repetitions = []
     for _ in range(count):
         now += repeater.wait(now)
-        found.append((now, repeater.due(now)))
-    return found
+        repetitions.append((now, repeater.due(now)))
+    return repetitions
 
 
 def stepping(repeater: Repeater, times: Iterable[float], now: float = 0.0) -> float:

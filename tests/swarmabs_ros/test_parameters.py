@@ -49,8 +49,8 @@ DEFAULTS = {parameter.name: parameter.default for parameter in TABLE}
 )
 def test_a_value_is_taken_as_the_type_that_is_due(name: str, text: str, value: Value | None) -> None:
     with started_node(*given(**{name: text})) as node:
-        found = declare(node, TABLE)
-    assert repr(found) == repr(DEFAULTS if value is None else DEFAULTS | {name: value})
+        values = declare(node, TABLE)
+    assert repr(values) == repr(DEFAULTS if value is None else DEFAULTS | {name: value})
 
 
 @with_ros
@@ -90,7 +90,7 @@ def test_parameters_have_defaults_describe_themselves_and_cannot_be_changed_late
     assert kind.additional_constraints == "one of square, round"
     assert gains.additional_constraints == "more than 0; 2 elements"
     ranges = [*angle.floating_point_range, *count.integer_range]
-    assert [(each.from_value, each.to_value) for each in ranges] == [(-1.5, 1.5), (1, 65535)]
+    assert [(bounds.from_value, bounds.to_value) for bounds in ranges] == [(-1.5, 1.5), (1, 65535)]
 
 
 COMMONS = {LOCKSTEP: COMMON, REALTIME: REALTIME_COMMON}

@@ -68,11 +68,11 @@ class Told:
 def told(ros: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Told]:
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     interval = sys.getswitchinterval()
-    found = Told()
-    monkeypatch.setattr(StatusChannel, "send", lambda _, event, **details: found.report(event, **details))
+    listener = Told()
+    monkeypatch.setattr(StatusChannel, "send", lambda _, event, **details: listener.report(event, **details))
     for module in (managed_module, realtime_runner):
-        monkeypatch.setattr(module, "notify", found.notice)
-    yield found
+        monkeypatch.setattr(module, "notify", listener.notice)
+    yield listener
     sys.setswitchinterval(interval)
     for number, handler in handlers.items():
         signal.signal(number, handler)
@@ -417,7 +417,7 @@ class Managed:
         return [getattr(self.node, f"trigger_{name}")() for name in names]
 
     def stop(self) -> Any:
-        (service,) = (each for each in self.node.services if each.srv_name.endswith("/stop"))
+        (service,) = (service for service in self.node.services if service.srv_name.endswith("/stop"))
         return service.callback(Trigger.Request(), Trigger.Response())
 
 

@@ -96,11 +96,11 @@ def test_what_arrives_is_taken_once_and_in_order(reliability: QoSReliabilityPoli
         assert sensor.take() == []
         for position in range(5):
             publisher.publish(joints(float(position)))
-        found: list[Any] = []
-        until(lambda: found.extend(sensor.take()) or len(found) == 5, "all arrive")
-        assert [each.positions[0] for each in found] == [0.0, 1.0, 2.0, 3.0, 4.0]
+        readings: list[Any] = []
+        until(lambda: readings.extend(sensor.take()) or len(readings) == 5, "all arrive")
+        assert [one.positions[0] for one in readings] == [0.0, 1.0, 2.0, 3.0, 4.0]
         assert sensor.take() == []
-        stamps = [each.stamp for each in found]
+        stamps = [one.stamp for one in readings]
         if stamped == "arrival":
             assert before <= stamps[0] <= stamps[-1] <= time_ns() and stamps == sorted(stamps)
         else:
@@ -212,16 +212,16 @@ def test_a_straight_line_is_differentiated_as_the_filter_s_equation_says(track: 
 def test_a_place_that_was_jumped_to_gives_no_rate(track: Track) -> None:
     for time in range(0, 200, 10):
         track.offer(EPOCH + time * MS, 0.0, None, EPOCH + time * MS)
-    found = []
+    samples = []
     for time in range(200, 700, 10):
         try:
             track.offer(EPOCH + time * MS, 0.4, None, EPOCH + time * MS)
         except RefusedReadingError:
             continue
-        found.append(track.newest)
-    assert found[0] is None
-    assert found[-1] == Sample(EPOCH + 690 * MS, 0.4, 0.0)
-    assert {each.rate for each in found if each is not None} == {0.0}
+        samples.append(track.newest)
+    assert samples[0] is None
+    assert samples[-1] == Sample(EPOCH + 690 * MS, 0.4, 0.0)
+    assert {sample.rate for sample in samples if sample is not None} == {0.0}
 
 
 def test_refusals_are_counted_by_reason() -> None:

@@ -65,8 +65,8 @@ def test_what_is_found_comes_with_its_remedy(
     monkeypatch: pytest.MonkeyPatch, where: Any, what: str, instead: object, check: str, verdict: str, remedy: str
 ) -> None:
     monkeypatch.setattr(where, what, instead)
-    found, text = CHECKS[check]()
-    assert found == verdict
+    judged, text = CHECKS[check]()
+    assert judged == verdict
     assert re.search(remedy, text)
 
 
@@ -77,5 +77,5 @@ def test_small_buffers_are_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     for received, sent, verdict, told in (("4194303", "1", "note", larger), ("4194304", "?", "ok", "at least 4 MiB")):
         (tmp_path / "rmem_max").write_text(received)
         (tmp_path / "wmem_max").write_text(sent)
-        found, text = CHECKS["socket buffers"]()
-        assert found == verdict and told in text
+        judged, text = CHECKS["socket buffers"]()
+        assert judged == verdict and told in text

@@ -52,7 +52,7 @@ def plane(
 def largest(run: Any, after: float) -> tuple[float, float, float]:
     """Return the largest speed (m/s) and distance (m) from a time (s) on, and the last error of the angle (rad)."""
     first = round(after / 0.01) + 1
-    speed, place = (np.nanmax(np.abs(found[first:])) for found in (run.agents.velocity, run.agents.position))
+    speed, place = (np.nanmax(np.abs(values[first:])) for values in (run.agents.velocity, run.agents.position))
     return float(speed), float(place), abs(float(run.angle[-1] - run.reference[-1]))
 
 
@@ -107,7 +107,7 @@ def drawn(seed: int, folder: Path) -> tuple[Any, Any, float]:
     masses = tuple(draw.uniform(0.25, 0.75, count).round(3).tolist())
     kinds = "".join(draw.choice(list("sd"), count))
     angle = round(float(draw.uniform(-0.3, 0.3)), 3)
-    found = []
+    runs = []
     for ends in ({}, deaths):
         agents: list[dict[str, Any]] = [
             {"id": n + 1, "kind": "double_integrator", "damping": 1.0}
@@ -127,8 +127,8 @@ def drawn(seed: int, folder: Path) -> tuple[Any, Any, float]:
         }
         file = folder / "scenario.yaml"
         file.write_text(yaml.safe_dump(scenario), encoding="utf-8")
-        found.append(simulate(file))
-    return found[0], found[1], min(deaths.values())
+        runs.append(simulate(file))
+    return runs[0], runs[1], min(deaths.values())
 
 
 @pytest.mark.parametrize("seed", range(8))

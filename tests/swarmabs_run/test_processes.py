@@ -153,11 +153,11 @@ def test_a_run_is_watched_in_another_terminal(tmp_path: Path, nothing_survives: 
                 title, heading, *rows = [watching.stdout.readline() for _ in range(4 + len(NODES))]
                 assert title.startswith("run: running, step ") and title.endswith(" steps/s\n")
                 assert heading.split() == ["process", "pid", "CPU", "%", "memory", "MB", "state"]
-                found = {row.split()[0]: row.split() for row in rows}
-                assert found.keys() == NODES | {"orchestrator", "launcher"}
+                shown = {row.split()[0]: row.split() for row in rows}
+                assert shown.keys() == NODES | {"orchestrator", "launcher"}
                 children = {child.pid for child in psutil.Process(run.pid).children(recursive=True)}
-                assert {int(pid) for _, pid, *_ in found.values()} <= {run.pid, *children}
-                assert all(float(memory) > 1.0 for _, _, _, memory, _ in found.values())
+                assert {int(pid) for _, pid, *_ in shown.values()} <= {run.pid, *children}
+                assert all(float(memory) > 1.0 for _, _, _, memory, _ in shown.values())
                 run.send_signal(signal.SIGINT)
                 rest, _ = watching.communicate(timeout=60)
             assert (watching.returncode, rest.splitlines()[-1:]) == (0, ["run: the run has ended"])
@@ -228,7 +228,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def made(folder: Path, name: str = "lttng-ust-wait-6") -> Path:
+def tracing_file(folder: Path, name: str = "lttng-ust-wait-6") -> Path:
     path = folder / name
     path.write_bytes(bytes(4096))
     return path
@@ -245,16 +245,16 @@ def mapped(path: Path) -> Iterator[None]:
 
 
 def test_files_from_before_and_from_the_block_are_removed_also_after_an_error(folder: Path) -> None:
-    made(folder, "lttng-ust-wait-5")
+    tracing_file(folder, "lttng-ust-wait-5")
     with suppress(KeyboardInterrupt), tracing_files_removed():
-        made(folder)
+        tracing_file(folder)
         raise KeyboardInterrupt
     assert not list(folder.iterdir())
 
 
 def test_a_file_that_another_program_uses_stays_until_the_last_one_ends(folder: Path) -> None:
     with tracing_files_removed():
-        path = made(folder)
+        path = tracing_file(folder)
         other = mapped(path)
         other.__enter__()
     assert path.exists(), "it was made in the block, but another program uses it now"
@@ -264,23 +264,23 @@ def test_a_file_that_another_program_uses_stays_until_the_last_one_ends(folder: 
 
 
 def test_shared_files_stay_where_their_users_are_unknown(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    other, shared = made(folder, "someone-elses"), made(folder)
-    own = made(folder, f"lttng-ust-wait-6-{tracing_files.os.getuid()}")
+    other, shared = tracing_file(folder, "someone-elses"), tracing_file(folder)
+    own = tracing_file(folder, f"lttng-ust-wait-6-{tracing_files.os.getuid()}")
     with monkeypatch.context() as patch:
         patch.setattr(tracing_files, "mapped_by_others", lambda: (set(), True))
         with tracing_files_removed():
-            new = made(folder, "lttng-ust-wait-8")
+            new = tracing_file(folder, "lttng-ust-wait-8")
     assert [path.exists() for path in (other, shared, own)] == [True, True, False]
     assert not new.exists(), "nobody else can have had the time to use it"
     with tracing_files_removed():
-        theirs = made(folder, "lttng-ust-wait-9")
+        theirs = tracing_file(folder, "lttng-ust-wait-9")
         monkeypatch.setattr(tracing_files.os, "getuid", lambda: 12345)
     assert other.exists() and theirs.exists()
 
 
 def test_a_living_parent_removes_the_files_of_a_process(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with tracing_files_removed(if_orphaned=True):
-        path = made(folder)
+        path = tracing_file(folder)
     assert path.exists()
     with tracing_files_removed(if_orphaned=True):
         monkeypatch.setattr(tracing_files.os, "getppid", lambda: 1)

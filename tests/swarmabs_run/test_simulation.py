@@ -153,9 +153,9 @@ def of_one_kind(kind: str) -> Scenario:
 
 def strained() -> Scenario:
     """Return a swarm of whose limits there are events."""
-    made = swarm(20, seed=5)
-    manifold, plane = replace(made.manifold, torque_max=0.01), replace(made.plane, length=0.2)
-    return made.model_copy(update={"manifold": manifold, "plane": plane})
+    calm = swarm(20, seed=5)
+    manifold, plane = replace(calm.manifold, torque_max=0.01), replace(calm.plane, length=0.2)
+    return calm.model_copy(update={"manifold": manifold, "plane": plane})
 
 
 @pytest.mark.parametrize(
@@ -193,9 +193,9 @@ def test_imperfect_worlds_are_left_to_the_state_machines(option: str) -> None:
     plain = ("duration=0.3", "plane.angle=0.1", "plane.angular_velocity=0.2")
     scenario = builtin("arise_het_20", *plain, option)
     assert not vectorisable(scenario)
-    found = digest_and_bag(simulated_steps(scenario))
-    assert found == digest_and_bag(Simulation(scenario).steps())
-    assert found != digest_and_bag(simulated_steps(builtin("arise_het_20", *plain)))
+    imperfect = digest_and_bag(simulated_steps(scenario))
+    assert imperfect == digest_and_bag(Simulation(scenario).steps())
+    assert imperfect != digest_and_bag(simulated_steps(builtin("arise_het_20", *plain)))
 
 
 def test_a_swarm_that_loses_its_spread_goes_on_with_the_state_machines(monkeypatch: pytest.MonkeyPatch) -> None:

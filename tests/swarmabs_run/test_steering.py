@@ -92,9 +92,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SteeredRun]
 
     monkeypatch.setattr(node, "SteeringServer", Noted)
     yield SteeredRun(tmp_path)
-    for each in servers:
-        each.shutdown()
-        each.server_close()
+    for running in servers:
+        running.shutdown()
+        running.server_close()
 
 
 @pytest.mark.parametrize(
@@ -184,7 +184,7 @@ def test_what_is_refused_changes_nothing(run: SteeredRun, line: bytes, reason: s
     told = [json.loads(answer) for answer in run.answer(line + b'\n{"action": "status"}\n').splitlines()]
     assert told[0]["ok"] is False and reason in told[0]["reason"]
     # After a line that is too long nobody knows where the next one begins.
-    assert [each["ok"] for each in told[1:]] == [True] * (len(line) < LONGEST)
+    assert [answer["ok"] for answer in told[1:]] == [True] * (len(line) < LONGEST)
     assert not any(order.action for order in run.orders)
     assert run.reports.said == []
 

@@ -42,12 +42,12 @@ def summary(figures: dict[str, Any] | None = None, times: Times = TIMES, **chang
     ],
 )
 def test_what_is_not_known_is_null(changes: dict[str, Any], unknown: set[str]) -> None:
-    found, complete = summary(**changes), summary()
+    partial, complete = summary(**changes), summary()
     sizes = {"scenario": "pd_het_4", "steps": 3000, "duration": 30.0, "agents": 4}
     times = {"wall_time": 6.543, "real_time_factor": 6.0, "status": "ok"}
     assert (FIGURES | sizes | times).items() <= complete.items()
-    assert json.loads(json.dumps(found, allow_nan=False)).keys() == complete.keys()
-    assert {name for name in found if found[name] is None} - {"startup_time", "reason", "rerun_of"} == set(unknown)
+    assert json.loads(json.dumps(partial, allow_nan=False)).keys() == complete.keys()
+    assert {name for name in partial if partial[name] is None} - {"startup_time", "reason", "rerun_of"} == set(unknown)
 
 
 def test_packed_messages_are_told_and_single_ones_taken_for_granted(tmp_path: Path) -> None:
@@ -56,19 +56,19 @@ def test_packed_messages_are_told_and_single_ones_taken_for_granted(tmp_path: Pa
     assert "--no-packed" not in shown(summary(), tmp_path)
 
 
-def shown(found: dict[str, Any], folder: Path) -> str:
+def shown(content: dict[str, Any], folder: Path) -> str:
     told = io.StringIO()
-    Console(width=300, file=told).print(summary_table(found, RunFolder(folder)))
+    Console(width=300, file=told).print(summary_table(content, RunFolder(folder)))
     return told.getvalue()
 
 
 def test_no_digest_is_torn_on_a_narrow_terminal(tmp_path: Path) -> None:
     told = io.StringIO()
     tracking = Tracking((0,), (0.02,), "z", "m", "coordinate", "")
-    found = summary() | {"digest": "0123456789abcdef" * 4, "events": ["one", "two"]}
-    Console(width=70, file=told, soft_wrap=True).print(summary_table(found, RunFolder(tmp_path), tracking))
+    content = summary() | {"digest": "0123456789abcdef" * 4, "events": ["one", "two"]}
+    Console(width=70, file=told, soft_wrap=True).print(summary_table(content, RunFolder(tmp_path), tracking))
     lines = told.getvalue().splitlines()
-    assert f"digest            {found['digest']}" in lines
+    assert f"digest            {content['digest']}" in lines
     assert lines[lines.index("events            one") + 1] == "                  two"
 
 
@@ -87,8 +87,8 @@ def test_the_table_of_another_parent_has_its_tolerances_and_its_unit(tmp_path: P
 
 
 def rows_of(text: str) -> dict[str, str]:
-    found = (re.split(r" {2,}|(?<=max \|position\|) ", line.strip(), maxsplit=1) for line in text.splitlines())
-    return {row[0]: row[-1] for row in found}
+    rows = (re.split(r" {2,}|(?<=max \|position\|) ", line.strip(), maxsplit=1) for line in text.splitlines())
+    return {row[0]: row[-1] for row in rows}
 
 
 STEPPED = "run 5.0 s, 6.0 x real time"
@@ -104,10 +104,14 @@ NEVER_STEPPED = {"status": "failed", "reason": "no", "stepping_seconds": None}
     ],
 )
 def test_known_times_are_told_apart(tmp_path: Path, times: Times, changes: dict[str, Any], words: str) -> None:
-    found = summary(times=times, **changes)
-    assert (found["wall_time"], found["setup_time"], found["startup_time"]) == (times.wall, times.setup, times.startup)
-    assert found["run_time"] == changes.get("stepping_seconds", 5.0)
-    assert f"wall time       {words}" in re.sub(r" +\n", "\n", shown(found, tmp_path))
+    content = summary(times=times, **changes)
+    assert (content["wall_time"], content["setup_time"], content["startup_time"]) == (
+        times.wall,
+        times.setup,
+        times.startup,
+    )
+    assert content["run_time"] == changes.get("stepping_seconds", 5.0)
+    assert f"wall time       {words}" in re.sub(r" +\n", "\n", shown(content, tmp_path))
 
 
 REALTIME = {
@@ -133,9 +137,9 @@ NONE_SHOWN = {"missed periods": "none", "latest step": "-", "missing messages": 
 
 @pytest.mark.parametrize(("realtime", "rows"), [(REALTIME, SHOWN), ({}, NONE_SHOWN)])
 def test_a_run_in_real_time_has_no_digest(tmp_path: Path, realtime: dict[str, Any], rows: dict[str, str]) -> None:
-    found = summary({**FIGURES, "realtime": realtime})
-    assert found["realtime"] == realtime
-    told = rows_of(shown(found, tmp_path))
+    content = summary({**FIGURES, "realtime": realtime})
+    assert content["realtime"] == realtime
+    told = rows_of(shown(content, tmp_path))
     assert rows.items() <= told.items()
     assert "digest" not in told and ("died" in told) is ("died" in realtime)
 
@@ -147,8 +151,8 @@ def test_what_is_run_again_says_what_came_of_it(tmp_path: Path) -> None:
         (False, {"compared": "prefix"}, "b: different digest"),
         (None, {"compared": "whole"}, "b: digests not comparable"),
     ):
-        found = {**summary(), "rerun_of": {"bag": "b", "same": same, **compared}}
-        assert rows_of(shown(found, tmp_path))["rerun of"] == words
+        content = {**summary(), "rerun_of": {"bag": "b", "same": same, **compared}}
+        assert rows_of(shown(content, tmp_path))["rerun of"] == words
 
 
 @pytest.mark.parametrize("figures", [FIGURES, {}, {**FIGURES, "settled_at": None}, {**FIGURES, "settled_at": 0.0}])

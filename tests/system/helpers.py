@@ -124,11 +124,11 @@ def until_stepping(folder: Path, *, simulated: bool = False) -> None:
 
 def named_processes(mark: str) -> dict[str, int]:
     """Return the process ids of a run's nodes by node name, as far as the kernel's 15 characters tell it."""
-    known = {name[:15]: name for name in COORDINATORS}
-    names = [(known.get(name, name), pid) for pid, name in marked_processes(mark).items()]
-    found = [(name, pid) for name, pid in names if name in COORDINATORS or name.startswith("agent_")]
-    assert len(dict(found)) == len(found), f"two processes of a node: {found}"
-    return dict(found)
+    full = {name[:15]: name for name in COORDINATORS}
+    names = [(full.get(name, name), pid) for pid, name in marked_processes(mark).items()]
+    nodes = [(name, pid) for name, pid in names if name in COORDINATORS or name.startswith("agent_")]
+    assert len(dict(nodes)) == len(nodes), f"two processes of a node: {nodes}"
+    return dict(nodes)
 
 
 def signal_process(mark: str, name: str, number: signal.Signals) -> int:
@@ -202,7 +202,7 @@ def bag_file(folder: Path) -> Path:
 
 
 def bag_messages(folder: Path) -> list[BagMessage]:
-    found = []
+    messages = []
     with bag_file(folder).open("rb") as stream:
         for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False):
             topic = channel.topic.removeprefix("/")
@@ -213,14 +213,16 @@ def bag_messages(folder: Path) -> list[BagMessage]:
                 (agent_id,) = struct.unpack_from("<H", message.data, offset)
             stamp = sec * 10**9 + nanosec
             times = (message.log_time, message.publish_time, stamp)
-            found.append(BagMessage(topic, *times, step, agent_id, message.data))
-    return found
+            messages.append(BagMessage(topic, *times, step, agent_id, message.data))
+    return messages
 
 
 def events(folder: Path) -> list[SwarmEvent]:
-    found = [decode(SwarmEvent, message.payload) for message in bag_messages(folder) if message.topic == "swarm/events"]
-    assert all(isinstance(event, SwarmEvent) for event in found)
-    return found  # type: ignore[return-value]
+    recorded = [
+        decode(SwarmEvent, message.payload) for message in bag_messages(folder) if message.topic == "swarm/events"
+    ]
+    assert all(isinstance(event, SwarmEvent) for event in recorded)
+    return recorded  # type: ignore[return-value]
 
 
 def bag_digest(messages: Sequence[BagMessage]) -> str:

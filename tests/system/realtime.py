@@ -43,8 +43,8 @@ class Client:
 
     def health(self, node: str) -> dict[str, Any]:
         """Return the newest diagnostics of a node, empty if there are none."""
-        found: dict[str, Any] = self.look()["diagnostics"].get(node, {})
-        return found
+        newest: dict[str, Any] = self.look()["diagnostics"].get(node, {})
+        return newest
 
     def is_healthy(self, node: str, level: int = 0) -> bool:
         """Tell whether a node reports a level; that periods were missed is the busy machine's matter."""

@@ -72,8 +72,8 @@ class Client(HealthClient):
             key = f"{topic} {values.get('agent_id', '')}".strip()
             before = self.newest.get(key)
             # Within a step there may be another mode: an operator is answered at once.
-            known = before is not None and values.get("mode") == before.get("mode")
-            if known and values["step"] <= before["step"]:
+            same_mode = before is not None and values.get("mode") == before.get("mode")
+            if same_mode and values["step"] <= before["step"]:
                 self.repeated += 1
             self.newest[key] = values
             self.heard[key] += 1

@@ -56,10 +56,10 @@ def test_every_robot_is_a_process_that_hears_the_broadcasts_and_nothing_else(fol
 
             def seen() -> dict[str, Any]:
                 """Return what becomes known one by one."""
-                found = {name: client.graph(name) for name in client.nodes()}
-                for entry in found.values():
+                graphs = {name: client.graph(name) for name in client.nodes()}
+                for entry in graphs.values():
                     entry["publishes"] = [name for name in entry["publishes"] if name != "/parameter_events"]
-                return found
+                return graphs
 
             until(lambda: seen() == graph, "all that is known of the nodes is as it should be")
         shown = runs.swarm("env", folder, "--json")
@@ -92,13 +92,17 @@ def test_a_ros_node_sees_what_is_recorded_and_a_run_does_not_wait_for_markers(fo
         # They have their log as soon as the run has begun.
         until((folder / "logs" / "markers.log").exists, "the markers and the run have begun")
         processes = map(psutil.Process, marked_processes(mark))
-        (markers,) = (each for each in processes if "swarmabs_view.visualization.run_markers" in each.cmdline())
+        (markers,) = (
+            process for process in processes if "swarmabs_view.visualization.run_markers" in process.cmdline()
+        )
         with started_client(environment_of_run(folder), "stock_node") as client:
             client.hear("/plane/joint_states", "sensor_msgs/JointState")
             client.hear("/swarm/markers", "visualization_msgs/MarkerArray")
             until(lambda: all(len(texts) >= ENOUGH for texts in client.payloads().values()), "enough")
             heard = {topic: [bytes.fromhex(text) for text in texts] for topic, texts in client.payloads().items()}
-        served = [each.laddr for each in markers.net_connections("tcp") if each.status == psutil.CONN_LISTEN]
+        served = [
+            connection.laddr for connection in markers.net_connections("tcp") if connection.status == psutil.CONN_LISTEN
+        ]
         assert served == [("127.0.0.1", port)], "Foxglove is served on this machine alone"
         markers.send_signal(signal.SIGSTOP)
         done = command.wait()
@@ -112,7 +116,7 @@ def test_a_ros_node_sees_what_is_recorded_and_a_run_does_not_wait_for_markers(fo
         assert (list(joint.name), list(joint.position)) == (["plane_tilt"], [recorded.angle[step_of(joint)]])
     ids = list(recorded.agents.ids)
     for data in heard["/swarm/markers"]:
-        robots = [each for each in deserialize_message(data, MarkerArray).markers if each.ns == "robots"]
+        robots = [marker for marker in deserialize_message(data, MarkerArray).markers if marker.ns == "robots"]
         assert [robot.id for robot in robots] == ids
         for robot in robots:
             turn = cmath.exp(1j * recorded.angle[step_of(robot)])
@@ -191,8 +195,8 @@ def test_a_steered_run_can_be_repeated(tmp_path: Path) -> None:
                 last = runs.swarm("steer", folder, *words, "--json").summary()["step"]
                 wanted.add((last, *event))
             held = client.ask({"action": "status"})
-        found = [held[name] for name in ("members", "absent", "reference", "disturbance")]
-        assert found == [[1, 4, 6, 7], [], -0.05, -0.1]
+        values = [held[name] for name in ("members", "absent", "reference", "disturbance")]
+        assert values == [[1, 4, 6, 7], [], -0.05, -0.1]
         assert command.wait().code == 0
     assert not (folder / "steer.sock").exists()
     told = {(event.step, event.agent_id, event.kind, event.detail) for event in runs.events(folder)}

@@ -131,14 +131,14 @@ def checked(folder: Path, moment: float, seen: list[ProgressReport]) -> int:
     if report is None:  # it was killed before it had written a message
         assert least < 0, (seen, moment)
         return 0
-    found = [payload for _, _, payload in open_bag(folder / "new").messages()]
-    assert tuple(found) == written()[: len(found)], "not the beginning of the run"
+    payloads = [payload for _, _, payload in open_bag(folder / "new").messages()]
+    assert tuple(payloads) == written()[: len(payloads)], "not the beginning of the run"
     with Reader(folder / "new") as other:
-        assert sum(1 for _ in other.messages()) == len(found)
+        assert sum(1 for _ in other.messages()) == len(payloads)
     assert report.last_complete_step is not None
     assert report.last_complete_step >= least, (report, seen, moment)
-    assert report.last_complete_step == len(found) // MESSAGES - 1
-    return len(found) // MESSAGES
+    assert report.last_complete_step == len(payloads) // MESSAGES - 1
+    return len(payloads) // MESSAGES
 
 
 def test_a_run_that_is_killed_loses_no_more_than_a_second(folder: Path, mark: str) -> None:

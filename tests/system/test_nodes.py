@@ -25,8 +25,8 @@ def network(tmp_path: Path) -> Iterator[Network]:
 
 
 def state_of(client: Client, agent_id: int) -> dict[str, Any]:
-    found: dict[str, Any] = client.look()["newest"].get(f"{AGENT} {agent_id}", {})
-    return found
+    newest: dict[str, Any] = client.look()["newest"].get(f"{AGENT} {agent_id}", {})
+    return newest
 
 
 def follows(client: Client, agent_id: int) -> bool:

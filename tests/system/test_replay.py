@@ -96,14 +96,14 @@ def test_nodes_under_test_that_are_started_by_hand_answer(
             process = stack.enter_context(subprocess.Popen([sys.executable, *words], env=environment | SEARCH_PATH))
             stack.callback(process.kill)
         done = command.wait()
-    found = done.summary()
+    verdict = done.summary()
     states = {"controller": 91, "agent:1": 91, "observer": 2 * 91}
-    assert found["compared"] >= sum(states[node] for node in nodes)
-    assert (done.code, found["same"]) == ((0, True) if gain is None else (1, False)), done.err
+    assert verdict["compared"] >= sum(states[node] for node in nodes)
+    assert (done.code, verdict["same"]) == ((0, True) if gain is None else (1, False)), done.err
     if gain is not None:
-        first = found["first_difference"]
+        first = verdict["first_difference"]
         assert (first["step"], first["field"], first["replayed"]) == (0, "torque", pytest.approx(gain * 0.1, rel=1e-15))
-        assert {row["topic"] for row in found["deviations"]} == {"swarm/desired_abstract_state"}
+        assert {row["topic"] for row in verdict["deviations"]} == {"swarm/desired_abstract_state"}
 
 
 def test_playback_in_a_loop_ends_with_ctrl_c(recorded: Path, ros_network: dict[str, str]) -> None:

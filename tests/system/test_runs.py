@@ -73,8 +73,8 @@ def test_all_kinds_of_faults_together_change_what_was_planned_and_verify(folder:
     planned = f"faults=[{', '.join('{' + fault + '}' for fault in FAULTS)}]"
     same_as_simulated(folder, "pd_het_4", runs.seconds(1.5), *SEVEN, *NOISE, planned)
     membership = {EventKind.JOINED, EventKind.DEAD, EventKind.LEFT}
-    found = [(event.step, event.agent_id, event.kind) for event in runs.events(folder) if event.kind in membership]
-    assert found == sorted(filter(None, FAULTS.values()))
+    recorded = [(event.step, event.agent_id, event.kind) for event in runs.events(folder) if event.kind in membership]
+    assert recorded == sorted(filter(None, FAULTS.values()))
     done = runs.swarm("verify", folder, "--json")
     assert (done.code, done.summary()["complete"]) == (0, True), done.out
     assert done.summary()["messages"] == len(runs.bag_messages(folder))

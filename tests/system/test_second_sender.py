@@ -68,9 +68,9 @@ def test_a_third_party_on_the_topic_of_the_plane_enters_no_bag_and_is_reported(f
             until(lambda: forger.sent() > 100, "it forges", PATIENCE)
 
             def named() -> bool:
-                found = forger.look()["diagnostics"]
+                diagnostics = forger.look()["diagnostics"]
                 text = "a second sender speaks for plane/state"
-                names.update(name for name, health in found.items() if text in health["message"])
+                names.update(name for name, health in diagnostics.items() if text in health["message"])
                 return names >= {"parent_controller", "recorder"}
 
             until(named, "nodes and recorder name it", PATIENCE)

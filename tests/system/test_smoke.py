@@ -68,8 +68,8 @@ def test_the_bag_of_a_run_holds_every_message_once_in_canonical_bytes_for_other_
 ) -> None:
     folder, done = finished
     messages, summary = runs.bag_messages(folder), done.summary()
-    found = Counter((m.topic, m.step, m.agent_id) for m in messages if m.topic in runs.MAIN_TOPICS)
-    assert found == {
+    recorded = Counter((m.topic, m.step, m.agent_id) for m in messages if m.topic in runs.MAIN_TOPICS)
+    assert recorded == {
         (topic, step, agent): 1
         for topic in runs.MAIN_TOPICS
         for step in range(STEPS + 1)
@@ -136,8 +136,8 @@ def test_robots_end_as_their_faults_say_and_the_others_go_on(folder: Path, mark:
     assert outcome.status == "ok", outcome.reason
     assert outcome.figures["digest"] == runs.simulated_digest("pd_het_4", runs.seconds(8.0), FAULTS)
     assert seen == [{*runs.COORDINATORS, "agent_002", "agent_004"}]
-    found = [(event.step, event.agent_id, event.kind) for event in runs.events(folder)]
-    ended = [event for event in found if event[2] in {EventKind.DEAD, EventKind.LEFT}]
+    recorded = [(event.step, event.agent_id, event.kind) for event in runs.events(folder)]
+    ended = [event for event in recorded if event[2] in {EventKind.DEAD, EventKind.LEFT}]
     assert ended == [(21, 3, EventKind.DEAD), (31, 2, EventKind.DEAD), (41, 1, EventKind.LEFT)]
     assert all(text in runs.run_log(folder) for text in LOG)
     assert MULTICAST in (folder / "logs" / "fastdds.xml").read_text(encoding="utf-8")
@@ -249,8 +249,8 @@ def test_a_run_is_steered(folder: Path) -> None:
     outcome = runs.lockstep(folder, "pd_het_4", runs.seconds(20.0), steered=True, on_progress=runs.at({1: steer}))
     assert outcome.status == "ok", outcome.reason
     assert not (folder / "steer.sock").exists()
-    found = {(event.step, event.agent_id, event.kind, event.detail) for event in runs.events(folder)}
-    assert found >= {(asked[0], 0, EventKind.STEERING, "reference"), (asked[1], 3, EventKind.DEAD, "kill")}
+    recorded = {(event.step, event.agent_id, event.kind, event.detail) for event in runs.events(folder)}
+    assert recorded >= {(asked[0], 0, EventKind.STEERING, "reference"), (asked[1], 3, EventKind.DEAD, "kill")}
     assert runs.run_log(folder).count("steered: ") == 2
     assert "SIGKILL to process" in runs.run_log(folder)
 
@@ -261,10 +261,10 @@ def test_a_run_in_real_time_starts_steps_stops_and_verifies(folder: Path) -> Non
     summary = done.summary()
     assert (summary["status"], summary["digest"], summary["steps"]) == ("ok", None, 100)
     timing = summary["realtime"]
-    made = {name: sum(bins.values()) for name, bins in timing["lateness_us"].items()}
+    steps = {name: sum(bins.values()) for name, bins in timing["lateness_us"].items()}
     nodes = {*runs.COORDINATORS[:3], *(f"agent_00{robot}" for robot in AGENTS)}
-    assert made.keys() == timing["longest_us"].keys() == nodes
-    assert all(made[name] + timing["missed_periods"][name] >= 100 for name in made)
+    assert steps.keys() == timing["longest_us"].keys() == nodes
+    assert all(steps[name] + timing["missed_periods"][name] >= 100 for name in steps)
     assert timing["died"] == {}
     assert min(map(int, timing["broadcast_ages"])) >= 1
     messages = runs.bag_messages(folder)

@@ -43,7 +43,7 @@ def opened_browser() -> Iterator[Browser]:
 
 async def look(url: str, enough: Callable[[Received], object], said: dict[str, Any] | None = None) -> Received:
     """Look as a page does, until there is enough or the server ends; it may say something at the beginning."""
-    found: Received = []
+    received: Received = []
     async with ClientSession() as session:
         for _ in range(600):  # the server comes up while the processes of the run do
             try:
@@ -56,15 +56,15 @@ async def look(url: str, enough: Callable[[Received], object], said: dict[str, A
         async for message in page:
             if message.type is not WSMsgType.TEXT:
                 break
-            found.append(json.loads(message.data))
-            if enough(found):
+            received.append(json.loads(message.data))
+            if enough(received):
                 break
         await page.close()
-    return found
+    return received
 
 
-def kinds(found: Received, kind: str) -> Received:
-    return [message for message in found if message["type"] == kind]
+def kinds(received: Received, kind: str) -> Received:
+    return [message for message in received if message["type"] == kind]
 
 
 LENGTH = runs.seconds(100.0)
@@ -73,14 +73,18 @@ NOISE = ("limits.velocity=0.02", "swarm.sensor.noise=[0.001, 0.001]")
 UNASKED = {"v": 2, "type": "steer", "token": "", "request": "r", "action": "kill", "agent": 1}
 
 
-def whole(found: Received) -> Received:
+def whole(received: Received) -> Received:
     """Return the frames with all of a step: the view joins within one, and until all has come there is a part."""
-    return [f for f in kinds(found, "frame") if None not in (f["values"][3], f["values"][6])]
+    return [f for f in kinds(received, "frame") if None not in (f["values"][3], f["values"][6])]
 
 
-def seen_enough(found: Received) -> bool:
-    complete = whole(found)
-    return len(complete) > 10 and complete[-1]["step"] > 520 and bool(kinds(found, "events") and kinds(found, "curves"))
+def seen_enough(received: Received) -> bool:
+    complete = whole(received)
+    return (
+        len(complete) > 10
+        and complete[-1]["step"] > 520
+        and bool(kinds(received, "events") and kinds(received, "curves"))
+    )
 
 
 def test_what_is_shown_of_a_run_is_what_is_recorded_and_it_does_not_need_its_view(folder: Path, mark: str) -> None:
@@ -88,7 +92,7 @@ def test_what_is_shown_of_a_run_is_what_is_recorded_and_it_does_not_need_its_vie
     overrides = (LENGTH, FREEZE, *NOISE)
     words = [part for override in overrides for part in ("--set", override)]
     with runs.started_swarm("run", "-o", folder, "--view", *words) as command:
-        found = asyncio.run(look(runs.view_address(command), seen_enough, UNASKED))
+        received = asyncio.run(look(runs.view_address(command), seen_enough, UNASKED))
         (viewer,) = (
             process
             for process in map(psutil.Process, marked_processes(mark))
@@ -98,11 +102,11 @@ def test_what_is_shown_of_a_run_is_what_is_recorded_and_it_does_not_need_its_vie
         finished = command.wait()
     assert finished.code == 0, finished.err
     assert runs.summary_of(folder)["digest"] == runs.simulated_digest("pd_het_4", *overrides)
-    assert not kinds(found, "steering")
-    assert not kinds(found, "answer")
-    recorded, frames = load_arrays(folder), kinds(found, "frame")
+    assert not kinds(received, "steering")
+    assert not kinds(received, "answer")
+    recorded, frames = load_arrays(folder), kinds(received, "frame")
     assert [frame["step"] for frame in frames] == sorted(frame["step"] for frame in frames)
-    assert whole(found)
+    assert whole(received)
     for frame in frames:
         step = frame["step"]
         assert frame["values"][0] == recorded.angle[step]
@@ -111,13 +115,13 @@ def test_what_is_shown_of_a_run_is_what_is_recorded_and_it_does_not_need_its_vie
         for shown, positions in zip(frame["robots"]["position"], recorded.agents.position.T, strict=True):
             # Best effort: of a robot the last state that came up to then, as a rule that of the step.
             assert shown is None or shown[0] in positions[: step + 1]
-    for curves in kinds(found, "curves"):
+    for curves in kinds(received, "curves"):
         for time, value, sent in zip(curves["time"], curves["values"][0], curves["values"][3], strict=True):
             step = round(time * 100)
             assert (value, sent) == (recorded.angle[step], recorded.abstract.torque[step])
-    shown = {event["kind"] for message in kinds(found, "events") for event in message["events"]}
+    shown = {event["kind"] for message in kinds(received, "events") for event in message["events"]}
     assert "DEAD" in shown
-    processes = {one["name"] for health in kinds(found, "health") for one in health["processes"]}
+    processes = {one["name"] for health in kinds(received, "health") for one in health["processes"]}
     assert processes == {
         *("orchestrator", "launcher", "plane_sim", "abstraction_observer", "parent_controller", "recorder"),
         *(f"agent_00{number}" for number in range(1, 5)),

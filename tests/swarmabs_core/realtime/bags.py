@@ -55,7 +55,7 @@ def record(fleet: VirtualFleet, scenario: Scenario, *, loss: float = 0.0, jitter
         if draw.random() >= loss
     ]
     bag = []
-    for time, message in sorted(arrived, key=lambda found: found[0]):
+    for time, message in sorted(arrived, key=lambda timed: timed[0]):
         for kept in collector.add(Record.of(message), time):
             figures.add(kept)
             bag.append(Stored(kept.topic, time, kept.payload))

@@ -68,13 +68,15 @@ class Fault(NamedTuple):
 
 ALL = tuple(product("oc", (False, True)))
 HOSTS = tuple(tuple((kind, standby) for kind in "oc") for standby in (False, True))
-TARGETS = (*((each,) for each in ALL), *HOSTS)
+TARGETS = (*((coordinator,) for coordinator in ALL), *HOSTS)
 CRASHES = tuple(Fault("crash", of) for of in TARGETS)
 PAUSES = tuple(Fault("pause", of) for of in TARGETS)
 CUTS = tuple(Fault("cut", hosts=hosts) for hosts in ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (0, 1), (0, 2), (1, 2)))
 CLOCKS = tuple(Fault("clock", hosts=(host,), steps=by) for host in (0, 1) for by in (-12, -6, -3, -1, 1, 2, 3, 6, 12))
 SLOW = tuple(Fault("slow", hosts=(host,), steps=by) for host in (0, 1) for by in (1, 3, 5, 8, 12))
-UNHEARD = tuple(Fault("unheard", (each,), hosts=(to,)) for each in ALL for to in (int(not each[1]), 3))
+UNHEARD = tuple(
+    Fault("unheard", (coordinator,), hosts=(to,)) for coordinator in ALL for to in (int(not coordinator[1]), 3)
+)
 FAULTS = (*CRASHES, *PAUSES, *CUTS, *CLOCKS, *SLOW, *UNHEARD)
 FEW = (PAUSES[4], CUTS[0], SLOW[3])
 FEWER = tuple(
@@ -124,18 +126,18 @@ class Numbered:
     """Numbers states, equal ones alike."""
 
     def __init__(self) -> None:
-        self.known: list[Any] = []
+        self.objects: list[Any] = []
         self._numbers: dict[Hashable, int] = {}
 
     def clear(self) -> None:
-        self.known.clear()
+        self.objects.clear()
         self._numbers.clear()
 
     def number(self, state: Any, key: Hashable) -> int:
-        found = self._numbers.setdefault(key, len(self.known))
-        if found == len(self.known):
-            self.known.append(state)
-        return found
+        number = self._numbers.setdefault(key, len(self.objects))
+        if number == len(self.objects):
+            self.objects.append(state)
+        return number
 
 
 class Coordinator:
@@ -155,20 +157,20 @@ class Coordinator:
 
     def aged(self) -> Coordinator:
         """Return a copy of a step ago."""
-        made = copy.copy(self)
-        made.leadership, made.counter, made.mode = map(copy.copy, (self.leadership, self.counter, self.mode))
-        made.mode._latch = copy.copy(self.mode._latch)
-        made.leadership.since, made.leadership.why, made.mode.why = 0, "", ""
-        for of in (made.leadership, made.counter, made.mode, made.mode._latch):
+        copied = copy.copy(self)
+        copied.leadership, copied.counter, copied.mode = map(copy.copy, (self.leadership, self.counter, self.mode))
+        copied.mode._latch = copy.copy(self.mode._latch)
+        copied.leadership.since, copied.leadership.why, copied.mode.why = 0, "", ""
+        for of in (copied.leadership, copied.counter, copied.mode, copied.mode._latch):
             for name in _TIMES.intersection(vars(of)):
                 if vars(of)[name] is not None:
                     setattr(of, name, older(vars(of)[name]))
-        if made.mode._commanded is not None:
-            made.mode._commanded = made.mode._commanded[0], older(made.mode._commanded[1])
-        made.mode._reset_since = max(self.mode._reset_since - 1, NOW - LONG - RESET)
-        made.heard_source = older(self.heard_source)
-        made.waiting = tuple((older(step), mode) for step, mode in self.waiting)
-        return made
+        if copied.mode._commanded is not None:
+            copied.mode._commanded = copied.mode._commanded[0], older(copied.mode._commanded[1])
+        copied.mode._reset_since = max(self.mode._reset_since - 1, NOW - LONG - RESET)
+        copied.heard_source = older(self.heard_source)
+        copied.waiting = tuple((older(step), mode) for step, mode in self.waiting)
+        return copied
 
     def numbered(self) -> int:
         _simplify(self.mode._latch)
@@ -199,7 +201,7 @@ def turned(
     number: int, heard: tuple[tuple[int, Mode], ...], clock: int, hears: bool, order: Mode | None
 ) -> tuple[int, tuple[Said, ...]]:
     """Let a coordinator hear its peer and perhaps its source (robots, plane), take an order, and speak, in a step."""
-    c: Coordinator = Coordinator.states.known[number].aged()
+    c: Coordinator = Coordinator.states.objects[number].aged()
     own, said = NOW + clock, list[Said]()
     leads = c.leadership
     # The observer sums up what it has heard for a while; the controller answers each state of the plane.
@@ -238,10 +240,10 @@ def turned(
 @cache
 def frozen(number: int, heard: tuple[tuple[int, Mode], ...]) -> int:
     """Let a step pass in which a coordinator does nothing; messages wait for it."""
-    c = Coordinator.states.known[number].aged()
+    c = Coordinator.states.objects[number].aged()
     c.waiting = (*c.waiting, *heard)[-10:]
-    made: int = c.numbered()
-    return made
+    after: int = c.numbered()
+    return after
 
 
 class Robot(NamedTuple):
@@ -285,7 +287,7 @@ def _aged(message: Any) -> Any:
 @cache
 def listened(number: int, heard: tuple[Said, ...]) -> Robot:
     """Let a robot hear, and look whether it may follow."""
-    before: BroadcastInbox = ROBOT_STATES.known[number]
+    before: BroadcastInbox = ROBOT_STATES.objects[number]
     inbox, heard_before = copy.copy(before), before._heard
     inbox._heard, inbox._latch = copy.copy(heard_before), copy.copy(before._latch)
     inbox._heard._steps = {
@@ -294,13 +296,13 @@ def listened(number: int, heard: tuple[Said, ...]) -> Robot:
     }
     inbox._heard._contradicted = {place: older(step) for place, step in heard_before._contradicted.items()}
     inbox._sets = {
-        of: found._replace(
-            step=older(found.step),
-            abstract=_aged(found.abstract),
-            auxiliary=_aged(found.auxiliary),
-            desired=_aged(found.desired),
+        of: broadcast._replace(
+            step=older(broadcast.step),
+            abstract=_aged(broadcast.abstract),
+            auxiliary=_aged(broadcast.auxiliary),
+            desired=_aged(broadcast.desired),
         )
-        for of, found in before._sets.items()
+        for of, broadcast in before._sets.items()
     }
     if inbox._latch._stop_step is not None:
         inbox._latch._stop_step = older(inbox._latch._stop_step)
@@ -309,12 +311,12 @@ def listened(number: int, heard: tuple[Said, ...]) -> Robot:
     for said in heard:
         for message in messages(said):
             inbox.add(message, now, Sender(said.standby))
-    problem, found = inbox.problem(now), inbox.newest
-    if not problem and found is not None:
-        observers = {found.abstract.agent_count, found.auxiliary.s0, inbox.followed.observer}
-        steps = {found.step, found.abstract.step, found.auxiliary.step, found.desired.step}
-        if len(observers) > 1 or len(steps) > 1 or found.desired.torque != inbox.followed.controller:
-            raise BrokenError(f"a robot follows a mixed set: {found}")
+    problem, newest = inbox.problem(now), inbox.newest
+    if not problem and newest is not None:
+        observers = {newest.abstract.agent_count, newest.auxiliary.s0, inbox.followed.observer}
+        steps = {newest.step, newest.abstract.step, newest.auxiliary.step, newest.desired.step}
+        if len(observers) > 1 or len(steps) > 1 or newest.desired.torque != inbox.followed.controller:
+            raise BrokenError(f"a robot follows a mixed set: {newest}")
     return Robot(_robot(inbox), not problem, inbox.stopped, problem)
 
 
@@ -411,20 +413,22 @@ def advance(setting: Setting, world: World, faults: tuple[Fault, ...], left: int
     )
     numbers, speaking = [], []
     for index, (number, place) in enumerate(zip(world.coordinators, setting.places, strict=True)):
-        found = conditions(place, faults)
-        if found.crashed:
+        condition = conditions(place, faults)
+        if condition.crashed:
             numbers.append(started(place.kind, STANDBY if place.standby else PRIMARY))
             continue
         heard = tuple([(m.step, m.mode) for m in arrived.get(place.host, ()) if m.kind == place.kind])
-        if found.waits:
+        if condition.waits:
             numbers.append(frozen(number, heard))
             continue
         ordered = order[1] if order is not None and order[0] == index else None
-        after, said_now = turned(number, heard, found.clock, found.hears, ordered)
+        after, said_now = turned(number, heard, condition.clock, condition.hears, ordered)
         numbers.append(after)
         if said_now:
             speaking.append(index)
-        transit += [(found.late, found.reach, said._replace(step=said.step - found.late)) for said in said_now]
+        transit += [
+            (condition.late, condition.reach, said._replace(step=said.step - condition.late)) for said in said_now
+        ]
     told = world.told if order is None else Told(order[1], disturbed=world.calm < WINDOW)
     if told.mode is Mode.RESET and faults:
         told = Told(Mode.RESET, disturbed=True)
@@ -437,11 +441,11 @@ def advance(setting: Setting, world: World, faults: tuple[Fault, ...], left: int
         told.mode is Mode.STOP and (before or any(said.mode is Mode.STOP for said in arrived.get(host, ())))
         for host, before in zip(ROBOTS, world.obeying, strict=True)
     )
-    made = World(tuple(numbers), robots, tuple(transit), faults, left, calm, told, tuple(speaking), obeying)
+    after = World(tuple(numbers), robots, tuple(transit), faults, left, calm, told, tuple(speaking), obeying)
     for was_told, robot in zip(world.obeying, robots, strict=True):
         if was_told and not robot.stopped:
             raise BrokenError("a robot may move again without a RESET")
-    return made
+    return after
 
 
 def check_single_fault(before: World, world: World) -> None:
@@ -480,7 +484,7 @@ class Search:
         self._setting, self._granted = setting, granted
         self._orders, self._crossed = (*orders,), crossed
         self._settling: set[int] = set()
-        self.known: set[int] = set()
+        self.seen: set[int] = set()
 
     def first(self, standby: bool, mode: Mode, lasting: int) -> World:
         """Return a world in which all is well and primaries lead, or standbys, and a mode was said some steps ago."""
@@ -515,7 +519,7 @@ class Search:
         """Yield faults, how many are left, and orders of the next step."""
         yield world.faults, world.left, None
         for fault in world.faults:
-            yield tuple(each for each in world.faults if each != fault), world.left, None
+            yield tuple(other for other in world.faults if other != fault), world.left, None
         if world.left and (world.left == self._granted or world.faults or world.calm < WINDOW):
             for fault in faults:
                 if fault not in world.faults and not (self._crossed and _same_kind(fault, world.faults)):
@@ -524,7 +528,7 @@ class Search:
         if following in self._orders:
             for index, place in enumerate(self._setting.places):
                 reached = not any(f.kind in {"crash", "pause"} and place.name in f.of for f in world.faults)
-                leads = Coordinator.states.known[world.coordinators[index]].leadership.leading
+                leads = Coordinator.states.objects[world.coordinators[index]].leadership.leading
                 if place.kind == "c" and reached and (following is Mode.STOP or leads):
                     yield world.faults, world.left, (index, following)
 
@@ -536,20 +540,24 @@ class Search:
             for after, left, order in self.choices(world, faults):
                 told = story if (after, order) == (world.faults, None) else (*story, (order, after))
                 try:
-                    made = advance(self._setting, world, after, left, order)
-                    key = hash(made)
+                    following = advance(self._setting, world, after, left, order)
+                    key = hash(following)
                     if self._granted == 1:
-                        check_single_fault(world, made)
-                    if key in self.known:
+                        check_single_fault(world, following)
+                    if key in self.seen:
                         continue
-                    if not made.faults:
-                        self.settle(made)
+                    if not following.faults:
+                        self.settle(following)
                 except BrokenError as error:
                     raise BrokenError(f"{error}: {told}") from None
-                self.known.add(key)
+                self.seen.add(key)
                 # Without faults and orders to come, `settle` has seen the future.
-                if made.faults or made.left == self._granted or (made.calm < WINDOW and (made.left or self._orders)):
-                    stack.append((made, told))
+                if (
+                    following.faults
+                    or following.left == self._granted
+                    or (following.calm < WINDOW and (following.left or self._orders))
+                ):
+                    stack.append((following, told))
 
 
 def _same_kind(fault: Fault, others: tuple[Fault, ...]) -> bool:
@@ -575,13 +583,13 @@ def search(
         computed.cache_clear()
     for states in (Coordinator.states, ROBOT_STATES):
         states.clear()
-    found = Search(Setting.of(paired), granted, orders, crossed)
+    searched = Search(Setting.of(paired), granted, orders, crossed)
     chosen = tuple(faults)
     if paired != "oc":  # coordinators without a peer are not hit
         chosen = tuple(f for f in chosen if not f.of or any(kind in paired for kind, _ in f.of))
     for standby, (mode, lasting) in product(standbys, said):
-        found.run(found.first(standby, mode, lasting), chosen)
-    return len(found.known)
+        searched.run(searched.first(standby, mode, lasting), chosen)
+    return len(searched.seen)
 
 
 SEARCHES: dict[str, Callable[[], int]] = {
@@ -601,8 +609,8 @@ def main(arguments: list[str]) -> None:
     """Do some searches, or all."""
     for name in arguments or SEARCHES:
         began = process_time()
-        found = SEARCHES[name]()
-        sys.stdout.write(f"{name}: {found} worlds, {process_time() - began:.0f} s\n")
+        worlds = SEARCHES[name]()
+        sys.stdout.write(f"{name}: {worlds} worlds, {process_time() - began:.0f} s\n")
         sys.stdout.flush()
 
 

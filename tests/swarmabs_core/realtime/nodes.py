@@ -122,13 +122,13 @@ def sums(answer: tuple[msg.Message, ...]) -> tuple[msg.AbstractState, msg.Auxili
 
 
 def controller(mode: msg.Mode = msg.Mode.RUN, overrides: Iterable[str] = ()) -> RealtimeController:
-    made = scenario(*overrides)
-    config = configure.controller_config(made, CLOCK, mode)
-    node = RealtimeController(config, lambda: lockstep.parent_controller(made))
+    loaded = scenario(*overrides)
+    config = configure.controller_config(loaded, CLOCK, mode)
+    node = RealtimeController(config, lambda: lockstep.parent_controller(loaded))
     node.hear(broadcasts(0)[0], at(0.6))
     return node
 
 
 def desired(answer: tuple[msg.Message, ...]) -> msg.DesiredAbstractState:
-    (found,) = [m for m in answer if isinstance(m, msg.DesiredAbstractState)]
-    return found
+    (message,) = [m for m in answer if isinstance(m, msg.DesiredAbstractState)]
+    return message

@@ -27,11 +27,11 @@ def leadership(rank: str, listening: int = 10) -> Leadership:
 
 def following(rank: str = STANDBY, step: int = 100) -> Leadership:
     """Return one that stands by and has heard of the step before."""
-    made = leadership(rank)
+    started = leadership(rank)
     for k in range(step - 20, step + 1):
-        made.hear(k - 1, k)
-        assert not made.tick(k)
-    return made
+        started.hear(k - 1, k)
+        assert not started.tick(k)
+    return started
 
 
 def test_one_without_a_peer_always_speaks_and_says_nothing_about_it() -> None:
@@ -151,10 +151,10 @@ def test_a_stop_counts_whoever_sends_it() -> None:
 
 
 def paired_controller(rank: str, mode: msg.Mode = msg.Mode.RUN) -> RealtimeController:
-    made = scenario()
-    config = configure.controller_config(made, CLOCK, mode)
+    loaded = scenario()
+    config = configure.controller_config(loaded, CLOCK, mode)
     object.__setattr__(config, "pair", Pair(rank, paired=True))
-    node = RealtimeController(config, lambda: lockstep.parent_controller(made))
+    node = RealtimeController(config, lambda: lockstep.parent_controller(loaded))
     node.hear(broadcasts(0)[0], at(0.6))
     return node
 

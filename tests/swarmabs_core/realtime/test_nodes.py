@@ -7,6 +7,7 @@ from tests.swarmabs_core.realtime import nodes
 
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_core.abstraction import Weight, abstraction, second_moments
+from swarmabs_core.events import EventCode
 from swarmabs_core.messages import NEVER, Basis, EventKind, Message, Mode, PlaneState, Removal, Status
 from swarmabs_core.realtime.base import Level, StepCounter
 from swarmabs_core.realtime.observer import RealtimeObserver, Role
@@ -97,16 +98,20 @@ def test_a_limited_command_is_told_when_it_begins_to_be() -> None:
     ]
     assert told == [[EventKind.RECOVERED, EventKind.LIMIT_HIT], [], [], [EventKind.LIMIT_HIT]]
     assert body.commands == [0.3, -0.3, pytest.approx(0.16, abs=0.01), 0.3]
+    assert node.health(nodes.at(14)).text.endswith(EventCode.COMMAND_LIMITED.text)
+    body.position, body.velocity = 0.4795, 0.02
+    nodes.follow(node, 14, torque=9.0)
+    assert node.health(nodes.at(15)).text.endswith(EventCode.LANE_LIMITED.text)
 
 
 def test_gains_that_are_installed_are_those_of_a_node_made_with_them() -> None:
     gains = "swarm.gains={kp: [20, 20], ksd: 3}"
     other = nodes.scenario(gains, "controller={gains: [9.0, 4.0]}")
-    (old, robot), (new, tuned), (wanted, made) = nodes.robot(), nodes.robot(), nodes.robot(gains)
+    (old, robot), (new, tuned), (wanted, untuned) = nodes.robot(), nodes.robot(), nodes.robot(gains)
     install = tuned.tuned(next(c for c in configure.agent_configs(other, nodes.CLOCK) if c.agent_id == 3))
     for step in (10, 11):
-        for each in (robot, tuned, made):
-            nodes.follow(each, step)
+        for node in (robot, tuned, untuned):
+            nodes.follow(node, step)
         install()
     assert old.commands[0] == new.commands[0] != wanted.commands[0]
     assert old.commands[1] != new.commands[1] == wanted.commands[1]
@@ -116,7 +121,7 @@ def test_gains_that_are_installed_are_those_of_a_node_made_with_them() -> None:
     usual, changed, expected = (nodes.sums(nodes.hear(node, nodes.states(5), 5)) for node in observers)
     assert usual != changed == expected
 
-    controllers = [nodes.controller(overrides=each) for each in ((), (), ("controller={gains: [9.0, 4.0]}",))]
+    controllers = [nodes.controller(overrides=changes) for changes in ((), (), ("controller={gains: [9.0, 4.0]}",))]
     controllers[1].tuned(lambda: lockstep.parent_controller(other))()
     plane = PlaneState(nodes.at(1), 1, 0.1, 0.02)
     asked, tuned_asked, wanted_asked = (nodes.desired(node.hear(plane, nodes.at(1.6))) for node in controllers)
@@ -256,7 +261,7 @@ def test_the_plane_tells_of_robots_beyond_its_end_and_of_their_return() -> None:
         answer = nodes.hear(node, (first._replace(position=position), *others), step)
         told += [(e.step, e.agent_id, e.value, e.detail) for e in answer if "range" in getattr(e, "detail", "")]
     robot = first.agent_id
-    assert [each[1:] for each in told] == [
+    assert [event[1:] for event in told] == [
         (robot, 0.51, "out of range: position above 0.5 m"),
         (robot, 0.3, "back in range: position"),
     ]
@@ -284,8 +289,8 @@ def test_no_number_of_refusals_silences_a_reason_that_is_new() -> None:
 
 def test_steps_are_made_once() -> None:
     counter = StepCounter(nodes.CLOCK)
-    made = [counter.next(nodes.at(k)) for k in (-1, 0, 0.5, 1, 3, 2, 4)]
-    assert made == [None, 0, None, 1, 3, None, 4]
+    steps = [counter.next(nodes.at(k)) for k in (-1, 0, 0.5, 1, 3, 2, 4)]
+    assert steps == [None, 0, None, 1, 3, None, 4]
     assert counter.next(nodes.at(0)) is None
     assert counter.last is None
     assert counter.next(nodes.at(0.1)) == 0

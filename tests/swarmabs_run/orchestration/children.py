@@ -43,6 +43,6 @@ def main(arguments: list[str]) -> int:
 if __name__ == "__main__":
     logs = Path(sys.argv[1])
     client = Machine({}, logs / "launcher.log", processes=2)
-    for each in ("one", "two"):
-        client.spawn(child(each), ["ignore-sigterm"], logs / f"{each}.log")
+    for node in ("one", "two"):
+        client.spawn(child(node), ["ignore-sigterm"], logs / f"{node}.log")
     signal.pause()

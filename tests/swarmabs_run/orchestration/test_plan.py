@@ -93,11 +93,13 @@ def settings_of(process: ProcessPlan) -> Settings:
 
 def made_by(process: ProcessPlan, state_machine: str, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return configuration and law from which the controller's node makes its state machine."""
-    module, made = import_module(process.module), []
+    module, parts_given = import_module(process.module), []
     real = getattr(module, state_machine)
-    monkeypatch.setattr(module, state_machine, lambda *parts, **flags: made.append(parts) or real(*parts, **flags))
+    monkeypatch.setattr(
+        module, state_machine, lambda *parts, **flags: parts_given.append(parts) or real(*parts, **flags)
+    )
     module.make(settings_of(process), None)
-    return made[0]
+    return parts_given[0]
 
 
 def content(thing: object) -> object:
@@ -252,8 +254,8 @@ def test_who_is_waited_for_and_who_hears_the_plane() -> None:
 def test_the_more_robots_the_later_a_node_repeats_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     for patience, seconds in ((PATIENCE, FIRST), (0.5, 2.0)):
         monkeypatch.setattr("swarmabs_run.orchestration.plan.PATIENCE", patience)
-        found = planned(scenario_of("pd_het_4"))[PLANE].parameters
-        assert (found["repeat_after"], found["repeat_steps"]) == (seconds, KEPT_STEPS)
+        parameters = planned(scenario_of("pd_het_4"))[PLANE].parameters
+        assert (parameters["repeat_after"], parameters["repeat_steps"]) == (seconds, KEPT_STEPS)
 
 
 def steerable(*faults: str, agents_per_process: int = 1, steered: bool = True) -> dict[str, ProcessPlan]:

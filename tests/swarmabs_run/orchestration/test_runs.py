@@ -202,7 +202,7 @@ def test_a_run_in_lockstep_from_the_first_process_to_the_last_step(tmp_path: Pat
     assert (first.step_rate, first.angle, first.error, first.robots) == (0.0, None, None, None)
     assert (last.phase, last.ready, last.step, last.angle, last.error) == ("running", 8, 100, 0.1, -0.2)
     assert last.robots == ROBOTS_SEEN
-    assert [each.step_rate for each in shown if each.step > 0] == pytest.approx([100.0] * 10, rel=1e-3)
+    assert [progress.step_rate for progress in shown if progress.step > 0] == pytest.approx([100.0] * 10, rel=1e-3)
     assert read_processes(tmp_path / "run") == {"orchestrator": os.getpid(), "launcher": 99, **machine.pids}
     told = read_progress(logs)
     assert told is not None and (told.phase, told.steps) == ("running", 100)
