@@ -202,7 +202,7 @@ def test_a_fraction_of_the_runs_is_in_memory() -> None:
         return most
 
     def run(angle: float) -> Iterator[Message]:
-        for message in (m for step in range(2000) for m in make_step(step)):
+        for message in (m for step in range(800) for m in make_step(step)):
             yield message._replace(angle=angle) if isinstance(message, PlaneState) else message
 
     assert measured(lambda: compare(run(0.1), run(0.2))) < 0.1 * measured(lambda: [*run(0.1), *run(0.2)])

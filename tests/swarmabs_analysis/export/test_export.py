@@ -338,11 +338,11 @@ def test_what_is_no_bag_or_no_npz_is_refused(bag: Path, tmp_path: Path) -> None:
 def test_the_memory_for_tables_does_not_grow_with_the_run(tmp_path: Path) -> None:
     def most(steps: int) -> int:
         messages = (message for step in range(steps) for message in make_step(step))
-        long = write_bag(tmp_path / f"bag_{steps}", messages, chunk_bytes=50_000)
+        long = write_bag(tmp_path / f"bag_{steps}", messages, chunk_bytes=20_000)
         tracemalloc.start()
         export_tables(long, tmp_path / f"out_{steps}", "csv")
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return peak
 
-    assert most(3000) < 1.2 * most(1000)
+    assert most(1200) < 1.2 * most(400)
