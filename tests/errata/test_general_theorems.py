@@ -20,8 +20,8 @@ def test_coupling_must_be_dominated_on_the_axes_too() -> None:
         margin = zp**2 + za**2 - c * zp**2 / (1.0 + za**2)
         assert margin[:-1].min() > 0.0  # all that is printed holds
         assert margin[-1] == on_the_axis
-        found = solve_ivp(rates, (0.0, 40.0), (1.0, 1.0), args=(c,), rtol=1e-9, atol=1e-12)
-        assert abs(found.y[0, -1] - end) < 1e-6  # with c = 1, z_p does not go to 0
+        solution = solve_ivp(rates, (0.0, 40.0), (1.0, 1.0), args=(c,), rtol=1e-9, atol=1e-12)
+        assert abs(solution.y[0, -1] - end) < 1e-6  # with c = 1, z_p does not go to 0
 
 
 def test_constrained_domain_counts_bounded_states_twice() -> None:

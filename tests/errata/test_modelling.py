@@ -86,9 +86,9 @@ def test_force_driven_robots_feel_the_plane() -> None:
         assert isinstance(state, AgentState)
         return state.velocity
 
-    found = (velocity(feels=True) - velocity(feels=False)) / (PERIOD_NS / 1e9)
+    acceleration = (velocity(feels=True) - velocity(feels=False)) / (PERIOD_NS / 1e9)
     assert not config.feels_gravity
-    assert found == pytest.approx(truth, rel=1e-8)
+    assert acceleration == pytest.approx(truth, rel=1e-8)
 
 
 def test_coriolis_term_counts_once() -> None:
@@ -97,7 +97,7 @@ def test_coriolis_term_counts_once() -> None:
     th, w, dt = 0.2, 1.2, 1e-5
     load = swarm_load([straight(m, p, p + v * dt) for m, p, v in robots], GRAVITY)
     _, after = plane(dt, 1e-6).advance(th, w, 0.0, load)
-    found = (after - w) / dt
+    acceleration_of_run = (after - w) / dt
     torque = GRAVITY * sum(m * p for m, p, _ in robots)
 
     def angular_momentum(t: float, acceleration: float) -> float:
@@ -108,8 +108,8 @@ def test_coriolis_term_counts_once() -> None:
         return slope(lambda t: angular_momentum(t, acceleration), 0.0) + cos(th) * torque + friction(w)
 
     twice = sum(2.0 * m * p * v for m, p, v in robots) * w / angular_momentum(0.0, 0.0) * w
-    assert abs(imbalance(found - twice)) > 0.1
-    assert abs(imbalance(found)) < 1e-3
+    assert abs(imbalance(acceleration_of_run - twice)) > 0.1
+    assert abs(imbalance(acceleration_of_run)) < 1e-3
 
 
 def test_inertia_cannot_be_seen_in_the_response() -> None:
@@ -120,11 +120,11 @@ def test_inertia_cannot_be_seen_in_the_response() -> None:
 
     def response(*swarm: tuple[float, float]) -> list[float]:
         load = swarm_load([standing(m, p) for m, p in swarm], GRAVITY)
-        moving, th, w, found = plane(0.01, 1e-4), 0.1, 0.0, []
+        moving, th, w, angles = plane(0.01, 1e-4), 0.1, 0.0, []
         for step in range(50):
             th, w = moving.advance(th, w, 0.01 * step, load)
-            found.append(th)
-        return found
+            angles.append(th)
+        return angles
 
     narrow = response((0.5, 0.1), (0.5, -0.1))
     assert response((0.5, 0.5), (0.5, -0.5)) == narrow  # so no estimate can tell the inertias apart,
@@ -138,13 +138,13 @@ def largest_by_optimisation(torque: float, inertia: float) -> float:
     # q = sqrt(m) (p - moment/total) has norm `radius` and is orthogonal to sqrt(m): project each unit vector.
     root = np.sqrt(MASS)
     normal = root / np.linalg.norm(root)
-    found = []
+    largest = []
     for i, sign in product(range(len(MASS)), (-1.0, 1.0)):
         direction = sign * (np.eye(len(MASS))[i] - normal[i] * normal)
         position = moment / total + radius * direction / np.linalg.norm(direction) / root
         assert (GRAVITY * MASS @ position, MASS @ position**2) == pytest.approx((torque, inertia), abs=1e-9)
-        found.append(abs(position[i]))
-    return float(max(found))
+        largest.append(abs(position[i]))
+    return float(max(largest))
 
 
 def test_manifold_leaves_the_absolutely_constrained_set() -> None:
@@ -154,8 +154,8 @@ def test_manifold_leaves_the_absolutely_constrained_set() -> None:
     for torque, inside in ((0.0, True), (edge - 0.001, True), (edge + 0.001, False), (-TORQUE_MAX, False)):
         inertia = curve.inertia(torque)
         assert inertia == pytest.approx(manifold(torque))
-        found = largest_by_optimisation(torque, inertia)
-        assert (found < 0.5 * LENGTH) is inside
-        assert sets.largest_position(torque, inertia) == pytest.approx(found, rel=1e-12)
+        farthest = largest_by_optimisation(torque, inertia)
+        assert (farthest < 0.5 * LENGTH) is inside
+        assert sets.largest_position(torque, inertia) == pytest.approx(farthest, rel=1e-12)
         assert sets.classify(torque, inertia) is (StateClass.ADMISSIBLE if inside else StateClass.PARTIAL)
     assert largest_by_optimisation(TORQUE_MAX, curve.inertia(TORQUE_MAX)) > 0.5 * LENGTH + 0.4

@@ -11,14 +11,14 @@ COLUMNS = 5
 
 def named() -> list[str]:
     """Return the tests that the rows of the page name, as file::test."""
-    found = []
+    names = []
     for cells in rows(read("docs/explanation/errata.md") + read("docs/explanation/errata_controllers.md")):
         assert len(cells) == COLUMNS, cells
         assert all(cells), cells
         match = re.fullmatch(r"`(test_\w+\.py::test_\w+)`", cells[-1])
         assert match, f"no test of the form `file.py::test`: {cells[-1]}"
-        found.append(match[1])
-    return found
+        names.append(match[1])
+    return names
 
 
 def existing() -> list[str]:

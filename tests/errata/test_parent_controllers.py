@@ -52,8 +52,8 @@ def test_printed_gains_are_not_the_optimal_ones() -> None:
 
     context = ParentContext(0.01, INERTIA, Friction(*FRICTION), Manifold(0.0125, OFFSET, 5.0))
     law = CONTROLLERS.make("lqr", {"q": (10.0, 1.0), "r": 1.0}, context)
-    found = [law.torque(0.0, PlaneState(0, 0, *x)) for x in ((1.0, 0.0), (0.0, 1.0))]
-    assert found == pytest.approx(right, rel=1e-6)
+    gains = [law.torque(0.0, PlaneState(0, 0, *x)) for x in ((1.0, 0.0), (0.0, 1.0))]
+    assert gains == pytest.approx(right, rel=1e-6)
 
 
 def test_adaptation_is_no_rate() -> None:
@@ -85,8 +85,8 @@ def test_adaptation_is_no_rate() -> None:
 
     law = Arise(gains, reference, Friction(0.0, 1.0, 1.0, 0.0, 1.0, 0.0), dt)
     torque = [law.torque(dt * k, state(dt * k)) for k in range(steps + 1)]
-    found = -torque[-1] * cos(state(end).angle) / reference.derivatives(end)[2]
-    assert found == pytest.approx(truth, abs=1e-2)
+    estimate = -torque[-1] * cos(state(end).angle) / reference.derivatives(end)[2]
+    assert estimate == pytest.approx(truth, abs=1e-2)
 
 
 def test_law_needs_the_fourth_derivative() -> None:

@@ -208,12 +208,12 @@ def test_constants_that_bound_n_tilde() -> None:
 def test_rate_of_the_friction_error() -> None:
     """lem. NisBounded: abs(f_f'(w) w' - f_f'(w_d) w_d') <= c abs(e1''); the slopes differ where w does."""
     w, acceleration = 0.01, 0.5  # w_d = 0 with the same acceleration: e1'' = 0, and with it the printed bound
-    found = abs(slope(friction, w, 1e-6) - slope(friction, 0.0, 1e-6)) * acceleration
-    assert found > 11.0
+    error_rate = abs(slope(friction, w, 1e-6) - slope(friction, 0.0, 1e-6)) * acceleration
+    assert error_rate > 11.0
     # Right: c abs(e1'') plus the largest curvature of the friction times abs(w_d' e1').
     grid = np.linspace(0.0, 0.02, 201).tolist()
     curvature = max(abs(slope(lambda x: slope(friction, x, 1e-6), x, 1e-5)) for x in grid)
-    assert found <= 1.01 * curvature * acceleration * w
+    assert error_rate <= 1.01 * curvature * acceleration * w
 
 
 def test_inertia_moves_while_its_wish_stands() -> None:
@@ -331,10 +331,10 @@ def test_condition_on_ks() -> None:
     assert decrease(1.01 * right, c_max) < 0.0
 
     assert AriseGains().ks == KS < c_max / ETA_3  # not even by the printed condition
-    found = checked("arise_si_4", "ks, friction alone")
-    assert found.printed is not None
-    assert (found.printed.bound, found.corrected.bound) == pytest.approx((24.0, 144.0))
-    assert found.verdict is Verdict.FAILS
+    condition = checked("arise_si_4", "ks, friction alone")
+    assert condition.printed is not None
+    assert (condition.printed.bound, condition.corrected.bound) == pytest.approx((24.0, 144.0))
+    assert condition.verdict is Verdict.FAILS
 
 
 def test_lyapunov_bounds_lack_the_squares() -> None:

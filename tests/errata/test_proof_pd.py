@@ -72,9 +72,9 @@ def energy_rate(th: float, w: float, k2: float = K2, inertia_rate: float = 0.0) 
 
 
 def own_region() -> Estimate:
-    found = estimate(setting(find_scenario("pd_si_4")))
-    assert found is not None
-    return found
+    region = estimate(setting(find_scenario("pd_si_4")))
+    assert region is not None
+    return region
 
 
 def test_matrix_m_is_not_positive_definite() -> None:

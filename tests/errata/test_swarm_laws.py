@@ -55,8 +55,8 @@ def test_damping_matrix_lacks_s3_and_gravity(seed: int) -> None:
     np.testing.assert_allclose(
         printed / s3 * [[1.0, paper.GRAVITY], [1.0 / paper.GRAVITY, 1.0]], truth, rtol=1e-7, atol=1e-8
     )
-    found = np.reshape(damping_matrix(swarm.sums(), paper.GRAVITY), (2, 2))
-    np.testing.assert_allclose(found, truth, rtol=1e-8, atol=1e-8)
+    matrix = np.reshape(damping_matrix(swarm.sums(), paper.GRAVITY), (2, 2))
+    np.testing.assert_allclose(matrix, truth, rtol=1e-8, atol=1e-8)
 
 
 @SEEDS
@@ -89,8 +89,8 @@ def test_abstract_and_second_moments_do_not_suffice() -> None:
     null = np.array([1.0, -2.0, 1.0])  # moves neither torque nor inertia: in the null space of Phi
     still, moving = (paper.Swarm(mass, damping, position, s * null, np.full(3, True)) for s in (0.0, 0.5))
 
-    known = [swarm.abstract()[3:] + swarm.sums()[2:9] for swarm in (still, moving)]
-    assert known[0] == pytest.approx(known[1], abs=1e-15)  # all that the printed law knows is the same
+    broadcast = [swarm.abstract()[3:] + swarm.sums()[2:9] for swarm in (still, moving)]
+    assert broadcast[0] == pytest.approx(broadcast[1], abs=1e-15)  # all that the printed law knows is the same
     # What a law of these quantities alone has to command in both, but for the robot's own damping:
     force = still.commands(*WANTED) - paper.GAINS.ksd * moving.v
     assert abs(moving.acceleration(force)[1] - intended(moving)[1]) > 1.0
@@ -102,12 +102,12 @@ def test_mixed_swarm_does_not_split_into_two_abstract_errors() -> None:
     swarm = paper.Swarm(paper.MASS, paper.DAMPING, paper.POSITION, np.zeros(4), paper.HETEROGENEOUS)
     error = np.array([0.2, 0.02])
     commands = swarm.commands(swarm.a + error, np.zeros(2), np.zeros(2))
-    found = swarm.phi @ np.where(swarm.double, 0.0, commands)  # the double integrators still stand
+    rates = swarm.phi @ np.where(swarm.double, 0.0, commands)  # the double integrators still stand
     printed = np.array(paper.GAINS.k) * error
-    assert np.abs(found / printed - 1.0).min() > 0.3
+    assert np.abs(rates / printed - 1.0).min() > 0.3
 
     share = swarm.phi[:, ~swarm.double] @ np.linalg.pinv(swarm.phi)[~swarm.double]
-    np.testing.assert_allclose(found, share @ printed, rtol=1e-9)
+    np.testing.assert_allclose(rates, share @ printed, rtol=1e-9)
     # The share's symmetric part is indefinite: -e' share K e is no negative definite rate of V_as.
     assert np.linalg.eigvalsh(share + share.T)[0] < -0.05
 

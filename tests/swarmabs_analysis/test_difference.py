@@ -18,7 +18,7 @@ def changed(values: tuple[float, ...], index: int, value: float) -> tuple[float,
 
 
 @pytest.mark.parametrize(
-    ("other", "found"),
+    ("other", "expected"),
     [
         (SUMS, []),
         (SUMS._replace(gram=(1.0, math.nextafter(2.0, 3.0), 3.0)), [("gram[1]", 2.0, math.nextafter(2.0, 3.0))]),
@@ -29,9 +29,9 @@ def changed(values: tuple[float, ...], index: int, value: float) -> tuple[float,
     ],
 )
 def test_of_vectors_the_components_that_differ_are_named(
-    other: SwarmAuxiliary, found: list[tuple[str, object, object]]
+    other: SwarmAuxiliary, expected: list[tuple[str, object, object]]
 ) -> None:
-    assert repr(list(differing_fields(SUMS, other))) == repr(found)
+    assert repr(list(differing_fields(SUMS, other))) == repr(expected)
 
 
 def test_the_tolerance_holds_for_each_component_and_not_a_number_equals_itself() -> None:
@@ -70,7 +70,7 @@ def test_lists_of_integers_are_compared_as_a_whole() -> None:
 def test_deviations_of_vectors_are_those_of_their_components_in_order() -> None:
     size = 12
     a = [SwarmAbstract(0, step, 9, 4, (0.0,) * size, (0.0,) * size) for step in range(3)]
-    b = [each._replace(value=changed(each.value, 11, 3.0), rate=changed(each.rate, 2, 1.0)) for each in a]
+    b = [state._replace(value=changed(state.value, 11, 3.0), rate=changed(state.rate, 2, 1.0)) for state in a]
     b[1] = b[1]._replace(value=changed(b[1].value, 2, -4.0))
 
     (topic,) = compare_steps(*(recorded_steps(map(Record.of, run), "run") for run in (a, b))).topics

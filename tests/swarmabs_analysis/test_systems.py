@@ -163,14 +163,14 @@ class Read:
     """The messages of a bag by topic, read with the libraries of MCAP and nothing of this project."""
 
     def __init__(self, run: Path) -> None:
-        self._found: dict[str, list[Any]] = defaultdict(list)
+        self._messages: dict[str, list[Any]] = defaultdict(list)
         with next(run.rglob("*.mcap")).open("rb") as stream:
             reader = make_reader(stream, decoder_factories=[DecoderFactory()])
             for _, channel, _, message in reader.iter_decoded_messages():
-                self._found[channel.topic].append(message)
+                self._messages[channel.topic].append(message)
 
     def of(self, topic: str, agent: int | None = None) -> list[Any]:
-        return [m for m in self._found[topic] if agent is None or m.agent_id == agent]
+        return [m for m in self._messages[topic] if agent is None or m.agent_id == agent]
 
     def column(self, topic: str, field: str, agent: int | None = None) -> Floats:
         return np.array([getattr(m, field) for m in self.of(topic, agent)])
@@ -178,7 +178,7 @@ class Read:
 
 def altered(run: Path, folder: Path, topic: str, number: int, **fields: Any) -> Path:
     """Return a bag with other fields in one message; a function gives a field from the one in the bag."""
-    kind = next(each.message for each in TOPICS if f"/{each.name}" == topic)
+    kind = next(one.message for one in TOPICS if f"/{one.name}" == topic)
     count = itertools.count()
 
     def change(name: str, data: bytes) -> bytes:
@@ -421,12 +421,12 @@ def test_a_sweep_varies_settings_of_the_parent_system(tmp_path: Path) -> None:
         "grid: {system.angle: [0.001, 0.1], system.hit: [10.0, 0.0011]}\n"
     )
     study = load_sweep(tmp_path / "sweep.yaml")
-    found = [json.loads(evaluate(study.task(index))) for index in range(study.sweep.count)]
-    assert [row["outcome"] for row in found] == ["settled", "failed", "unsettled", "refused"]
-    assert found[2]["max_abs_angle"] == 0.1
-    assert found[1]["reason"].endswith("the beam hit the ground")
-    assert all("in_printed_estimate" not in row for row in found)
-    drawn = pictures(study, dict(enumerate(found)))
+    rows = [json.loads(evaluate(study.task(index))) for index in range(study.sweep.count)]
+    assert [row["outcome"] for row in rows] == ["settled", "failed", "unsettled", "refused"]
+    assert rows[2]["max_abs_angle"] == 0.1
+    assert rows[1]["reason"].endswith("the beam hit the ground")
+    assert all("in_printed_estimate" not in row for row in rows)
+    drawn = pictures(study, dict(enumerate(rows)))
     svg = drawn["region.svg"].decode()
     assert "does not settle" in svg and "the run fails" in svg
     assert "plane" not in svg
@@ -436,14 +436,14 @@ def test_a_sweep_varies_settings_of_the_parent_system(tmp_path: Path) -> None:
             ["duration=0.3", "swarm.agents.2.coordinates=[0.14]", *study.case(2).overrides()],
         )
     )
-    assert alone.summary()["digest"] == found[2]["digest"]
+    assert alone.summary()["digest"] == rows[2]["digest"]
 
 
-def drawn(found: Panel) -> dict[str, list[Floats]]:
+def drawn(panel: Panel) -> dict[str, list[Floats]]:
     """Return the curves of a panel by their labels, as arrays (points, 2)."""
     with styled():
         figure = Figure()
-        found.draw(figure)
+        panel.draw(figure)
     curves: dict[str, list[Floats]] = defaultdict(list)
     for line in figure.axes[0].lines:
         curves[str(line.get_label())].append(np.asarray(line.get_xydata()))
@@ -480,7 +480,7 @@ def test_the_page_has_the_numbers_of_the_bag(sheet: Path) -> None:
 
 
 def test_the_pictures_show_parent_abstract_state_and_robots(sheet: Path) -> None:
-    found, read = {panel.key: panel for panel in panels(read_recorded(sheet))}, Read(sheet)
+    by_key, read = {panel.key: panel for panel in panels(read_recorded(sheet))}, Read(sheet)
     time = np.arange(31) * 0.01
     state, value, desired = (
         read.column(*names)
@@ -503,20 +503,20 @@ def test_the_pictures_show_parent_abstract_state_and_robots(sheet: Path) -> None
         "parent-error-decades": {"norm of the errors": np.linalg.norm(goals - state[:, :2], axis=1)},
     }
     for key, lines in curves.items():
-        shown = drawn(found[key])
+        shown = drawn(by_key[key])
         for label, values in lines.items():
             np.testing.assert_allclose(shown[label][0], np.column_stack([time, values]), rtol=0, atol=1e-15)
     figure = Figure()
-    found["robots-paths"].draw(figure)
+    by_key["robots-paths"].draw(figure)
     paths = [np.asarray(line.get_xydata()) for line in figure.axes[0].lines[::2]]
     for agent in range(1, 5):
         np.testing.assert_array_equal(paths[agent - 1], read.column("/swarm/robot_state", "coordinates", agent))
 
 
 def test_commands_are_shown_by_kind_with_their_units(beam: Path) -> None:
-    found = {panel.key: panel for panel in panels(read_recorded(beam)) if "command" in panel.key}
+    by_key = {panel.key: panel for panel in panels(read_recorded(beam)) if "command" in panel.key}
     axes = {}
-    for key, panel in found.items():
+    for key, panel in by_key.items():
         figure = Figure()
         panel.draw(figure)
         axes[key] = figure.axes[0].get_ylabel()
@@ -525,9 +525,9 @@ def test_commands_are_shown_by_kind_with_their_units(beam: Path) -> None:
         "robots-command-position-2": "command u, N",
         "robots-command-position-3": "command u, m",
     }
-    (line,) = drawn(found["robots-command-position-2"])["u₃"]
+    (line,) = drawn(by_key["robots-command-position-2"])["u₃"]
     np.testing.assert_array_equal(line[:, 1], Read(beam).column("/swarm/robot_state", "command", 3)[:, 0])
-    assert "commands of 1 double integrator: " in found["robots-command-position-2"].about
+    assert "commands of 1 double integrator: " in by_key["robots-command-position-2"].about
 
 
 def test_a_limited_robot_and_a_dead_one_are_shown(beam: Path, tmp_path: Path) -> None:

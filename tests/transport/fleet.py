@@ -154,8 +154,8 @@ class VirtualFleet:
             names = [standby_name(name) if rank == STANDBY else name for name in (OBSERVER, CONTROLLER)]
             self._add(names[0], OBSERVER_PHASE, partial(RealtimeObserver, observing, memory))
             self._add(names[1], CONTROLLER_PHASE, partial(RealtimeController, controlling, law), PLANE_STATE)
-        for agent, made in zip(scenario.agents, configure.agent_configs(scenario, clock), strict=True):
-            config = replace(made, paired=paired)
+        for agent, usual in zip(scenario.agents, configure.agent_configs(scenario, clock), strict=True):
+            config = replace(usual, paired=paired)
             drive = _Body(self, agent_name(agent.id), config, (agent.position, agent.velocity))
             self.drives[agent.id] = drive
             self._add(agent_name(agent.id), AGENT_PHASE, partial(RealtimeAgent, config, drive))

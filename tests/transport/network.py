@@ -60,7 +60,7 @@ class Reports:
     @property
     def troubles(self) -> list[tuple[str, dict[str, Any]]]:
         """What was said but for the events, which every node tells."""
-        return [each for each in self.said if each[0] not in {"publishes", "recorded"}]
+        return [report for report in self.said if report[0] not in {"publishes", "recorded"}]
 
     def of(self, event: str) -> list[dict[str, Any]]:
         return [details for said, details in self.said if said == event]

@@ -327,26 +327,26 @@ def test_a_stranger_and_a_liar_do_not_enter_the_sums() -> None:
 
 def test_with_own_topics_nothing_changes_and_no_robot_speaks_for_another() -> None:
     shared, fleet = (VirtualFleet(builtin("arise_het_4"), own_topics=own) for own in (False, True))
-    for each in (shared, fleet):
-        each.run(0.5)
-        each.kill(OBSERVER)  # the next one must learn from events that the swarm is under way
-        each.kill(ROBOTS[3])
-        each.run(0.6)
-        each.revive(OBSERVER)
-        each.run(0.6)
+    for one in (shared, fleet):
+        one.run(0.5)
+        one.kill(OBSERVER)  # the next one must learn from events that the swarm is under way
+        one.kill(ROBOTS[3])
+        one.run(0.6)
+        one.revive(OBSERVER)
+        one.run(0.6)
     assert active(fleet) == {1, 2, 3}
     order = [(now, node, repr(message)) for now, node, message in fleet.published]
     assert sorted(order) == sorted((now, node, repr(message)) for now, node, message in shared.published)
     own = own_topic(msg.AGENT_STATE, 1), own_topic(msg.EVENTS, 1)
-    for each in (shared, fleet):
+    for one in (shared, fleet):
         for _ in range(50):
-            forged = newest(each)[2]._replace(step=round(each.time / PERIOD) + 1, position=-0.45, velocity=0.0)
+            forged = newest(one)[2]._replace(step=round(one.time / PERIOD) + 1, position=-0.45, velocity=0.0)
             left = msg.SwarmEvent(0, forged.step, 2, msg.EventKind.RECOVERED, 0.0, "")
             for message, topic in zip((forged, left), own, strict=True):
-                each.inject(message, [OBSERVER], topic if each is fleet else None)
-            if each is fleet:
-                each.inject(forged, [PLANE], own[0])
-            each.run(PERIOD)
+                one.inject(message, [OBSERVER], topic if one is fleet else None)
+            if one is fleet:
+                one.inject(forged, [PLANE], own[0])
+            one.run(PERIOD)
     assert active(fleet) == {1, 2, 3}
     assert (those(shared, msg.EventKind.DEAD, 1.7), those(fleet, msg.EventKind.DEAD, 1.7)) == ([2], [])
     refused = [e for e in said(fleet, msg.SwarmEvent, 1.7) if e.kind == msg.EventKind.REFUSED]

@@ -150,8 +150,8 @@ def check(seed: int) -> None:
     fleet.run(CALM)
     where = f"seed {seed}: {what}"
     assert longest_stop(fleet, BEGIN) * 0.01 <= LONGEST_STOP, where
-    expected, found = undisturbed(5), angles(fleet)
-    error = max(abs(found[k] - expected[k]) for k in found)
+    expected, actual = undisturbed(5), angles(fleet)
+    error = max(abs(actual[k] - expected[k]) for k in actual)
     assert error <= LARGEST_ERROR, (where, error)
     for kind in (AbstractState, DesiredAbstractState):
         assert len(speakers(fleet, kind)) == 1, where

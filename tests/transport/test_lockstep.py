@@ -122,11 +122,11 @@ def stored(steps: Iterable[Step]) -> list[object]:
 
 
 def payloads(steps: Iterable[Step]) -> dict[Topic, set[bytes]]:
-    found = defaultdict[Topic, set[bytes]](set)
+    by_topic = defaultdict[Topic, set[bytes]](set)
     for step in steps:
         for record in step.records:
-            found[record.topic].add(record.payload)
-    return found
+            by_topic[record.topic].add(record.payload)
+    return by_topic
 
 
 def problem_of(name: str, doings: Script, until: float = LONGEST_RUN) -> str:
@@ -152,14 +152,14 @@ def problem_of(name: str, doings: Script, until: float = LONGEST_RUN) -> str:
 
 @pytest.mark.parametrize("name", CASES)
 def test_each_interleaving_gives_the_bits_of_the_simulation(name: str) -> None:
-    assert [(seed, found) for seed in range(SEEDS) if (found := problem_of(name, script(seed, LENGTH)))] == []
+    assert [(seed, problem) for seed in range(SEEDS) if (problem := problem_of(name, script(seed, LENGTH)))] == []
 
 
 @pytest.mark.full
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize("name", CASES)
 def test_many_more_interleavings_give_the_bits_of_the_simulation(name: str) -> None:
-    assert [(seed, found) for seed in range(SEEDS, 4000) if (found := problem_of(name, script(seed, 40)))] == []
+    assert [(seed, problem) for seed in range(SEEDS, 4000) if (problem := problem_of(name, script(seed, 40)))] == []
 
 
 @pytest.mark.full

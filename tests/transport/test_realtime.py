@@ -173,11 +173,11 @@ def gone_through(doings: Script, seed: int = 1) -> VirtualFleet:
 
 
 def periods(fleet: VirtualFleet) -> Iterator[Period]:
-    found: dict[int, list[Record]] = {}
+    by_period: dict[int, list[Record]] = {}
     for time, _, message in fleet.published:
         record = Record(TOPIC_OF[type(message)], getattr(message, "agent_id", 0), message, encode(message))
-        found.setdefault(time // scenario().step_ns, []).append(record)
-    for step, records in found.items():
+        by_period.setdefault(time // scenario().step_ns, []).append(record)
+    for step, records in by_period.items():
         yield Period(step, tuple(records))
 
 
@@ -188,16 +188,18 @@ def wrongs(doings: Script) -> list[str]:
     # world's clock: nothing brakes them.
     if not any(act is Act.RUN for _, act, _ in doings):
         invariants += [StaysWithin(scenario()), FollowsFromItsBasis(scenario())]
-    found = [str(each) for step in periods(fleet) for invariant in invariants for each in invariant.check(step)]
-    found += [str(each) for invariant in invariants for each in invariant.finish()]
+    texts = [
+        str(violation) for step in periods(fleet) for invariant in invariants for violation in invariant.check(step)
+    ]
+    texts += [str(violation) for invariant in invariants for violation in invariant.finish()]
     newest = {m.agent_id: m for _, _, m in fleet.published if isinstance(m, AgentState)}
-    found += [f"{i} does not follow at the end" for i, state in newest.items() if state.broadcast_step == NEVER]
-    return found
+    texts += [f"{i} does not follow at the end" for i, state in newest.items() if state.broadcast_step == NEVER]
+    return texts
 
 
 @pytest.mark.parametrize("block", range(6))
 def test_a_fleet_bears_each_interleaving(block: int) -> None:
-    assert [(seed, found) for seed in range(10 * block, 10 * block + 10) if (found := wrongs(script(seed, 40)))] == []
+    assert [(seed, texts) for seed in range(10 * block, 10 * block + 10) if (texts := wrongs(script(seed, 40)))] == []
 
 
 @pytest.mark.full

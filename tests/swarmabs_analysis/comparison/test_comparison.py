@@ -45,13 +45,13 @@ def compare(a: Iterable[Message], b: Iterable[Message]) -> MessageComparison:
     return compare_steps(recorded_steps(map(Record.of, a), "A"), recorded_steps(map(Record.of, b), "B"))
 
 
-def shown(found: MessageComparison) -> str:
-    assert found.first is not None
-    return found.first.side_by_side()
+def shown(comparison: MessageComparison) -> str:
+    assert comparison.first is not None
+    return comparison.first.side_by_side()
 
 
-def topic(found: MessageComparison, name: str) -> TopicComparison:
-    return next(one for one in found.topics if one.topic == name)
+def topic(comparison: MessageComparison, name: str) -> TopicComparison:
+    return next(one for one in comparison.topics if one.topic == name)
 
 
 def test_equal_runs_are_equal_and_every_message_is_counted() -> None:
@@ -335,11 +335,11 @@ def compared(bags: list[Path], columns: int | None) -> str:
     return re.sub(r"\x1b\[[0-9;]*m", "", done.out)
 
 
-def expected(found: Comparison) -> list[list[str]]:
+def expected(comparison: Comparison) -> list[list[str]]:
     """Return the words that have to be read beside each field that differs."""
     return [
         [f.field, f"{f.differing:,}", *("-" if n is None else f"{n:.6g}" for n in (f.largest, f.rms))]
-        for topic in found.messages.topics
+        for topic in comparison.messages.topics
         for f in topic.fields
     ]
 
@@ -361,15 +361,15 @@ def assert_readable(text: str, rows: list[list[str]]) -> None:
 
 @pytest.mark.parametrize("columns", [200, 80, 40, None])
 def test_every_number_is_there_and_lines_fit_a_terminal_or_are_whole(bags: list[Path], columns: int | None) -> None:
-    text, found = compared(bags, columns), compare_bags(*bags)
-    rows, lines = expected(found), text.splitlines()
+    text, comparison = compared(bags, columns), compare_bags(*bags)
+    rows, lines = expected(comparison), text.splitlines()
     assert_readable(text, rows)
-    digests = [f"digest A  {found.a.digest or '-'}", f"digest B  {found.b.digest or '-'}"]
+    digests = [f"digest A  {comparison.a.digest or '-'}", f"digest B  {comparison.b.digest or '-'}"]
     assert [line for line in lines if line.startswith("digest")] == digests  # whole, also where the terminal is narrow
     assert columns is None or max(len(line) for line in lines if line not in digests) <= columns
-    if columns == 80 and found.messages.topics[0].fields[0].largest is not None:
+    if columns == 80 and comparison.messages.topics[0].fields[0].largest is not None:
         assert re.search(r"^field +differ +largest +at step +agent +rms\s*$", text, re.MULTILINE)
         assert re.search(r"^ topic +in both +differ +not in A +not in B", text, re.MULTILINE)
     if columns is None:
-        together = [*map(set, rows), {found.a.file, found.b.file}]
+        together = [*map(set, rows), {comparison.a.file, comparison.b.file}]
         assert all(any(words <= set(line.split()) for line in lines) for words in together)

@@ -91,8 +91,8 @@ def test_csv_read_by_the_csv_module(bag: Path, tmp_path: Path) -> None:
         read = {"float64": float, "string": str, "word": str}
         kinds = [read.get(column.type, int) for column in table.columns]
         assert head == [column.name for column in table.columns]
-        found = [[bits(kind(text) if text else None) for kind, text in zip(kinds, row, strict=True)] for row in rows]
-        assert [[None if bit == "" else bit for bit in row] for row in expected(table)] == found
+        cells = [[bits(kind(text) if text else None) for kind, text in zip(kinds, row, strict=True)] for row in rows]
+        assert [[None if bit == "" else bit for bit in row] for row in expected(table)] == cells
     described = read_csv(tmp_path / "out" / "columns.csv")
     assert described == [
         ["table", "column", "type", "unit", "meaning"],
@@ -126,15 +126,15 @@ def test_numpy_has_every_array_of_the_run(bag: Path, tmp_path: Path) -> None:
             *("angle", "time", "abstract.torque_rate", "auxiliary.s3", "desired.mean_inertia_rate"),
             *("agents.position", "agents.ids"),
         ):
-            array, found = attrgetter(path)(arrays), read[path.replace(".", "_")]
-            assert (found.tobytes(), found.shape) == (array.tobytes(), array.shape)
+            array, exported = attrgetter(path)(arrays), read[path.replace(".", "_")]
+            assert (exported.tobytes(), exported.shape) == (array.tobytes(), array.shape)
 
 
 def doubles(file: Path) -> dict[str, tuple[tuple[int, ...], bytes]]:
     """Return shape and bytes of each array of float64 in a MAT file, read by the published format."""
     data = file.read_bytes()
     assert data[124:128] == b"\x00\x01IM"  # level 5, little-endian
-    found, place = {}, 128
+    variables, place = {}, 128
     while place < len(data):
         kind, size = struct.unpack_from("<II", data, place)
         assert kind == 14, "not a matrix"
@@ -147,9 +147,9 @@ def doubles(file: Path) -> dict[str, tuple[tuple[int, ...], bytes]]:
             inside += 8 if head == 4 else 8 + -(-length // 8) * 8
         if parts[0][0] == 6:  # double
             shape = struct.unpack(f"<{len(parts[1]) // 4}i", parts[1])
-            found[parts[2].decode()] = (shape, parts[3])
+            variables[parts[2].decode()] = (shape, parts[3])
         place = end
-    return found
+    return variables
 
 
 def test_matlab_files_have_every_bit_texts_as_cells_and_no_time_of_writing(bag: Path, tmp_path: Path) -> None:
@@ -194,8 +194,8 @@ def test_numpy_has_the_events_without_pickle_or_empty_columns(bag: Path, tmp_pat
     with np.load(export_arrays(bag, tmp_path / "run.npz"), allow_pickle=False) as read:
         assert all(read[name].dtype.kind in "iufU" for name in read.files)
         for name in ("step", "agent_id", "kind", "value", "detail"):
-            found = read[f"events_{name}"].tolist()
-            assert [bits(value) for value in found] == [bits(getattr(event, name)) for event in events]
+            values = read[f"events_{name}"].tolist()
+            assert [bits(value) for value in values] == [bits(getattr(event, name)) for event in events]
         assert read["events_time"].tolist() == [event.step * PERIOD / 1e9 for event in events]
         assert read["events_stamp"].tolist() == [event.stamp / 1e9 for event in events]
     quiet = write_bag(tmp_path / "bag", [m for m in RUN if not isinstance(m, SwarmEvent)])

@@ -44,8 +44,8 @@ def lines(axes: Axes, colour_of: str) -> list[Floats]:
     """Return the points of all lines that look like the one of this label."""
     (named,) = [line for line in axes.lines if str(line.get_label()).startswith(colour_of)]
     same = (named.get_color(), named.get_linestyle(), named.get_linewidth())
-    found = [line for line in axes.lines if (line.get_color(), line.get_linestyle(), line.get_linewidth()) == same]
-    return [np.asarray(line.get_xydata(), dtype=float) for line in found]
+    alike = [line for line in axes.lines if (line.get_color(), line.get_linestyle(), line.get_linewidth()) == same]
+    return [np.asarray(line.get_xydata(), dtype=float) for line in alike]
 
 
 def test_all_vertices_and_32_edges_of_the_box_are_drawn(mapping: Axes) -> None:
@@ -103,14 +103,14 @@ def test_random_states_are_coloured_by_their_class(mapping: Axes) -> None:
 
 def envelope(torque: float) -> float:
     """Return the largest inertia at a torque on the box: one robot is free, the others stand at an end."""
-    found = [-np.inf]
+    inertias = [-np.inf]
     for moving in range(4):
         others = np.delete(MASSES, moving)
         for signs in itertools.product((-HALF, HALF), repeat=3):
             position = (torque / GRAVITY - others @ np.array(signs)) / MASSES[moving]
             if abs(position) <= HALF + 1e-12:
-                found.append(float(MASSES[moving] * position**2 + others.sum() * HALF**2))
-    return max(found)
+                inertias.append(float(MASSES[moving] * position**2 + others.sum() * HALF**2))
+    return max(inertias)
 
 
 def test_manifold_and_where_it_leaves_the_admissible_set(mapping: Axes) -> None:
@@ -140,7 +140,7 @@ def test_ellipse_plane_and_ellipsoid_of_the_example(monkeypatch: pytest.MonkeyPa
         reach = np.sqrt((1.0 - masses.sum() * centre**2) * (1.0 / masses - 1.0 / masses.sum()))
         np.testing.assert_allclose(points.max(axis=0), centre + reach, rtol=1e-3)
         np.testing.assert_allclose(points.min(axis=0), centre - reach, rtol=1e-3)
-    (facets,) = [found for found in axes.collections if isinstance(found, Facets)]
+    (facets,) = [collection for collection in axes.collections if isinstance(collection, Facets)]
     corners = facets.corners
     torque, inertia = GRAVITY * corners @ masses, corners**2 @ masses
     on_plane = (np.abs(torque - 10.0) < 1e-9).all(axis=1)

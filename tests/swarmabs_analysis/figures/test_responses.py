@@ -44,8 +44,8 @@ from pathlib import Path
 from swarmabs_analysis.figures import FIGURES, draw_files
 from swarmabs_analysis.figures.runs import find_runs
 for name in sys.argv[2:]:
-    found = find_runs([Path(sys.argv[1])], FIGURES[name].scenarios)
-    for file, content in draw_files(name, found, ("png", "svg")).items():
+    bags = find_runs([Path(sys.argv[1])], FIGURES[name].scenarios)
+    for file, content in draw_files(name, bags, ("png", "svg")).items():
         print(file, hashlib.sha256(content).hexdigest())
 assert "matplotlib.pyplot" not in sys.modules
 """
@@ -81,7 +81,7 @@ def test_another_process_gives_the_same_bytes(short_runs: Path) -> None:
     names = ("mappingEx", "posMapping", "PD_res")
     words = [sys.executable, "-c", SCRIPT, short_runs, *names]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
-    contents = [each for name in names for each in files(name, short_runs).items()]
+    contents = [file_and_content for name in names for file_and_content in files(name, short_runs).items()]
     assert done.stdout.splitlines() == [f"{file} {sha256(content).hexdigest()}" for file, content in contents]
 
 
@@ -110,9 +110,9 @@ def grid(figure: Figure, columns: int) -> tuple[list[list[Axes]], list[Axes]]:
     return [panels[start : start + columns] for start in range(0, len(panels), columns)], others
 
 
-def assert_same(found: tuple[Floats, Floats], times: Floats, values: Floats) -> None:
-    np.testing.assert_allclose(found[0], times, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found[1], values, rtol=0, atol=1e-13)
+def assert_same(line: tuple[Floats, Floats], times: Floats, values: Floats) -> None:
+    np.testing.assert_allclose(line[0], times, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(line[1], values, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize(("name", "controller"), [("PD_res", "pd"), ("ARISE_res", "arise")])

@@ -132,9 +132,9 @@ BAG = [(FIRST + number * SECOND // 10, number) for number in range(11)]
     ],
 )
 def test_messages_are_due_at_their_recorded_times_over_the_rate(pace: Pace, expected: list[tuple[float, int]]) -> None:
-    found = list(islice(pace.schedule(FIRST, lambda: BAG), 3000))
-    assert [number for _, number in found] == [number for _, number in expected]
-    assert [due for due, _ in found] == pytest.approx([due for due, _ in expected])
+    schedule = list(islice(pace.schedule(FIRST, lambda: BAG), 3000))
+    assert [number for _, number in schedule] == [number for _, number in expected]
+    assert [due for due, _ in schedule] == pytest.approx([due for due, _ in expected])
 
 
 def test_times_that_go_back_do_not_reorder() -> None:
@@ -142,19 +142,19 @@ def test_times_that_go_back_do_not_reorder() -> None:
     assert list(Pace().schedule(FIRST, lambda: bag)) == [(1.0, "a"), (1.0, "b"), (2.0, "c")]
 
 
-def policies(made: QoSProfile) -> tuple[object, ...]:
-    durations = (made.deadline, made.lifespan, made.liveliness_lease_duration)
-    return made.history, made.depth, made.reliability, made.durability, made.liveliness, *map(str, durations)
+def policies(qos: QoSProfile) -> tuple[object, ...]:
+    durations = (qos.deadline, qos.lifespan, qos.liveliness_lease_duration)
+    return qos.history, qos.depth, qos.reliability, qos.durability, qos.liveliness, *map(str, durations)
 
 
 @pytest.mark.parametrize("topic", OFFERED[LOCKSTEP], ids=lambda topic: topic.name)
 def test_what_a_run_offers_comes_back_once(topic: object) -> None:
     qos = OFFERED[LOCKSTEP][topic]  # type: ignore[index]
     other = {**qos_profile(qos), "depth": 77}
-    found, second = recorded_profiles(dump_yaml([qos_profile(qos), other, qos_profile(qos)]))
+    first, second = recorded_profiles(dump_yaml([qos_profile(qos), other, qos_profile(qos)]))
     assert second.depth == 77
-    assert policies(found)[:4] == policies(profile(qos))[:4]
-    assert policies(found)[4:] == (LivelinessPolicy.AUTOMATIC, *policies(QoSProfile(depth=1))[5:])
+    assert policies(first)[:4] == policies(profile(qos))[:4]
+    assert policies(first)[4:] == (LivelinessPolicy.AUTOMATIC, *policies(QoSProfile(depth=1))[5:])
 
 
 NUMBERS = """
@@ -165,8 +165,8 @@ NUMBERS = """
 
 
 def test_older_bags_have_numbers_for_policies_and_what_nobody_can_offer_is_left_as_usual() -> None:
-    (found,) = recorded_profiles(NUMBERS)
-    assert found == QoSProfile(
+    (recorded,) = recorded_profiles(NUMBERS)
+    assert recorded == QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=7,
         reliability=ReliabilityPolicy.BEST_EFFORT,

@@ -203,9 +203,9 @@ def test_a_bag_of_a_version_before_the_ranges_has_its_own_events(name: str) -> N
     old = sorted([*others, *told], key=lambda s: s.time)
     assert bool(told) is (name != "faults")
     for events, of_earlier in ((bag, False), (old, True)):
-        known = [s.message for s in events if isinstance(s.message, msg.SwarmEvent)]
+        told_events = [s.message for s in events if isinstance(s.message, msg.SwarmEvent)]
         if told:
-            assert are_earlier(known, scenario) is of_earlier
+            assert are_earlier(told_events, scenario) is of_earlier
         verification = LockstepVerification(scenario, earlier=of_earlier)
         for stored in events:
             verification.add(*stored)
@@ -219,10 +219,10 @@ def test_a_bag_of_a_version_before_the_ranges_has_its_own_events(name: str) -> N
 # A bit is changed
 
 
-def changed_fields(original: Stored, found: Stored) -> set[str]:
+def changed_fields(original: Stored, changed: Stored) -> set[str]:
     """Return the fields in which two messages differ, by their bytes one by one."""
     try:
-        one, other = original.message, found.message
+        one, other = original.message, changed.message
     except MalformedMessageError:
         return {"payload"}
     same: Any = one

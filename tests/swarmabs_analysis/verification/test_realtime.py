@@ -68,18 +68,18 @@ def test_what_a_second_sender_may_have_changed_is_not_checked_and_no_bag_with_on
     scenario, bag, *_ = world("quiet")
     kept = RealtimeCollector(members(scenario), configure.schedule(scenario, EPOCH))
     stored: list[Stored] = []
-    for each in bag:
-        forged = 40 <= each.message.step < 60 and each.topic in {msg.PLANE_STATE, msg.BASIS}
-        writer = each.topic.name.encode()
-        for message, of in ((each.message, writer), *([(each.message._replace(stamp=1), b"forger")] if forged else [])):
-            found = kept.add(Record.of(message), each.time, of)
-            stored += [Stored(record.topic, each.time, record.payload) for record in found]
-    events = [place for place, each in enumerate(stored) if b"second sender" in each.payload]
+    for sent in bag:
+        forged = 40 <= sent.message.step < 60 and sent.topic in {msg.PLANE_STATE, msg.BASIS}
+        writer = sent.topic.name.encode()
+        for message, of in ((sent.message, writer), *([(sent.message._replace(stamp=1), b"forger")] if forged else [])):
+            records = kept.add(Record.of(message), sent.time, of)
+            stored += [Stored(record.topic, sent.time, record.payload) for record in records]
+    events = [place for place, sent in enumerate(stored) if b"second sender" in sent.payload]
     assert len(events) == 2 * 4
     if not ended:
-        stored = [each for each in stored if b"up to this step" not in each.payload]
+        stored = [sent for sent in stored if b"up to this step" not in sent.payload]
     result = verify(scenario, stored)
-    last = 59 if ended else max(each.message.step for each in bag)
+    last = 59 if ended else max(sent.message.step for sent in bag)
     whose = ("/plane/state", *(f"/recording/basis of the {name}" for name in ("controller", "observer", "plane")))
     assert {of: steps[1] for of, steps in result.second_senders.items()} == dict.fromkeys(whose, last)
     assert {steps[0] for steps in result.second_senders.values()} == {40}
@@ -95,10 +95,10 @@ def renames_division(one: Stored, other: Stored) -> bool:
     if not isinstance(basis, msg.Basis) or basis.source != msg.Source.CONTROLLER:
         return False
     try:
-        found: Any = other.message
+        renamed: Any = other.message
     except MalformedMessageError:
         return False
-    return found != basis and found._replace(state_steps=basis.state_steps) == basis
+    return renamed != basis and renamed._replace(state_steps=basis.state_steps) == basis
 
 
 @settings(max_examples=50)
@@ -166,8 +166,8 @@ def edited(
 ) -> list[Stored]:
     """Return the bag with the first message of a class and step, if it is a basis of a source, changed."""
     wanted = (True, of_step, source)
-    found = ((isinstance(m, kind), m.step, getattr(m, "source", None)) for m in messages(bag))
-    number = next(n for n, each in enumerate(found) if each == wanted)
+    places = ((isinstance(m, kind), m.step, getattr(m, "source", None)) for m in messages(bag))
+    number = next(n for n, what in enumerate(places) if what == wanted)
     return [*bag[:number], changed(bag[number], **fields), *bag[number + 1 :]]
 
 
