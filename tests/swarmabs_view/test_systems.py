@@ -454,7 +454,7 @@ def test_the_terminal_names_what_is_tracked_and_counts_the_limited() -> None:
         "lift: step 12 of 30; 250 steps/s, 2.5 x real time; z +0.5000 m, error -0.2500 m"
     )
     panel = RunPanel(scenario)
-    panel.take(shown, "")
+    panel.take(shown)
     stream = StringIO()
     Console(file=stream, width=90, height=20, no_color=True).print(panel)
     text = stream.getvalue()
@@ -462,7 +462,7 @@ def test_the_terminal_names_what_is_tracked_and_counts_the_limited() -> None:
         assert " ".join(line.split()) in " ".join(text.split())
     assert "0.2500 m" in next(line for line in text.splitlines() if "error" in line and "reference" not in line)
     panel = RunPanel(parse_scenario(SHEET))  # two numbers are tracked: the error is that of both
-    panel.take(shown, "")
+    panel.take(shown)
     stream = StringIO()
     Console(file=stream, width=90, height=20, no_color=True).print(panel)
     assert "al      +0.5000 rad, error -0.2500 rad" in stream.getvalue()

@@ -18,7 +18,8 @@ SCENARIO = find_scenario("pd_het_4", ["duration=10"]).resolved()
 SEEN = SwarmSummary(
     {"-": 1, "A": 2, "S": 1}, "A-AS", [-1000, 0, 500, 1000], [f"step {n}: robot 2 dead" for n in (1, 2, 3)]
 )
-ONE_LINE = "pd_het_4: step 400 of 1000; in one line that is longer than some terminals are wide"
+ONE_LINE = "pd_het_4: step 400 of 1000; 250 steps/s, 2.5 x real time; angle +0.5000 rad, error -0.2500 rad"
+"""What is longer than some terminals are wide."""
 
 
 def progress(step: int, error: float | None = -0.25, seen: SwarmSummary | None = SEEN) -> Progress:
@@ -30,8 +31,7 @@ def drawn(
 ) -> list[str]:
     panel = RunPanel(scenario)
     for each in told:
-        panel.take(each, ONE_LINE)
-
+        panel.take(each)
     stream = type("Stream", (StringIO,), {"encoding": encoding})()
     console = Console(file=stream, width=width, height=height, force_terminal=True, no_color=True)
     console.print(panel)
@@ -58,7 +58,7 @@ def test_numbers_and_what_is_asked_of_the_plane() -> None:
 
 def test_the_load_of_the_processes_and_those_that_are_gone_are_shown() -> None:
     panel = RunPanel(SCENARIO)
-    panel.take(progress(400), ONE_LINE)
+    panel.take(progress(400))
     loads = {"orchestrator": 1.4, "recorder": 20.0, "plane_sim": 30.0, "agent_001": 10.0, "agent_002": 0.0}
     panel.processes = [ProcessState(name, 5, "sleeping", cpu, 10**6) for name, cpu in loads.items()]
     panel.processes.append(ProcessState("agent_003", 6, "gone"))
@@ -131,5 +131,5 @@ def test_nothing_is_drawn_before_the_first_progress() -> None:
 
 
 def test_starting_and_closing() -> None:
-    assert drawn(Progress("starting", 2, 8, 0, 1000))[0].startswith("pd_het_4: step 400")
+    assert drawn(Progress("starting", 2, 8, 0, 1000))[0] == "pd_het_4: starting, 2 of 8 processes ready"
     assert line(drawn(Progress("closing", 8, 8, 1000, 1000, 100.0, 0.0, 0.0)), "speed") == "completing the bag"

@@ -249,7 +249,7 @@ def show_live(target: str, listener: socket.socket, ready: Callable[[str], None]
     folder = Path(target)
     shown: RunView | SwarmView
     if (folder / "logs").is_dir():
-        check_running(folder)
+        environment_of_run(folder)  # which is refused if the run has ended
         shown = RunView(folder)
     elif NAMESPACE.fullmatch(target):
         shown = SwarmView(target)
@@ -269,11 +269,6 @@ async def listen(live: LiveView, namespace: str, over: Callable[[], bool]) -> No
     finally:
         node.destroy_node()  # type: ignore[no-untyped-call]
         rclpy.try_shutdown()
-
-
-def check_running(folder: Path) -> None:
-    """Raise `InputError` for the folder of a run that has ended, or a folder without a run."""
-    environment_of_run(folder)
 
 
 async def closed(descriptor: int) -> None:

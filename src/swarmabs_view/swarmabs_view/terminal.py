@@ -90,7 +90,7 @@ def shown_progress(scenario: AnyScenario, folder: Path | None = None) -> Iterato
     panel = RunPanel(scenario)
     # Drawn by the display itself, not by a thread, because this process forks the launcher.
     with Live(panel, console=console, auto_refresh=False, transient=True) as live:
-        yield _Terminal(scenario, panel, live, folder)
+        yield _Terminal(panel, live, folder)
 
 
 def watch_run(folder: Path) -> None:
@@ -183,12 +183,9 @@ def describe(progress: Progress, scenario: AnyScenario) -> str:
     if progress.phase == "starting":
         return f"{scenario.name}: starting, {progress.ready} of {progress.processes} processes ready"
     parts = [f"{scenario.name}: step {progress.step} of {progress.steps}"]
-    if progress.phase == "closing":
-        parts.append("completing the bag")
-    elif progress.phase == "paused":
-        parts.append("paused")
-    elif progress.step_rate:
-        parts.append(f"{progress.step_rate:.0f} steps/s, {progress.step_rate * scenario.period:.1f} x real time")
+    speed = speed_of(progress, scenario)
+    if speed:
+        parts.append(speed)
     if progress.angle is not None:
         tracking = tracking_of(scenario)
         error = "" if progress.error is None else f", error {progress.error:+.4f} {tracking.unit}"
@@ -196,9 +193,20 @@ def describe(progress: Progress, scenario: AnyScenario) -> str:
     return "; ".join(parts)
 
 
+def speed_of(progress: Progress, scenario: AnyScenario) -> str:
+    """Return how fast a run is, or why it makes no steps; empty if that is not known yet."""
+    if progress.phase == "closing":
+        return "completing the bag"
+    if progress.phase == "paused":
+        return "paused"
+    if not progress.step_rate:
+        return ""
+    return f"{progress.step_rate:.0f} steps/s, {progress.step_rate * scenario.period:.1f} x real time"
+
+
 class _Terminal:
-    def __init__(self, scenario: AnyScenario, panel: RunPanel, live: Live, folder: Path | None) -> None:
-        self._scenario, self._panel, self._live = scenario, panel, live
+    def __init__(self, panel: RunPanel, live: Live, folder: Path | None) -> None:
+        self._panel, self._live = panel, live
         self._processes = None if folder is None else Processes(folder)
         self._news = Warnings().of
         self._shown = self._asked = 0.0
@@ -211,7 +219,7 @@ class _Terminal:
             if self._processes is not None and progress.phase == "running" and now - self._asked >= PROCESS_INTERVAL:
                 self._asked = now
                 self._panel.processes = self._processes.states()
-            self._panel.take(progress, describe(progress, self._scenario))
+            self._panel.take(progress)
             self._live.refresh()
 
     def warn(self, warnings: Iterable[object]) -> None:
@@ -266,11 +274,10 @@ class RunPanel:
         self.processes: list[ProcessState] = []
         self._errors: list[float | None] = [None] * _BINS
         self._progress: Progress | None = None
-        self._line = ""
 
-    def take(self, progress: Progress, one_line: str) -> None:
+    def take(self, progress: Progress) -> None:
         """Update the panel with the latest progress."""
-        self._progress, self._line = progress, one_line
+        self._progress = progress
         if progress.error is not None:
             bin_ = min(_BINS * progress.step // max(progress.steps, 1), _BINS - 1)
             self._errors[bin_] = max(abs(progress.error), self._errors[bin_] or 0.0)
@@ -282,7 +289,7 @@ class RunPanel:
         if progress is None:
             return
         if width < LEAST_WIDTH or height < LEAST_HEIGHT or progress.phase == "starting":
-            line = Text(self._line, end="")
+            line = Text(describe(progress, self._scenario), end="")
             line.truncate(max(width, 1), overflow="ellipsis")
             yield line
             return
@@ -300,7 +307,7 @@ class RunPanel:
             self._bar(progress, width, ascii_only=ascii_only),
             _line(self._tracking.name, self._angle(progress)),
             _line("error", self._sparkline(width - _LABEL - 12, progress, ascii_only=ascii_only)),
-            _line("speed", self._speed(progress)),
+            _line("speed", Text(speed_of(progress, self._scenario) or "not known yet")),
         ]
         if self.processes:
             lines.append(_line("process", _load(self.processes)))
@@ -351,16 +358,6 @@ class RunPanel:
         return Text("".join(_column(error, largest, bars) for error in columns)).append(
             f" {largest:.4f} {self._tracking.unit}", style="dim"
         )
-
-    def _speed(self, progress: Progress) -> Text:
-        if progress.phase == "closing":
-            return Text("completing the bag")
-        if progress.phase == "paused":
-            return Text("paused")
-        if not progress.step_rate:
-            return Text("not known yet")
-        times = progress.step_rate * self._scenario.period
-        return Text(f"{progress.step_rate:.0f} steps/s, {times:.1f} x real time")
 
     def _lanes(self, seen: SwarmSummary, width: int, *, ascii_only: bool) -> list[Text]:
         """Draw each robot in its lane, or many robots in a common one."""
