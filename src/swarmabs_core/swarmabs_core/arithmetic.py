@@ -13,5 +13,5 @@ FORMER_TOLERANCE = 1e-9
 """What a number of the former arithmetic may differ by from today's, as the tolerance of `verify`."""
 FORMER_INTEGRATOR = 1e-6
 """The same for angle and angular velocity of the plane, by which equal steps of 1 ms erred in a period."""
-VERIFIED_FORMER = "versions of 0.1.0 before 27 November 2026"
+VERIFIED_FORMER = "versions of 0.1.0 that record no arithmetic, as at commit 198b2d0,"
 """The versions that compute with the former arithmetic."""

@@ -51,7 +51,7 @@ class VerificationResult:
     notes : tuple of str
         Further remarks for the user.
     not_checkable : Counter of str
-        Number of messages of a run in real time that could not be checked, by reason.
+        Number of messages that could not be checked, by reason.
     lost : str or None
         For a run in real time, what repairs could not recover of its bag; which messages that was is not known.
     second_senders : dict

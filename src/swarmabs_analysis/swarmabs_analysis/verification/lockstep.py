@@ -8,6 +8,7 @@ machine continues from recorded inputs. The first difference therefore originate
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING
 
 from swarmabs_analysis.difference import MESSAGE, Difference, judge, missing, surplus
@@ -23,7 +24,17 @@ from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.events import EventCode
 from swarmabs_core.membership import SILENT, Membership
-from swarmabs_core.messages import EVENTS, PLANE_STATE, ROBOT_STATES, STANDING, TOPIC_OF, EventKind, SwarmEvent, Topic
+from swarmabs_core.messages import (
+    EVENTS,
+    PLANE_STATE,
+    ROBOT_STATES,
+    STANDING,
+    TOPIC_OF,
+    AgentState,
+    EventKind,
+    SwarmEvent,
+    Topic,
+)
 from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.record import Record
 from swarmabs_run.simulation import behaviour_of, nodes_in_process
@@ -39,6 +50,7 @@ if TYPE_CHECKING:
 
 WINDOW = 100
 """Number of steps by which the messages of a bag may be out of order."""
+OFF_PLANE = "since a robot was off the plane, the former arithmetic did not resolve the plane's motion"
 _MOST_PER_MEMBER = 8
 """Upper bound of messages and events per robot or topic in a step."""
 
@@ -125,7 +137,8 @@ class Window:
 class LockstepVerification(Verification):
     """Verifies a run in lockstep, where the step of a message determines its inputs: all messages of that step.
 
-    The state of the plane may differ by the tolerance `of_plane`, if that is larger than the other.
+    The state of the plane may differ by the tolerance `of_plane`, if that is larger than the other. With it, the state
+    is checked only until a robot is off the plane.
     The `division` is that of the recorded nodes, by default that of the scenario. `earlier` tells whether its events
     are those of a version before the ranges of coordinates; see `are_earlier`. With a `trial` its nodes are compared
     with the recording to the end, and all other messages are taken as they are.
@@ -143,6 +156,8 @@ class LockstepVerification(Verification):
     ) -> None:
         super().__init__(tolerance, scenario.step_ns)
         self._of_plane = max(tolerance, of_plane)
+        self._end = scenario.plane.length / 2.0 if of_plane and isinstance(scenario, Scenario) else inf
+        self._off_plane = False
         self._trial = trial
         self.result.expected_steps = scenario.steps + 1
         self._scenario = scenario
@@ -301,11 +316,13 @@ class LockstepVerification(Verification):
         else:
             self.result.difference = _unasked(stored, step, "it is a duplicate, or out of place")
 
-    def _differs(self, stored: Record, expected: Message) -> Difference | None:
+    def _differs(self, stored: Record, expected: Message) -> Finding:
         """Compare a message; its log time must be that of its step, regardless of the robot's clock."""
         if self._trial is not None:
             self._trial.compare(stored, expected)
             return None
+        if self._off_plane and stored.topic is PLANE_STATE:
+            return OFF_PLANE
         tolerance = self._of_plane if stored.topic is PLANE_STATE else self.result.tolerance
         return judge(stored, expected, tolerance, expected.step * self._scenario.step_ns)
 
@@ -315,6 +332,10 @@ class LockstepVerification(Verification):
     def _findings(self, slot: Slot, *, last: bool) -> Iterator[Finding]:
         """Yield the findings of a step; the state machines are called in the order in which they answer in a run."""
         yield from slot.malformed
+        self._off_plane = self._off_plane or any(
+            isinstance(stored.message, AgentState) and abs(stored.message.position) > self._end
+            for stored in slot.get(self._robots)
+        )
         self._drop_silent(slot)
         for number, topic in enumerate(self._topics):
             later = (*self._topics[number + 1 :], EVENTS)
