@@ -173,13 +173,17 @@ def test_of_a_cut_chunk_the_whole_messages_are_saved(compression: CompressionTyp
         assert other.message_count == len(found)
 
 
-def test_messages_of_a_cut_chunk_with_times_beyond_its_own_are_not_saved(tmp_path: Path) -> None:
+def test_what_a_cut_chunk_holds_is_saved_up_to_what_it_cannot_hold(tmp_path: Path) -> None:
     known = schema(1, b"std_msgs/msg/String") + channel(1, 1, b"/chatter")
     for times, saved in (((5, 100, 70, 80), 4), ((7, 8, 101, 9), 2), ((7, 8, 9, 4), 3)):
         messages = b"".join(message(time=time) for time in times)
         data = MAGIC + HEADER + chunk(known + messages + message(), "", times=(5, 100))
         (tmp_path / "x.mcap").write_bytes(data[:-1])
         assert repair_bag(tmp_path / "x.mcap", tmp_path / str(saved)).messages == saved
+    for wrong in (schema(2, b"x", reaching=1), record(0x7F, b"")):
+        data = MAGIC + HEADER + chunk(known + message() + wrong + message() * 2, "", times=(0, 100))
+        (tmp_path / "x.mcap").write_bytes(data[:-1])
+        assert repair_bag(tmp_path / "x.mcap", tmp_path / wrong.hex()[:4]).messages == 1, "those before it"
 
 
 @pytest.mark.parametrize("cut", [False, True])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_bag.realtime_bags import realtime_bag
-from tests.swarmabs_bag.sample_run import PERIOD, make_run, make_step
+from tests.swarmabs_bag.sample_run import PERIOD, SCENARIO, make_run, make_step, write_bag
 from tests.swarmabs_core.realtime.bags import Stored
 
 from swarmabs_bag.arrays import load_arrays
@@ -269,6 +269,14 @@ def test_in_real_time_a_moving_reference_counts_from_when_its_law_began(tmp_path
     expected = [wanted((step - begins[step]) * 0.01) for step in arrays.step.tolist() if step in begins]
     assert arrays.reference[~np.isnan(arrays.reference)] == pytest.approx(expected, rel=1e-12)
     assert len(set(expected)) > 10
+
+
+@pytest.mark.parametrize(("steps", "status"), [(41, "ok"), (40, "incomplete"), (2, "incomplete")])
+def test_a_recording_that_lacks_its_last_steps_is_incomplete(steps: int, status: str, tmp_path: Path) -> None:
+    run = [message for message in make_run(40) if message.step < steps]
+    recorded = read_swarm(write_bag(tmp_path / "bag", run, {"scenario.yaml": SCENARIO.encode()}))
+    reason = None if steps == 41 else f"{steps} of 41 states of the parent system are recorded"
+    assert (recorded.status, recorded.reason) == (status, reason)
 
 
 @pytest.mark.parametrize("since_1970", [False, True])

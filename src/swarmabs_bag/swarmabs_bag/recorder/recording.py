@@ -16,16 +16,19 @@ from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_config.realtime import bounds
-from swarmabs_core.messages import EVENTS, PLANE_FAMILY, STANDING
+from swarmabs_config.scenario import Scenario
+from swarmabs_core.messages import EVENTS, STANDING
 from swarmabs_core.realtime.base import Health, Level
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_bag.run.step import Step
-    from swarmabs_config.scenario import AnyScenario, Scenario
+    from swarmabs_config.graph import Qos
+    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_core.messages import Topic
     from swarmabs_core.record import Record
 
 F = TypeVar("F", RunFigures, RealtimeFigures)
@@ -34,13 +37,27 @@ F = TypeVar("F", RunFigures, RealtimeFigures)
 class _Recording(Generic[F]):
     """The common part of recordings: figures, summary of the swarm, and optionally a bag."""
 
-    def __init__(self, scenario: Any, folder: Path | None, run: F, stated: Mapping[str, object], **bag: Any) -> None:
+    def __init__(
+        self,
+        scenario: AnyScenario,
+        folder: Path | None,
+        run: F,
+        stated: Mapping[str, object],
+        *,
+        topics: Sequence[Topic],
+        qos: Mapping[Topic, Qos],
+        namespace: str,
+        split: Split,
+    ) -> None:
         self.run: F = run
-        length = scenario.plane.length if scenario.family is PLANE_FAMILY else None
+        length = scenario.plane.length if isinstance(scenario, Scenario) else None
         self._tracker = SummaryTracker(configure.members(scenario), length)
         self._writer: BagWriter | None = None
         if folder is not None:
-            self._writer = BagWriter(folder, attachments=attachments(scenario, stated), **bag)
+            attached = attachments(scenario, stated)
+            self._writer = BagWriter(
+                folder, topics=topics, attachments=attached, namespace=namespace, qos=qos, split=split
+            )
 
     def summary(self) -> SwarmSummary | None:
         """Return the current summary of the swarm; too expensive to call for every message."""
