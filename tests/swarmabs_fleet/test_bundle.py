@@ -53,8 +53,8 @@ def test_each_node_is_told_of_its_pair() -> None:
 
     def told(name: str) -> dict[str, tuple[object, ...]]:
         loaded = example(name)
-        found = {node.name: parameters(loaded, node) for node in node_plans(loaded.fleet)}
-        return {node: tuple(values.get(key) for key in ("pair", "paired")) for node, values in found.items()}
+        parameters_of = {node.name: parameters(loaded, node) for node in node_plans(loaded.fleet)}
+        return {node: tuple(values.get(key) for key in ("pair", "paired")) for node, values in parameters_of.items()}
 
     assert {node: values for node, values in told("standby").items() if not node.startswith("agent_")} == {
         "plane_driver": (None, None),

@@ -177,8 +177,8 @@ def test_the_machine_is_examined(machine: Machine) -> None:
         fleet = edited(machine.folder / "one.yaml", ONE_HOST, ("domain: 7", f"domain: {domain}"))
         machine.program("chronyc", CHRONY.format(offset="0.001", leap="Normal"))
         machine.program("systemctl", "systemd 255 (255.4)")
-        found = machine.findings(fleet)
-        assert [found[name].verdict for name in ("interface", "ports", "clock", "systemd", "packages")] == ["ok"] * 5
+        by_check = machine.findings(fleet)
+        assert [by_check[name].verdict for name in ("interface", "ports", "clock", "systemd", "packages")] == ["ok"] * 5
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.bind(("127.0.0.1", 7000 + 100 * domain + 10 + 2 * 9))  # the second robot's
             assert machine.findings(fleet)["ports"].verdict == "bad"
@@ -203,15 +203,15 @@ def test_the_clock_of_the_machine(machine: Machine) -> None:
 
 
 def test_a_machine_that_is_not_the_host(machine: Machine) -> None:
-    found = machine.findings(edited(machine.folder / "one.yaml", ONE_HOST, ("interface: lo", "interface: wlan9")))
-    assert found["interface"].text.startswith("no interface wlan9 on this host (")
-    found = machine.findings(edited(machine.folder / "one.yaml", ONE_HOST, ("127.0.0.1", "127.0.0.9")))
-    assert "lo has 127.0.0.1 instead of 127.0.0.9" in found["interface"].text
-    assert found["ports"].verdict == "note"
-    assert found["clock"].text.startswith("not synchronised by any service; install chrony")
-    assert found["systemd"].verdict == "bad"
-    assert found["checkout"].text.startswith("/nowhere/swarmabs/scripts/swarm does not exist; ")
-    assert found["account"].text.startswith("account nobody-here does not exist; create it: useradd")
+    by_check = machine.findings(edited(machine.folder / "one.yaml", ONE_HOST, ("interface: lo", "interface: wlan9")))
+    assert by_check["interface"].text.startswith("no interface wlan9 on this host (")
+    by_check = machine.findings(edited(machine.folder / "one.yaml", ONE_HOST, ("127.0.0.1", "127.0.0.9")))
+    assert "lo has 127.0.0.1 instead of 127.0.0.9" in by_check["interface"].text
+    assert by_check["ports"].verdict == "note"
+    assert by_check["clock"].text.startswith("not synchronised by any service; install chrony")
+    assert by_check["systemd"].verdict == "bad"
+    assert by_check["checkout"].text.startswith("/nowhere/swarmabs/scripts/swarm does not exist; ")
+    assert by_check["account"].text.startswith("account nobody-here does not exist; create it: useradd")
 
 
 def test_an_installed_bundle_and_its_checkout_must_be_whole_and_open_to_the_account_of_the_nodes() -> None:
@@ -259,14 +259,14 @@ def test_an_installed_bundle_and_its_checkout_must_be_whole_and_open_to_the_acco
 def test_owner_and_groups_of_a_file_decide(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
-    found = file.stat()
-    other, group = Reader(found.st_uid + 1, frozenset()), Reader(found.st_uid + 1, frozenset({found.st_gid}))
+    status = file.stat()
+    other, group = Reader(status.st_uid + 1, frozenset()), Reader(status.st_uid + 1, frozenset({status.st_gid}))
     for mode, own, of_group, others in ((0o400, 1, 0, 0), (0o070, 0, 1, 0), (0o604, 1, 0, 1)):
         file.chmod(mode)
         assert group.may(file, os.R_OK) == of_group
         assert other.may(file, os.R_OK) == others
-        if found.st_uid:
-            assert Reader(found.st_uid, frozenset({found.st_gid})).may(file, os.R_OK) == own
+        if status.st_uid:
+            assert Reader(status.st_uid, frozenset({status.st_gid})).may(file, os.R_OK) == own
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -67,8 +67,8 @@ def test_nodes_are_shown_in_their_order_and_strangers_behind_them() -> None:
         Row("agent_009", "unknown", "OK", "fine", {"x": "1"}),
     ]
     assert not in_order(rows)
-    found = [monitor.value(*words) for words in (("plane_sim", "x"), ("plane_sim", "y"), ("agent_001", "x"))]
-    assert found == ["1", "", ""]
+    values = [monitor.value(*words) for words in (("plane_sim", "x"), ("plane_sim", "y"), ("agent_001", "x"))]
+    assert values == ["1", "", ""]
     monitor.hear("agent_001", 1, "", {}, 10.0)
     assert monitor.complete() and in_order(monitor.rows(10.5))
 
@@ -90,16 +90,16 @@ def test_a_node_that_falls_silent_is_no_longer_believed_nor_in_order_with_an_err
 
 def test_a_fleet_is_spoken_to_as_its_installed_bundle_says(tmp_path: Path) -> None:
     file = edited(tmp_path / "one.yaml", ONE_HOST, ("scenario:", "namespace: /hall\nscenario:"))
-    with target(file) as found:
-        assert (found.name, found.namespace, found.robots, found.run) == ("one", "/hall", (1, 2), None)
-        assert dict(found.hosts) == dict.fromkeys((*COORDINATORS, "agent_001", "agent_002"), "base")
-        assert found.environment["ROS_DOMAIN_ID"] == "7"
-        assert found.schedule == Schedule(10_000_000, 1_767_225_600 * 10**9)
-        profile = Path(found.environment["FASTRTPS_DEFAULT_PROFILES_FILE"])
+    with target(file) as operated:
+        assert (operated.name, operated.namespace, operated.robots, operated.run) == ("one", "/hall", (1, 2), None)
+        assert dict(operated.hosts) == dict.fromkeys((*COORDINATORS, "agent_001", "agent_002"), "base")
+        assert operated.environment["ROS_DOMAIN_ID"] == "7"
+        assert operated.schedule == Schedule(10_000_000, 1_767_225_600 * 10**9)
+        profile = Path(operated.environment["FASTRTPS_DEFAULT_PROFILES_FILE"])
         assert "127.0.0.1" in profile.read_text(encoding="utf-8")
-        assert found.robot(2) == "agent_002"
+        assert operated.robot(2) == "agent_002"
         with pytest.raises(InputError, match="one has no robot 9; it has 1, 2"):
-            found.robot(9)
+            operated.robot(9)
     assert not profile.parent.exists()
 
 
@@ -108,15 +108,20 @@ def test_a_run_is_spoken_to_by_its_folder_if_it_is_in_real_time(tmp_path: Path) 
     logs.mkdir()
     shutil.copyfile(ROOT / "src/swarmabs_bringup/scenarios/pd_het_4.yaml", tmp_path / "scenario.yaml")
     write_network(logs, 7, 5, realtime=True)
-    with target(tmp_path) as found:
-        assert (found.name, found.namespace, found.robots, found.run) == ("pd_het_4", "/", (1, 2, 3, 4), tmp_path)
+    with target(tmp_path) as operated:
+        assert (operated.name, operated.namespace, operated.robots, operated.run) == (
+            "pd_het_4",
+            "/",
+            (1, 2, 3, 4),
+            tmp_path,
+        )
         robots = [f"agent_00{number}" for number in range(1, 5)]
-        assert dict(found.hosts) == dict.fromkeys((*COORDINATORS, *robots), "this one")
-        assert found.schedule is None
-        found.check()
+        assert dict(operated.hosts) == dict.fromkeys((*COORDINATORS, *robots), "this one")
+        assert operated.schedule is None
+        operated.check()
     write_epoch(logs, 5)
-    with target(tmp_path) as found:
-        assert found.schedule == Schedule(10_000_000, 5)
+    with target(tmp_path) as operated:
+        assert operated.schedule == Schedule(10_000_000, 5)
     write_network(logs, 7, 5, realtime=False)
     with pytest.raises(InputError, match="operator commands need a realtime run"), target(tmp_path):
         pass

@@ -64,18 +64,18 @@ class Nodes(OperatorClient):
 )
 def test_a_stop_needs_either_controller_and_a_reset_the_one_that_leads(primary: str, standby: str, work: str) -> None:
     dead = [name for name, role in (("swarm/", primary), ("standby/swarm/", standby)) if not role]
-    with target(EXAMPLES["standby"]) as found:
+    with target(EXAMPLES["standby"]) as swarm:
         for command, name in ((pairs.stop, "stop"), (pairs.reset, "reset")):
             nodes = Nodes({PRIMARY: primary, STANDBY: standby})
             if name in work:
-                assert command(found, nodes, 0.0) == [f"{prefix}{name} was not found" for prefix in dead]
+                assert command(swarm, nodes, 0.0) == [f"{prefix}{name} was not found" for prefix in dead]
             else:
                 with pytest.raises(RunError, match=f"{dead[0]}{name} was not found"):
-                    command(found, nodes, 0.0)
+                    command(swarm, nodes, 0.0)
             assert nodes.called == [f"swarm/{name}", f"standby/swarm/{name}"]
-    with target(EXAMPLES["lan"]) as found:
+    with target(EXAMPLES["lan"]) as swarm:
         nodes = Nodes({PRIMARY: "alone"})
-        assert pairs.stop(found, nodes, 0.0) == []
+        assert pairs.stop(swarm, nodes, 0.0) == []
         assert nodes.called == ["swarm/stop"]
 
 
@@ -93,9 +93,9 @@ def test_the_observer_that_leads_confirms_a_removal(
 
 
 def test_a_failover_swaps_those_that_are_ready_for_it() -> None:
-    with target(EXAMPLES["standby"]) as found:
+    with target(EXAMPLES["standby"]) as swarm:
         nodes = Nodes({PRIMARY: "leads", STANDBY: "stands by"})
-        assert [pairs.failover(found, nodes, "controller", 0.0) for _ in range(3)] == [STANDBY, PRIMARY, STANDBY]
+        assert [pairs.failover(swarm, nodes, "controller", 0.0) for _ in range(3)] == [STANDBY, PRIMARY, STANDBY]
         for primary, standby, words in (
             ("leads", "", f"{PRIMARY} leads, {STANDBY} is silent"),
             ("leads", "listens", f"{STANDBY} listens"),
@@ -103,14 +103,14 @@ def test_a_failover_swaps_those_that_are_ready_for_it() -> None:
         ):
             nodes = Nodes({PRIMARY: primary, STANDBY: standby})
             with pytest.raises(RunError, match=words):
-                pairs.failover(found, nodes, "controller", 0.0)
+                pairs.failover(swarm, nodes, "controller", 0.0)
             assert nodes.called == []
         alone = Nodes({PRIMARY: "leads", STANDBY: "stands by"}, takes_over=False)
         with pytest.raises(RunError, match=f"{STANDBY} has not taken over, {PRIMARY} leads"):
-            pairs.failover(found, alone, "controller", 0.0)
-        assert pairs.chosen(found, None) == ["observer", "controller"]
-    with target(EXAMPLES["lan"]) as found, pytest.raises(InputError, match=r"add 'standby: HOST' to coordinators\.obs"):
-        pairs.chosen(found, "observer")
+            pairs.failover(swarm, alone, "controller", 0.0)
+        assert pairs.chosen(swarm, None) == ["observer", "controller"]
+    with target(EXAMPLES["lan"]) as swarm, pytest.raises(InputError, match=r"add 'standby: HOST' to coordinators\.obs"):
+        pairs.chosen(swarm, "observer")
 
 
 def test_the_command_tells_which_coordinators_lead_after_a_failover(

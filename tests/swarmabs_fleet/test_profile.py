@@ -40,8 +40,8 @@ def unit(loaded: LoadedFleet, host: str) -> str:
 
 
 def peers(root: ET.Element) -> set[tuple[str, int]]:
-    found = root.findall(".//d:initialPeersList/d:locator/d:udpv4", NAMESPACE)
-    return {(one.findtext("d:address", "", NAMESPACE), int(one.findtext("d:port", "", NAMESPACE))) for one in found}
+    locators = root.findall(".//d:initialPeersList/d:locator/d:udpv4", NAMESPACE)
+    return {(one.findtext("d:address", "", NAMESPACE), int(one.findtext("d:port", "", NAMESPACE))) for one in locators}
 
 
 def test_a_robot_knows_the_coordinators_and_they_know_all() -> None:

@@ -97,9 +97,9 @@ def enclaves(output: Path) -> dict[str, Path]:
 
 
 def test_certificates_are_issued_by_the_authority_for_their_own_key(hall: Path) -> None:
-    found = enclaves(hall)
-    assert set(found) == {*SPEAKERS, "operator_base", "driver_base", "driver_arm_1"}
-    for name, folder in found.items():
+    folders = enclaves(hall)
+    assert set(folders) == {*SPEAKERS, "operator_base", "driver_base", "driver_arm_1"}
+    for name, folder in folders.items():
         ca = folder / "identity_ca.cert.pem"
         assert openssl("verify", "-x509_strict", "-CAfile", ca, ca).returncode == 0
         done = openssl("verify", "-x509_strict", "-CAfile", ca, folder / "cert.pem")
@@ -170,7 +170,7 @@ def may(folder: Path, what: str, topic: str) -> bool:
 
 
 def test_who_may_publish_what(hall: Path) -> None:
-    found = enclaves(hall)
+    folders = enclaves(hall)
     publishers = {
         "rt/hall/swarm/desired_abstract_state": {"parent_controller"},
         "rt/hall/swarm/abstract_state": {"abstraction_observer"},
@@ -194,8 +194,8 @@ def test_who_may_publish_what(hall: Path) -> None:
         "rt/hall/diagnostics": {*SPEAKERS},
     }
     for topic, expected in publishers.items():
-        assert {name for name, folder in found.items() if may(folder, "publish", topic)} == expected, topic
-    robot = found["agent_001"]
+        assert {name for name, folder in folders.items() if may(folder, "publish", topic)} == expected, topic
+    robot = folders["agent_001"]
     for state in ("abstract_state", "auxiliary_state", "desired_abstract_state"):
         assert may(robot, "subscribe", f"rt/hall/swarm/{state}")
     assert set(rights(robot, "publish")) == {
@@ -285,9 +285,9 @@ def test_a_standby_speaks_on_topics_of_standbys_only(tmp_path: Path) -> None:
         for name in ("observer", "controller")
     ]
     fleet = load_fleet(edited(tmp_path / "hall.yaml", EXAMPLES["sros2"].read_text(encoding="utf-8"), *pair)).fleet
-    found = {name: rights for host in fleet.hosts for name, rights in host_rights(HostPlan(fleet, host.name)).items()}
-    assert {name for name in found if name.startswith("operator")} == {"operator_base", "operator_arm_1"}
-    assert found["operator_base"] == found["operator_arm_1"]
+    granted = {name: rights for host in fleet.hosts for name, rights in host_rights(HostPlan(fleet, host.name)).items()}
+    assert {name for name in granted if name.startswith("operator")} == {"operator_base", "operator_arm_1"}
+    assert granted["operator_base"] == granted["operator_arm_1"]
     shared = {"ros_discovery_info", "rt/parameter_events", "rt/rosout", "rt/hall/diagnostics", "rt/hall/swarm/events"}
     shared.add("rt/hall/swarm/removals")
     for name, topics in (
@@ -297,15 +297,15 @@ def test_a_standby_speaks_on_topics_of_standbys_only(tmp_path: Path) -> None:
         ),
         ("parent_controller", {"swarm/desired_abstract_state", "recording/basis"}),
     ):
-        standby = {topic for topic in found[f"{name}_standby"].publish if topic.startswith("rt/")} - shared
+        standby = {topic for topic in granted[f"{name}_standby"].publish if topic.startswith("rt/")} - shared
         assert standby == {*(f"rt/hall/standby/{topic}" for topic in topics), f"rt/hall/{name}_standby/*"}
-        assert not {topic for topic in found[name].publish if "standby" in topic}, "the primary has its usual rights"
+        assert not {topic for topic in granted[name].publish if "standby" in topic}, "the primary has its usual rights"
         for topic in topics - {"recording/basis", "swarm/standing"}:
-            assert {f"rt/hall/{topic}", f"rt/hall/standby/{topic}"} <= {*found["agent_002"].subscribe}
+            assert {f"rt/hall/{topic}", f"rt/hall/standby/{topic}"} <= {*granted["agent_002"].subscribe}
     assert {f"rq/hall/standby/swarm/{name}Request" for name in ("stop", "reset")} <= {
-        *found["parent_controller_standby"].subscribe
+        *granted["parent_controller_standby"].subscribe
     }
-    assert not {topic for topic in found["parent_controller_standby"].subscribe if topic.startswith("rq/hall/swarm")}
+    assert not {topic for topic in granted["parent_controller_standby"].subscribe if topic.startswith("rq/hall/swarm")}
 
 
 def test_keys_of_another_authority_are_not_used(own: Callable[[str], Path], tmp_path: Path) -> None:
@@ -356,9 +356,9 @@ def used_by_nodes(loaded: LoadedFleet, folder: Path) -> dict[str, Endpoints]:
             assert unit.said(b"READY=1", b"WATCHDOG=1"), f"{name}: {unit.complaint()}"
         environment = {**os.environ, **variables(bundle / "nodes/operator.env"), "ROS_LOG_DIR": str(folder / "ros")}
         with started_client(environment, "stock_node") as client:
-            found = settled(client, names)
+            endpoints = settled(client, names)
         assert set(ended(units)) == {0}
-    return found
+    return endpoints
 
 
 def settled(client: Client, names: Collection[str]) -> dict[str, Endpoints]:
@@ -441,10 +441,10 @@ def test_the_operator_may_do_what_the_commands_do(tmp_path: Path) -> None:
 
 
 def test_a_driver_has_the_other_side_of_what_its_node_has(tmp_path: Path) -> None:
-    found = host_rights(HostPlan(fleet_of("source: imu", 7, tmp_path).fleet, "base"))
+    granted = host_rights(HostPlan(fleet_of("source: imu", 7, tmp_path).fleet, "base"))
     published, heard = (
         [topic for topic in topics if "driver_base" not in topic]
-        for topics in (found["driver_base"].publish, found["driver_base"].subscribe)
+        for topics in (granted["driver_base"].publish, granted["driver_base"].subscribe)
     )
     assert published[4:] == ["rt/hall/plane_driver/imu", "rt/odom", "rt/hall/agent_002/odom", "rt/hall/agent_002/imu"]
     assert heard[2:] == ["rt/hall/cmd_vel", "rt/hall/agent_002/force"]

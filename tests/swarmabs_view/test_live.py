@@ -294,10 +294,10 @@ def test_positions_are_lines_of_few_robots_and_bands_of_many() -> None:
     live = view_of(20)
     live.refresh(0.0)
     session = LiveSession(live)
-    (found,) = told(session.poll(0.0), protocol.Positions)
-    assert (found.labels, len(found.time)) == (["robot 1", "robot 2", "robot 7"], 21)
+    (positions,) = told(session.poll(0.0), protocol.Positions)
+    assert (positions.labels, len(positions.time)) == (["robot 1", "robot 2", "robot 7"], 21)
     shown = live.state.shown_robots(20)
-    assert [line[-1] for line in found.lines] == [robot.coordinates[0] for robot in shown]
+    assert [line[-1] for line in positions.lines] == [robot.coordinates[0] for robot in shown]
 
 
 def test_many_robots_have_bands_on_each_side_of_the_axis_on_which_they_start() -> None:
@@ -306,8 +306,8 @@ def test_many_robots_have_bands_on_each_side_of_the_axis_on_which_they_start() -
     crossed: dict[int, tuple[float, ...]] = {robot: (-place,) for robot, (place,) in places.items()}
     crossed |= {200: (), 201: (), 3: ()}
     points = [Placed(0, 0.0, places), Placed(1, 0.1, crossed)]
-    found = PRESENTER.positions(list(places), points, True, sides(points))
-    lines = dict(zip(found.labels, found.lines, strict=True))
+    positions = PRESENTER.positions(list(places), points, True, sides(points))
+    lines = dict(zip(positions.labels, positions.lines, strict=True))
     for label, part in QUANTILES.items():
         for side, chosen in (("> 0", range(1, 101)), ("≤ 0", range(101, 202))):
             for place, point in enumerate(points):
