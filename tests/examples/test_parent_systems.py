@@ -172,9 +172,9 @@ def test_robots_that_die_do_not_fling_the_others(name: str, *, force: bool) -> N
 
 @pytest.mark.timeout(300)
 def test_ship_4_bears_the_loss_of_any_trolley_and_of_any_pair(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(losses, "AFTER_ANY", 2.0)
+    monkeypatch.setattr(losses, "AFTER_ANY", 1.5)
     report = check_losses(
-        load_scenario(PATHS["ship_4"], ["duration=6.0"]),
+        load_scenario(PATHS["ship_4"], ["duration=4.0"]),
         Report("", "", "", None, (), Theorem("", ""), {}, {}, ()),
         any_loss=True,
     )
