@@ -62,10 +62,15 @@ def table_of(given: Mapping[str, object], common: tuple[Parameter, ...], own: Ta
     return tuple(by_name.values())
 
 
-def refuse_sim_time(node: Node) -> None:
-    """Raise `InputError` if a node is told to follow a ROS clock."""
+def read(node: Node, common: tuple[Parameter, ...], own: Table) -> tuple[tuple[Parameter, ...], dict[str, Value]]:
+    """Return the parameters of a node of a swarm, as from `table_of`, and their values, as from `checked`.
+
+    Raises `InputError` as these do, and if the node is told to follow a ROS clock.
+    """
     if node.get_parameter(SIM_TIME).value:
         raise InputError(NO_SIM_TIME)
+    table = table_of(given_values(node), common, own)
+    return table, checked(node, table)
 
 
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Value]:

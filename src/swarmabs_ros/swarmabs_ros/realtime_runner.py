@@ -21,7 +21,7 @@ from swarmabs_config.graph import REALTIME
 from swarmabs_core.declaration import parameters_of
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_ros.managed import RealtimeNode, one_line
-from swarmabs_ros.parameters import checked, declare_values, given_values, refuse_sim_time, table_of
+from swarmabs_ros.parameters import declare_values, read
 from swarmabs_ros.realtime import RealtimeLoop
 from swarmabs_ros.runner import Settings
 from swarmabs_ros.settings import RealtimeSettings
@@ -79,9 +79,7 @@ class RealtimeProgram:
 
 
 def _tuning(node: RealtimeNode, own: Table, gains: tuple[str, ...], status: StatusChannel) -> Tuning:
-    refuse_sim_time(node)
-    table = table_of(given_values(node), COMMON, own)
-    values = checked(node, table)
+    table, values = read(node, COMMON, own)
     if values["await_epoch"]:
         status.send("ready")
         values["epoch_ns"] = status.wait_for_epoch()

@@ -14,7 +14,7 @@ from swarmabs_core.messages import TOPICS
 from swarmabs_core.parameters import SettingError
 from swarmabs_ros.endpoints import Receiver, advertise
 from swarmabs_ros.lockstep import INTERRUPTED, SLICE, Lockstep
-from swarmabs_ros.parameters import declare, given_values, refuse_sim_time, table_of
+from swarmabs_ros.parameters import declare_values, read
 from swarmabs_ros.settings import LockstepSettings
 from swarmabs_ros.start import SwarmNode, run_program
 
@@ -101,8 +101,9 @@ class LockstepProgram:
         return run_program(self.name, SwarmNode, self._run, args)
 
     def _run(self, node: Node, status: StatusChannel) -> None:
-        refuse_sim_time(node)
-        settings = Settings(declare(node, table_of(given_values(node), COMMON, self.parameters)), node.get_namespace())
+        table, values = read(node, COMMON, self.parameters)
+        declare_values(node, table, values)
+        settings = Settings(values, node.get_namespace())
         _run(self.name, node, settings, self.make(settings, status), status)
 
 

@@ -221,22 +221,10 @@ def test_participants_are_numbered_and_those_below_eight_kept_for_coordinators(d
     loaded = scenario_of("arise_het_20")
     processes = planned(loaded, driver)
     coordinators = [processes[name].participant for name in (PLANE, OBSERVER, CONTROLLER, RECORDER)]
-    assert coordinators == [0, 1, 2, 3]
+    assert coordinators == list(range(FIRST_TOOL))
     robots = [processes[agent_name(agent.id)].participant for agent in loaded.agents]
     assert robots == list(range(COORDINATORS, COORDINATORS + len(robots)))
     assert len(processes) == 4 + len(robots)
-
-
-def test_no_node_has_an_id_that_tools_take() -> None:
-    """The steering bridge comes behind the robots."""
-    options = RunOptions(steered=True)
-    processes = plan(scenario_of("arise_het_20"), RunFolder(Path("/nowhere")), options)
-    ids = [process.participant for process in processes]
-    assert len({*ids}) == len(ids)
-    assert not {*ids} & {*range(FIRST_TOOL, COORDINATORS)}
-    robots = [process.participant for process in processes if process.agents]
-    others = [process.participant for process in processes if not process.agents and process.participant > 3]
-    assert others == [max(robots) + 1]
 
 
 def test_who_is_waited_for_and_who_hears_the_plane() -> None:
@@ -272,6 +260,7 @@ def test_orders_reach_whom_they_concern_and_no_robot_that_is_there() -> None:
     assert processes["steering"].parameters["folder"] == "/runs/x"
     participants = [p.participant for p in processes.values()]
     assert len(set(participants)) == len(participants)
+    assert processes["steering"].participant == max(participants) == COORDINATORS + 4
     shared = steerable("{kind: join, at: null, agent: 3}", agents_per_process=2)
     assert {n for n, p in shared.items() if STEERING in p.subscriptions and p.agents} == {"agents_003_to_004"}
     # Who can only be added has no process where nobody steers.

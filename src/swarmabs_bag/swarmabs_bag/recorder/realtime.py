@@ -29,7 +29,7 @@ from swarmabs_core.settings import Run
 from swarmabs_ros.endpoints import Receiver
 from swarmabs_ros.lockstep import INTERRUPTED
 from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
-from swarmabs_ros.parameters import declare, refuse_sim_time, table_of
+from swarmabs_ros.parameters import declare_values, read
 from swarmabs_ros.realtime import arrived
 from swarmabs_ros.runner import Settings
 from swarmabs_ros.settings import RealtimeSettings, RobotTopics
@@ -203,8 +203,9 @@ def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of `last_step`; return the exit code."""
 
     def body(node: Node, status: StatusChannel) -> None:
-        refuse_sim_time(node)
-        _record(node, Settings(declare(node, table_of({}, (), PARAMETERS)), node.get_namespace()), status)
+        table, values = read(node, (), PARAMETERS)
+        declare_values(node, table, values)
+        _record(node, Settings(values, node.get_namespace()), status)
 
     return run_program(RECORDER, SwarmNode, body, args)
 

@@ -21,7 +21,7 @@ from swarmabs_config.scenario import on_plane
 from swarmabs_core.errors import InputError
 from swarmabs_ros.status import REPORT_FD, START_FD, epoch_records
 from swarmabs_run.orchestration.plan import plan
-from swarmabs_run.orchestration.realtime_run import LEAD, LEAD_PER_PROCESS
+from swarmabs_run.orchestration.realtime_run import lead
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -84,8 +84,8 @@ class Starter(threading.Thread):
                     self._over.set()
 
     def _begin(self) -> None:
-        lead = LEAD + LEAD_PER_PROCESS * self._processes
-        os.write(self._start, epoch_records(time.time_ns() + round(lead * 1e9), self._processes))
+        epoch_ns = time.time_ns() + round(lead(self._processes) * 1e9)
+        os.write(self._start, epoch_records(epoch_ns, self._processes))
         self.begun = True
         self.forget()
 

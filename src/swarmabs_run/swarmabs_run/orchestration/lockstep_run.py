@@ -50,8 +50,7 @@ class LockstepRun(ProcessRun):
         """Drive the processes to their end; afterwards the run can no longer be steered."""
         try:
             outcome = super().drive(machine, end_asked, domain, begun)
-            packed = any(process.parameters.get("packed") for process in self._plan)
-            return replace(outcome, packed=packed)
+            return replace(outcome, packed=self._options.packs(len(self._scenario.agents)))
         finally:
             (self._folder.path / SOCKET).unlink(missing_ok=True)
 

@@ -19,13 +19,18 @@ if TYPE_CHECKING:
     from swarmabs_run.run import Figures
 
 LEAD, LEAD_PER_PROCESS = 1.0, 0.02
-"""Time, s, from the start signal to step 0, for the nodes to create their endpoints and discover each other."""
+"""Parts of the time, s, from the start signal to step 0: see `lead`."""
 OVERTIME = 10.0
 """Longest delay, s, of the recorder at the end before the run counts as hung."""
 GRACE = 1.0
 """Time, s, beyond the age limits for which a failed run continues, so that its bag shows how the robots stop."""
 ENDING_SECONDS = 10.0
 """Longest time, s, for the nodes to report their timing and exit."""
+
+
+def lead(processes: int) -> float:
+    """Return the time, s, from the start signal to step 0, for nodes to create endpoints and discover each other."""
+    return LEAD + LEAD_PER_PROCESS * processes
 
 
 class RealtimeRun(ProcessRun):
@@ -46,12 +51,12 @@ class RealtimeRun(ProcessRun):
         self._failed_at: float | None = None
 
     def _start(self, now: float) -> float:
-        lead = LEAD + LEAD_PER_PROCESS * len(self._plan)
-        epoch_ns = self._machine.time_ns() + round(lead * 1e9)
+        seconds = lead(len(self._plan))
+        epoch_ns = self._machine.time_ns() + round(seconds * 1e9)
         self._note(f"all processes are ready: start, with step 0 at {epoch_ns} ns since 1970")
         write_epoch(self._folder.logs, epoch_ns)
         self._machine.start_all(epoch_records(epoch_ns, len(self._plan)))
-        return now + lead
+        return now + seconds
 
     def _watch(self, now: float) -> Failure | None:
         for name, code in self._supervision.exited.items():
