@@ -51,13 +51,13 @@ def on_columns(scenario: Scenario) -> bool:
     return perfect and swarm.law.type == PAPER.name and not (individual or special)
 
 
-def step_total(*columns: Floats) -> Any:
+def step_total(*columns: Floats) -> Floats:
     """Return the correctly rounded sums over the robots of columns (N, K), (K,)."""
     joined = columns[0] if len(columns) == 1 else np.concatenate(columns)
     return np.array([exact_sum(robots) for robots in joined.T.tolist()])
 
 
-def step_sums(robots: Iterable[Any], terms: Terms, reduction: Reduction) -> list[Any]:
+def step_sums(robots: Iterable[Floats], terms: Terms, reduction: Reduction) -> list[Any]:
     """Return what a reduction gives for robots given as columns (N, K), or (N, 1): (K,) for each number."""
     columns = np.broadcast_arrays(*terms(*robots))
     steps = zip(*(column.T.tolist() for column in columns), strict=True)
@@ -170,7 +170,7 @@ class SwarmColumns:
         return column_load(mass, before, after, self._di, self._constants, self._total)
 
 
-def _with(robots: tuple[Any, ...], standing: tuple[Floats, Floats]) -> tuple[Any, ...]:
+def _with(robots: tuple[Floats, ...], standing: tuple[Floats, Floats]) -> tuple[Floats, ...]:
     """Return masses, positions and velocities of robots, followed by those of others that stand."""
     also = (*standing, np.zeros_like(standing[1]))
     return tuple(np.concatenate(pair) for pair in zip(robots, also, strict=True))

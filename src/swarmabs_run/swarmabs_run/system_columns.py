@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import groupby
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from swarmabs_config import configure
 from swarmabs_core.arrays import layout_of
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import SwarmabsError
-from swarmabs_core.messages import NEVER, ROBOT_STATE, SYSTEM_FAMILY, Status, SwarmBroadcast, word
+from swarmabs_core.messages import NEVER, ROBOT_STATE, SYSTEM_FAMILY, Status, word
 from swarmabs_core.models import SystemAgentConfig
 from swarmabs_core.summation import column_total
 from swarmabs_core.systems.columns import SystemOnColumns, column, columns, dynamics_of
@@ -20,15 +21,24 @@ from swarmabs_core.systems.swarm import observed
 from swarmabs_run.swarm_columns import NotVectorisableError, rows_of_steps
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from swarmabs_config.scenario import SystemScenario
-    from swarmabs_core.messages import ParentState, RobotState, SwarmAbstract, SwarmAuxiliary, SwarmDesired
-    from swarmabs_core.models.systems import SystemMotion
+    from swarmabs_core.messages import (
+        AnyBroadcast,
+        ParentState,
+        RobotState,
+        SwarmAbstract,
+        SwarmAuxiliary,
+        SwarmBroadcast,
+    )
+    from swarmabs_core.models import SystemParentConfig
 
     Floats = NDArray[np.float64]
+
+ReturnT = TypeVar("ReturnT")
 
 
 def system_on_columns(scenario: SystemScenario) -> bool:
@@ -59,10 +69,10 @@ class _Kind:
         ends_of_robots = [limits(config.constants, word(first.kind)) for config in configs] if limits else []
         self._limits = tuple(zip(*(column(ends) for ends in zip(*ends_of_robots, strict=True)), strict=True))
 
-    def moved(self, heard: Any) -> RobotState:
+    def moved(self, heard: AnyBroadcast) -> RobotState:
         """Return the state one period later, under the commands that follow from the broadcasts."""
         law, state = self.law, self.state
-        rate = law.rate(state.coordinates, state.velocities, heard)
+        rate = law.rate(state.coordinates, state.velocities, cast("SwarmBroadcast", heard))
         if rate is None or not np.isfinite(rate).all():
             raise NotVectorisableError
         command = columns(law.command(state.coordinates, state.velocities, rate), state.coordinates)
@@ -83,8 +93,8 @@ class SystemSwarm:
         self._system = system
         self._kinds = [_Kind(system, [*group]) for _, group in groupby(configs, key=lambda config: config.kind)]
         self._curvature = configure.observer_config(scenario).curvature  # type: ignore[union-attr]  # of a system
-        parent: Any = configure.parent_config(scenario)
-        self._parent: SystemMotion = parent.motion(system, _add)
+        parent = cast("SystemParentConfig", configure.parent_config(scenario))
+        self._parent = parent.motion(system, _add)
         self._period_ns = scenario.step_ns
         self.ids = [agent_id for kind in self._kinds for agent_id in kind.ids]
         self.ranges = system.instance.robot
@@ -97,32 +107,23 @@ class SystemSwarm:
     def observed(self, step: int, stamp: int) -> tuple[SwarmAbstract, SwarmAuxiliary]:
         """Return abstract and auxiliary state."""
         with np.errstate(all="ignore"):
-            state_of_swarm: tuple[SwarmAbstract, SwarmAuxiliary] = self._individual(
-                observed,
-                self._system,
-                stamp,
-                step,
-                [kind.state for kind in self._kinds],
-                curvature=self._curvature,
-                count=len(self.ids),
-                add=_add,
-            )
-        abstract, auxiliary = state_of_swarm
+            states, count = [kind.state for kind in self._kinds], len(self.ids)
+            sums = partial(observed, self._system, stamp, step, states, curvature=self._curvature)
+            abstract, auxiliary = self._individual(partial(sums, count=count, add=_add))
         if not all(map(isfinite, (*abstract.value, *abstract.rate, *auxiliary.gram, *auxiliary.drift))):
             raise NotVectorisableError  # rounding of what is not finite is not the same
-        return state_of_swarm
+        return abstract, auxiliary
 
     def parent(self, step: int, stamp: int) -> ParentState:  # noqa: ARG002 - the parent knows its period
         """Return the measured state of the parent."""
         return self._parent.state(step)
 
-    def move(self, stamp: int, abstract: SwarmAbstract, auxiliary: SwarmAuxiliary, desired: SwarmDesired) -> None:
-        """Command all robots, and move them and the parent for one period."""
-        heard = SwarmBroadcast(stamp, desired.step, abstract, auxiliary, desired)
+    def move(self, heard: AnyBroadcast) -> None:
+        """Command all robots by the broadcasts of a step, and move them and the parent for one period."""
         with np.errstate(all="ignore"):
-            moved = [self._individual(kind.moved, heard) for kind in self._kinds]
+            moved = [self._individual(partial(kind.moved, heard)) for kind in self._kinds]
             pairs = [(kind.state, after) for kind, after in zip(self._kinds, moved, strict=True)]
-            self._parent.advance(stamp // self._period_ns + 1, pairs, 0.0)
+            self._parent.advance(heard.stamp // self._period_ns + 1, pairs, 0.0)
         for kind, after in zip(self._kinds, moved, strict=True):
             kind.state = after
 
@@ -144,10 +145,10 @@ class SystemSwarm:
             rows[name] = np.concatenate(parts, axis=2).transpose(0, 2, 1)[:, self._by_id]
         return rows
 
-    def _individual(self, function: Any, *args: Any, **options: Any) -> Any:
+    def _individual(self, function: Callable[[], ReturnT]) -> ReturnT:
         """Call a function of robots; if it fails, the state machines can tell of which robot."""
         try:
-            return function(*args, **options)
+            return function()
         except SwarmabsError:
             raise
         except Exception as error:

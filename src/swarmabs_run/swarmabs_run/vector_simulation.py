@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -18,9 +18,7 @@ from swarmabs_core.membership import ALWAYS
 from swarmabs_core.messages import (
     AGENT_STATE,
     PLANE_FAMILY,
-    AbstractState,
-    AuxiliaryState,
-    DesiredAbstractState,
+    Message,
     PlaneState,
     SwarmEvent,
 )
@@ -30,19 +28,29 @@ from swarmabs_run.swarm_columns import NotVectorisableError, SwarmColumns, on_co
 from swarmabs_run.system_columns import SystemSwarm, system_on_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from swarmabs_config.scenario import AnyScenario
-    from swarmabs_core.messages import AnyParentState, Family, Messages
+    from swarmabs_core.messages import (
+        AbstractState,
+        AnyBroadcast,
+        AnyParentState,
+        AuxiliaryState,
+        Broadcast,
+        Family,
+        Messages,
+    )
+    from swarmabs_core.model import Observed
     from swarmabs_core.systems.interface import Quantity
 
     Floats = NDArray[np.float64]
 
 
-Coordinated: TypeAlias = tuple[Any, Any, Any, Any]
+Coordinated: TypeAlias = tuple[Message, Message, Message, Message]
 """The messages of the coordinators in a step, in the order of a bag."""
+MotionT = TypeVar("MotionT")
 
 
 def vectorisable(scenario: AnyScenario) -> bool:
@@ -57,7 +65,7 @@ def vectorisable(scenario: AnyScenario) -> bool:
     return isinstance(scenario, Scenario) and on_columns(scenario)
 
 
-def swarm_of(scenario: AnyScenario) -> Swarm:
+def swarm_of(scenario: AnyScenario) -> Swarm[Any]:
     """Return all robots of a scenario for which `vectorisable` holds, with their parent, at step 0."""
     if isinstance(scenario, SystemScenario):
         return SystemSwarm(scenario)
@@ -65,7 +73,7 @@ def swarm_of(scenario: AnyScenario) -> Swarm:
     return PlaneSwarm(scenario)
 
 
-class Swarm(Protocol):
+class Swarm(Protocol[MotionT]):
     """All robots of a swarm with their parent, at one step."""
 
     @property
@@ -88,7 +96,7 @@ class Swarm(Protocol):
         """Size of the robots' messages of a step, bytes."""
         ...
 
-    def observed(self, step: int, stamp: int) -> tuple[Any, Any]:
+    def observed(self, step: int, stamp: int) -> Observed:
         """Return abstract and auxiliary state."""
         ...
 
@@ -96,8 +104,8 @@ class Swarm(Protocol):
         """Return the state of the parent."""
         ...
 
-    def move(self, stamp: int, abstract: Any, auxiliary: Any, desired: Any) -> None:
-        """Command all robots, and move them and the parent for one period.
+    def move(self, heard: AnyBroadcast) -> None:
+        """Command all robots by the broadcasts of a step, and move them and the parent for one period.
 
         Raises `NotVectorisableError` if a robot has to behave individually.
         """
@@ -107,11 +115,13 @@ class Swarm(Protocol):
         """Return the coordinates of the robots, (N, d)."""
         ...
 
-    def motion(self) -> Any:
+    def motion(self) -> MotionT:
         """Return what changes of the robots, arrays that are not written to any more."""
         ...
 
-    def states(self, steps: NDArray[np.uint64], stamps: NDArray[np.int64], motions: Sequence[Any]) -> NDArray[np.void]:
+    def states(
+        self, steps: NDArray[np.uint64], stamps: NDArray[np.int64], motions: Sequence[MotionT]
+    ) -> NDArray[np.void]:
         """Return the robots' messages of K steps with their stamps (ns), by step and ascending id: (K, N)."""
         ...
 
@@ -153,10 +163,9 @@ class PlaneSwarm:
         """Return the state of the plane."""
         return PlaneState(stamp, step, *self._plane)
 
-    def move(
-        self, stamp: int, abstract: AbstractState, auxiliary: AuxiliaryState, desired: DesiredAbstractState
-    ) -> None:
-        """Command all robots, and move them and the plane for one period."""
+    def move(self, heard: AnyBroadcast) -> None:
+        """Command all robots by the broadcasts of a step, and move them and the plane for one period."""
+        stamp, _, abstract, auxiliary, desired = cast("Broadcast", heard)
         if is_degenerate(auxiliary.s0, auxiliary.s3, self._length):
             raise NotVectorisableError
         columns, before = self._columns, self._motion[:2]
@@ -182,12 +191,12 @@ class PlaneSwarm:
         return self._columns.states(steps, stamps, *map(np.array, zip(*motions, strict=True)))
 
 
-class _Gathered:
+class _Gathered(Generic[MotionT]):
     """The steps that are not yielded yet."""
 
-    def __init__(self, swarm: Swarm) -> None:
+    def __init__(self, swarm: Swarm[MotionT]) -> None:
         self._swarm = swarm
-        self._motions: list[Any] = []
+        self._motions: list[MotionT] = []
         self._messages: list[tuple[int, int]] = []
         self._payloads: list[tuple[bytes, ...]] = []
         self._most = 0
@@ -255,6 +264,7 @@ class VectorSimulation:
     def _messages(self) -> Iterator[tuple[Coordinated, Messages]]:
         """Yield the messages of the coordinators and the events of every step, while the robots are at that step."""
         scenario, swarm = self._scenario, self._swarm
+        packed = cast("Callable[..., AnyBroadcast]", swarm.family.packed.message)
         for step in range(scenario.steps + 1):
             stamp = step * scenario.step_ns
             observed = swarm.observed(step, stamp)
@@ -263,7 +273,7 @@ class VectorSimulation:
             yield (parent, *observed, desired), (*self._crossings(step, stamp), *events)
             if step == scenario.steps:
                 return
-            swarm.move(stamp, *observed, desired)
+            swarm.move(packed(stamp, step, *observed, desired))
 
     def _crossings(self, step: int, stamp: int) -> list[SwarmEvent]:
         """Return an event for each robot that has just crossed an end of its range."""
