@@ -43,7 +43,7 @@ class RobotConfig:
         "dynamics of the robot",
         choices=tuple(map(word, PLANE_KINDS)),
         make=Kind.of,
-        say=lambda kind: kind.name.lower(),
+        say=word,
     )
     mass: float = setting(0.5, "mass", unit="kg", above=0.0)
     damping: float = setting(0.0, "viscous damping c of its motion, {unit}; may be 0", unit="N s/m", minimum=0.0)

@@ -191,7 +191,7 @@ class SystemAgentConfig(OfSystem, model.AgentConfig):
         "dynamics of the robot",
         choices=tuple(map(word, Kind)),
         make=Kind.of,
-        say=lambda kind: kind.name.lower(),
+        say=word,
     )
     coordinates: tuple[float, ...] = setting((0.0,), "initial coordinates")
     velocities: tuple[float, ...] = setting((), "initial velocities; none: at rest", item=0.0)
