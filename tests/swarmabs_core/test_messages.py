@@ -108,6 +108,14 @@ def test_padding_is_ignored_and_records_hold_topic_robot_message_and_bytes(messa
     assert Record.read(topic, 5, padded, 7) == made._replace(payload=padded, time=5, published=7)
 
 
+def test_a_second_in_the_nanoseconds_is_carried_over() -> None:
+    for nanoseconds in (10**9, 10**9 + 5, 2**32 - 1):
+        data = encode(AGENT)[:8] + nanoseconds.to_bytes(4, "little") + encode(AGENT)[12:]
+        stamped = AGENT._replace(stamp=12 * 10**9 + nanoseconds)
+        assert decode(msg.AgentState, data) == stamped
+        assert canonical(msg.AgentState, data) == encode(stamped) != data
+
+
 def test_messages_that_follow_one_another_are_told_apart_and_the_last_may_be_cut_off() -> None:
     for messages in ([AGENT, AGENT._replace(agent_id=7)], [ROBOT, ROBOT._replace(constants=()), ROBOT]):
         payloads = [encode(message) for message in messages]

@@ -87,6 +87,21 @@ def test_what_a_reference_raises_in_the_middle_fails_the_simulation_in_one_line(
         simulate(scenario)
 
 
+def test_a_robot_that_dies_stays_in_the_sums_at_its_last_place_and_one_that_is_removed_does_not() -> None:
+    run = ran(
+        BEAM_SCENARIO, "duration=0.3", "faults=[{kind: kill, agent: 2, at: 0.1}, {kind: remove, agent: 3, at: 0.2}]"
+    )
+    contribution, places = parse_scenario(BEAM_SCENARIO).named.instance.contribution, dict[int, Array]()
+    for abstract in run.of(SwarmAbstract):
+        now = {
+            s.agent_id: contribution(s.coordinates, s.constants) for s in run.of(RobotState) if s.step == abstract.step
+        }
+        assert (2 in now, 3 in now) == (abstract.step <= 10, abstract.step <= 20)
+        places = {agent_id: place for agent_id, place in places.items() if agent_id == 2} | now
+        assert abstract.agent_count == len(places)
+        assert np.allclose(abstract.value, np.sum(list(places.values()), axis=0), rtol=1e-12, atol=0.0)
+
+
 def test_the_parent_is_measured_with_the_noise_and_the_resolution_of_the_plane() -> None:
     """Without feedback the noise changes nothing else, so it is the difference of two runs."""
     overrides = ("duration=0.5", "system.added=0", "seed=4")
