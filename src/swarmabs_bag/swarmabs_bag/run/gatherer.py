@@ -154,8 +154,7 @@ class RunCollector:
     def _add(self, record: Record) -> list[Step]:
         """Hold a message; return it as a step of its own if it is an event of a step that was complete before."""
         topic, message = record.topic, record.message
-        if self._system is not None:
-            refuse_other_system(message, self._system)
+        refuse_other_system(message, self._system)
         step = message.step
         if step > self._last_step or step < self._step - self._memory:
             return []
