@@ -322,6 +322,20 @@ def test_topics_of_others_are_not_ours_and_swarms_must_be_told_apart(tmp_path: P
     assert [channel.name for channel, _ in both.stored_messages()] == ["/east/plane/state", "/west/plane/state"]
 
 
+def test_files_that_number_their_channels_differently_are_one_bag(tmp_path: Path, run: list[Message]) -> None:
+    planes = [(message, encode(message)) for message in run if TOPIC_OF[type(message)] is PLANE_STATE][:2]
+    topics = [("/plane/state", PLANE_STATE.ros_type), ("/camera", "sensor_msgs/msg/Image")]
+    for number, (plane, names) in enumerate(zip(planes, (topics, topics[::-1]), strict=True)):
+        with Recorded(tmp_path / f"bag_{number}.mcap") as bag:
+            channels = {name: bag.channel(name, ros_type) for name, ros_type in names}
+            bag.message(channels["/camera"], b"image", plane[0].stamp)
+            bag.message(channels["/plane/state"], plane[1], plane[0].stamp)
+    reader = open_bag(tmp_path)
+    assert [(channel.name, channel.message_count) for channel in reader.channels] == [(name, 2) for name, _ in topics]
+    stored = [(channel.name, message.payload) for channel, message in reader.stored_messages()]
+    assert stored == [pair for _, data in planes for pair in (("/camera", b"image"), ("/plane/state", data))]
+
+
 def test_of_attachments_the_first_counts_and_of_descriptions_the_last(tmp_path: Path) -> None:
     with Recorded(tmp_path / "x.mcap") as bag:
         bag.message(bag.channel("/plane/state", PLANE_STATE.ros_type), b"\0\1\0\0short", 1_500_000_000)

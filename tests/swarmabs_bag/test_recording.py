@@ -421,6 +421,14 @@ def test_what_is_of_another_swarm_or_time_is_refused(message: msg.Message, reaso
     assert kept.refused == 2
 
 
+def test_a_forged_step_far_ahead_does_not_prolong_a_dispute() -> None:
+    kept = Kept(Realtime(plane_age_limit=0.2))
+    kept.take(PLANE, CLOCK.begin(5), FIRST)
+    kept.take(PLANE._replace(step=505, angle=0.2), CLOCK.begin(5), SECOND)
+    (ended,) = kept.finish()
+    assert disputed(ended.message) == Dispute(SECOND_WRITER, "plane/state", 0, None, 5 + 20)
+
+
 def test_a_dispute_is_over_when_the_clock_is_set_back() -> None:
     kept = Kept()
     for message, writer in ((PLANE._replace(step=500), FIRST), (PLANE._replace(step=500, angle=0.2), SECOND)):
