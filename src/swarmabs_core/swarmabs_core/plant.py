@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from math import ceil, copysign, inf, isfinite
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 from swarmabs_core import runge_kutta
 from swarmabs_core.declaration import part, setting
@@ -25,8 +25,10 @@ from swarmabs_core.summation import column_total, exact_total, term_columns
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from swarmabs_core.runge_kutta import Acceleration
+    from swarmabs_core.runge_kutta import Acceleration, Floats
 
+Quantity = TypeVar("Quantity", float, "Floats")
+"""A number of one robot, or those of many as a column."""
 Function: TypeAlias = "Callable[[Any], Any]"
 Functions: TypeAlias = tuple[Function, Function, Function]
 
@@ -63,7 +65,7 @@ def hermite(mass: float, start: tuple[float, float], end: tuple[float, float], p
     return RobotPath(mass, p0, d0, *bends(d0, d1, rise))
 
 
-def bends(d0: float, d1: float, rise: float) -> tuple[float, float]:
+def bends(d0: Quantity, d1: Quantity, rise: Quantity) -> tuple[Quantity, Quantity]:
     """Return the coefficients of s^2 and s^3 of the cubic in s on [0, 1] with slopes d0 and d1 that rises by `rise`."""
     return 3.0 * rise - 2.0 * d0 - d1, d0 + d1 - 2.0 * rise
 
@@ -78,16 +80,16 @@ class SwarmLoad:
 
 def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
     """Sum the loads of all robots on the plane, correctly rounded and so independent of order; gravity in m/s^2."""
-    curved = [path for path in paths if path.c2 or path.c3]
-    return summed_load(
-        term_columns((path[:3] for path in paths), linear_terms), term_columns(curved, cubic_terms), gravity
-    )
+    massless = [standing(0.0, 0.0)]
+    curved = [path for path in paths if path.c2 or path.c3] or massless
+    linear = term_columns((path[:3] for path in paths or massless), linear_terms)
+    return summed_load(linear, term_columns(curved, cubic_terms), gravity)
 
 
 def column_load(
-    mass: Any,
-    start: Sequence[Any],
-    end: Sequence[Any],
+    mass: Floats,
+    start: Sequence[Floats],
+    end: Sequence[Floats],
     curved: Any,
     constants: tuple[float, float],
     total: Callable[..., Any] = column_total,
@@ -97,22 +99,22 @@ def column_load(
     `curved` selects those on cubics; the others move at constant velocity. The constants are the period (s) and gravity
     (m/s^2); `total` is that of `summed_load`. All else is as for `hermite`.
     """
-    path: Any = hermite
     (p0, v0), (p1, v1), (period, gravity) = start, end, constants
-    cubics = path(mass[curved], (p0[curved], v0[curved]), (p1[curved], v1[curved]), period)
     rise = p1 - p0
-    rise[curved] = cubics.c1
-    linear: Any = linear_terms
-    return summed_load(linear(mass, p0, rise), cubic_terms(*cubics), gravity, total)
+    d0 = v0[curved] * period
+    c2, c3 = bends(d0, v1[curved] * period, rise[curved])
+    rise[curved] = d0
+    cubics = cubic_terms(mass[curved], p0[curved], d0, c2, c3)
+    return summed_load(linear_terms(mass, p0, rise), cubics, gravity, total)
 
 
-def linear_terms(m: float = 0.0, a: float = 0.0, b: float = 0.0) -> tuple[float, ...]:
+def linear_terms(m: Quantity, a: Quantity, b: Quantity) -> tuple[Quantity, ...]:
     """Return the contributions of mass, c0 and c1 of a path to torque/g (s^0, s^1) and inertia (s^0 to s^2)."""
     ma, mb = m * a, m * b
     return ma, mb, ma * a, 2.0 * ma * b, mb * b
 
 
-def cubic_terms(m: float = 0.0, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0) -> tuple[float, ...]:
+def cubic_terms(m: Quantity, a: Quantity, b: Quantity, c: Quantity, d: Quantity) -> tuple[Quantity, ...]:
     """Return the further contributions of c2 and c3 of a path to torque/g (s^2, s^3) and inertia (s^2 to s^6)."""
     ma, mb, mc, md = m * a, m * b, m * c, m * d
     return mc, md, 2.0 * ma * c, 2.0 * (ma * d + mb * c), mc * c + 2.0 * mb * d, 2.0 * mc * d, md * d
