@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import PlaneScenario
 
     Array = NDArray[np.float64]
 
@@ -29,12 +29,12 @@ _BANDWIDTH = 50.0
 """Bandwidth of the command filter, rad/s."""
 
 
-def solve(scenario: Scenario) -> Array:
+def solve(scenario: PlaneScenario) -> Array:
     """Return the angle of the plane, rad, at all steps of a scenario.
 
     Parameters
     ----------
-    scenario : Scenario
+    scenario : PlaneScenario
         Must have only single integrators, the PD controller and no faults.
     """
     plane, curve = scenario.plane, scenario.manifold

@@ -9,7 +9,7 @@ from swarmabs_config.graph import Endpoints, requested
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, NEVER, RECORDING_PROGRESS, RecordingProgress
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.runner import LockstepProgram, Settings
-from swarmabs_ros.settings import ScenarioFile
+from swarmabs_ros.scenario_file import ScenarioFile
 from swarmabs_run.simulation import Simulation
 
 if TYPE_CHECKING:

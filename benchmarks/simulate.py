@@ -14,7 +14,7 @@ from benchmarks.common import Settings, checked, program, spread, swarm_of, tell
 from benchmarks.continuous import METHOD, RTOL, solve
 
 from swarmabs_bag.run_folder import new_run_folder
-from swarmabs_config.scenario import Scenario, load_scenario
+from swarmabs_config.scenario import Scenario, load_scenario, on_plane
 from swarmabs_config.scenarios import builtin_scenarios
 from swarmabs_run.run import RunOptions
 from swarmabs_run.simulated_run import simulate_run
@@ -88,7 +88,7 @@ def measure_against_solver(seconds: float) -> SolverResult:
     scenario = load_scenario(builtin_scenarios()["pd_si_4"], (f"duration={seconds:g}",)).resolved()
     simulated = _stepping_seconds(scenario, record=False)
     begun = time.perf_counter()
-    angle = solve(scenario)
+    angle = solve(on_plane(scenario, "the solver"))
     solved = time.perf_counter() - begun
     difference = float(np.abs(simulate(scenario).angle - angle).max())
     return SolverResult(seconds, simulated, solved, simulated / solved, difference)

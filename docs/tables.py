@@ -38,7 +38,7 @@ from swarmabs_config.model.agents import AGENT_KINDS, SystemAgent
 from swarmabs_config.model.controllers import CONTROLLER_CONFIGS, TRAJECTORY_CONFIGS
 from swarmabs_config.model.declared import Declared, DeclaredModel, model_of
 from swarmabs_config.model.scenario import FAULT_KINDS, OBSERVERS
-from swarmabs_config.scenario import Scenario, SystemScenario
+from swarmabs_config.scenario import PlaneScenario, SystemScenario
 from swarmabs_core.controllers import CONTROLLERS
 from swarmabs_core.declaration import parameters_of
 from swarmabs_core.events import EventCode
@@ -464,8 +464,8 @@ def all_tables() -> dict[str, str]:
         "message fields": message_fields(),
         "events": events(),
         "event codes": event_codes(),
-        "scenario": fields(leaves(Scenario)),
-        "system scenario": fields(each for each in leaves(SystemScenario) if each not in {*leaves(Scenario)}),
+        "scenario": fields(leaves(PlaneScenario)),
+        "system scenario": fields(each for each in leaves(SystemScenario) if each not in {*leaves(PlaneScenario)}),
         "system robots": fields(leaves(SystemAgent)),
         "robots": variants(AGENT_KINDS, "kind"),
         "controllers": variants({name: CONTROLLER_CONFIGS[name] for name in CONTROLLERS.built_in}, "type"),

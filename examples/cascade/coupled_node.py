@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from layers import UPPER, Coupling, absolute, carried_robot, led_controller, lower
+from layers import UPPER, Coupling, absolute, carried_robot, layer, led_controller, lower
 
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, ROBOT, Endpoints, Option, endpoints, requested
-from swarmabs_config.scenario import load_scenario
 from swarmabs_core.declaration import setting
 from swarmabs_core.messages import AGENT_STATE, PLANE_STATE
 from swarmabs_ros.lockstep import NodeSpec
@@ -45,7 +44,7 @@ PARAMETERS = (CouplingSettings,)
 def make_robot(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - nothing to report
     """Return behaviour and endpoints of a robot driven by a lower plane."""
     given = settings.declared(CouplingSettings)
-    upper, plane = (load_scenario(Path(name)) for name in (given.upper_file, given.lower_file))
+    upper, plane = (layer(Path(name)) for name in (given.upper_file, given.lower_file))
     behaviour = carried_robot(upper, given.robot, plane, given.coupling)
     own, link = endpoints(ROBOT, LOCKSTEP), absolute(PLANE_STATE, lower(given.robot))
     heard = {**own.subscriptions, link: requested(PLANE_STATE, depth=10)}
@@ -55,7 +54,7 @@ def make_robot(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: 
 def make_controller(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001 - nothing to report
     """Return behaviour and endpoints of the controller of a lower plane."""
     given = settings.declared(CouplingSettings)
-    scenario = load_scenario(Path(given.lower_file))
+    scenario = layer(Path(given.lower_file))
     window = configure.recording_window(scenario)
     behaviour = led_controller(scenario, given.robot, given.coupling, recording_window=window)
     own, link = endpoints(CONTROLLER, LOCKSTEP, frozenset({Option.CREDITED})), absolute(AGENT_STATE, UPPER)

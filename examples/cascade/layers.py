@@ -13,7 +13,7 @@ from coupling import Coupled, Following, TiltDrive, carried, led
 
 from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_config import configure
-from swarmabs_config.scenario import load_scenario
+from swarmabs_config.scenario import load_scenario, on_plane
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
 from swarmabs_core.controllers import ParentContext
 from swarmabs_core.errors import InputError, RunError
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from swarmabs_bag.run.step import Step
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import PlaneScenario
     from swarmabs_core.behaviours import Behaviour
     from swarmabs_core.messages import Message
 
@@ -73,8 +73,8 @@ class CascadeScenario:
         If the layers are inconsistent.
     """
 
-    upper: Scenario
-    lower: Mapping[int, Scenario]
+    upper: PlaneScenario
+    lower: Mapping[int, PlaneScenario]
     coupling: Coupling
 
     def __post_init__(self) -> None:
@@ -89,7 +89,7 @@ class CascadeScenario:
                 raise InputError(f"{UPPER}: robot {agent.id} must be a single_integrator: a tilt sets its speed")
 
     @property
-    def layers(self) -> dict[str, Scenario]:
+    def layers(self) -> dict[str, PlaneScenario]:
         """The scenarios by namespace, the upper one first."""
         return {UPPER: self.upper, **{lower(robot): scenario for robot, scenario in self.lower.items()}}
 
@@ -113,9 +113,14 @@ def load_cascade(
     InputError
         If a file is missing or invalid, or the layers are inconsistent.
     """
-    upper = load_scenario(folder / "upper.yaml", overrides)
-    lower_planes = {agent.id: load_scenario(folder / f"lower_{agent.id}.yaml", overrides) for agent in upper.agents}
+    upper = layer(folder / "upper.yaml", overrides)
+    lower_planes = {agent.id: layer(folder / f"lower_{agent.id}.yaml", overrides) for agent in upper.agents}
     return CascadeScenario(upper, lower_planes, coupling or Coupling())
+
+
+def layer(file: Path, overrides: Sequence[str] = ()) -> PlaneScenario:
+    """Load the scenario of one layer."""
+    return on_plane(load_scenario(file, overrides), "a cascade")
 
 
 @cache
@@ -124,7 +129,7 @@ def absolute(topic: Topic, namespace: str) -> Topic:
     return Topic(f"{namespace}/{topic.name}", topic.message, topic.ros_type)
 
 
-def carried_robot(upper: Scenario, robot: int, plane: Scenario, coupling: Coupling) -> Coupled:
+def carried_robot(upper: PlaneScenario, robot: int, plane: PlaneScenario, coupling: Coupling) -> Coupled:
     """Return an upper robot whose drive is the plane of a lower scenario."""
     (config,) = (config for config in configure.agent_configs(upper) if config.agent_id == robot)
     angle, rate = plane.plane.angle, plane.plane.angular_velocity
@@ -134,7 +139,7 @@ def carried_robot(upper: Scenario, robot: int, plane: Scenario, coupling: Coupli
     return carried(agent, drive, absolute(PLANE_STATE, lower(robot)), upper.steps)
 
 
-def led_controller(scenario: Scenario, robot: int, coupling: Coupling, *, recording_window: int) -> Coupled:
+def led_controller(scenario: PlaneScenario, robot: int, coupling: Coupling, *, recording_window: int) -> Coupled:
     """Return the controller of a lower plane, which follows the command of the robot driven by the plane."""
     plane = scenario.plane
     law = Following(
@@ -177,7 +182,7 @@ class CascadeSimulation:
             self._hear[lower(robot), PLANE_STATE].append((UPPER, robots[robot]))
             self._hear[UPPER, AGENT_STATE].append((lower(robot), follower))
 
-    def _add(self, namespace: str, scenario: Scenario, controller: Behaviour, agents: Sequence[Behaviour]) -> None:
+    def _add(self, namespace: str, scenario: PlaneScenario, controller: Behaviour, agents: Sequence[Behaviour]) -> None:
         """Add the behaviours of a layer and their subscriptions within it."""
         observer = Observer(configure.observer_config(scenario))
         plane = Parent(configure.parent_config(scenario))

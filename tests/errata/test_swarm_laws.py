@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.errata import paper
 
-from swarmabs_config.scenario import Scenario, parse_scenario
+from swarmabs_config.scenario import Scenario, parse_scenario, warnings_of
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.swarm_law import damping_matrix, pinv_row
 from swarmabs_run.simulation import simulate
@@ -159,8 +159,8 @@ def test_underdamped_inertia_is_flung_apart() -> None:
     flung, kept = (simulate(scenario(kd)) for kd in (5.0, 6.33))  # 2 sqrt(10) is 6.325
     assert flung.abstract.inertia.min() < 0.01
     assert np.abs(flung.agents.position).max() > 1.0  # flung apart, off the plane
-    assert any("Kd < 2 sqrt(Kp)" in text for text in scenario(5.0).warnings())
+    assert any("Kd < 2 sqrt(Kp)" in text for text in warnings_of(scenario(5.0)))
     assert kept.abstract.inertia[0] > 1.5
     assert kept.abstract.inertia.min() > 0.0
     assert np.abs(kept.agents.position).max() < 0.5
-    assert not any("swarm.gains" in text for text in scenario(6.33).warnings())
+    assert not any("swarm.gains" in text for text in warnings_of(scenario(6.33)))

@@ -24,7 +24,7 @@ from tests.processes import ROOT
 
 from swarmabs_analysis.losses import check as losses
 from swarmabs_analysis.losses.check import check_losses
-from swarmabs_config.scenario import SystemScenario, load_scenario
+from swarmabs_config.scenario import SystemScenario, load_scenario, warnings_of
 from swarmabs_core.messages import Status
 from swarmabs_core.theory.report import Report, Theorem
 from swarmabs_run.simulation import simulate
@@ -251,7 +251,7 @@ def test_the_spin_of_the_robots_follows_from_the_abstract_state() -> None:
 
 @pytest.mark.parametrize("name", PATHS)
 def test_every_scenario_runs_without_warning(name: str) -> None:
-    assert load_scenario(PATHS[name], []).warnings() == ()
+    assert warnings_of(load_scenario(PATHS[name], [])) == ()
     run = simulated(name, 0.05, "faults=[]")
     assert len(run.time) == 6 and np.isfinite(run.parent).all()
 

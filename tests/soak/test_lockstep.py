@@ -16,7 +16,7 @@ from tests.soak.scenarios import scenarios
 from tests.swarmabs_core.helpers import builtin, singly
 
 from swarmabs_bag.run.step import Step
-from swarmabs_config.scenario import Scenario, dump_scenario
+from swarmabs_config.scenario import Scenario, dump_scenario, warnings_of
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.faults import MembershipFault, RobotFault
@@ -54,7 +54,7 @@ def test_what_is_drawn_leaves_a_swarm_what_it_needs_to_recover(scenario: Scenari
     assert not gone & {fault.agent for fault in scenario.faults_of(RobotFault) if fault.kind == "lie"}
     assert scenario.faults
     assert last_fault(scenario) * scenario.period <= 18.02
-    assert not [text for text in scenario.warnings() if text.startswith("faults")]
+    assert not [text for text in warnings_of(scenario) if text.startswith("faults")]
 
 
 CALM = builtin("pd_het_4", "duration=2", "plane.angle=0")

@@ -12,7 +12,7 @@ from tests.swarmabs_core.helpers import builtin
 from swarmabs_analysis.losses import check as losses
 from swarmabs_analysis.losses.check import check_losses
 from swarmabs_cli.study.check import check as command
-from swarmabs_config.scenario import AnyScenario, parse_scenario
+from swarmabs_config.scenario import Scenario, parse_scenario
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.theory.report import Loss, Report, Theorem, Verdict
 from swarmabs_run.simulation import simulate
@@ -26,11 +26,11 @@ EMPTY = Report("", "", "", None, (), Theorem("", ""), {}, {}, ())
 """A report without theorems, which take longer."""
 
 
-def checked(scenario: AnyScenario, *, any_loss: bool = False) -> Report:
+def checked(scenario: Scenario, *, any_loss: bool = False) -> Report:
     return check_losses(scenario, check_scenario(scenario), any_loss=any_loss)
 
 
-def simulated(scenario: AnyScenario, *, any_loss: bool = False) -> Report:
+def simulated(scenario: Scenario, *, any_loss: bool = False) -> Report:
     return check_losses(scenario, EMPTY, any_loss=any_loss)
 
 
@@ -42,7 +42,7 @@ def failed(report: Report) -> set[str]:
     return {f"{group.label}.{condition.name}" for group, condition in report.failed if group in report.simulated}
 
 
-def beam(place: float) -> AnyScenario:
+def beam(place: float) -> Scenario:
     """Return a level beam under robots whose torque is 0 and that must come together; robot 3, at a place, dies."""
     others = -MASSES[2] * place / MASSES[0], 0.1, -0.1 * MASSES[1] / MASSES[3]
     places = (*others[:2], place, others[2])

@@ -31,7 +31,7 @@ from swarmabs_bag.run.step import Step
 from swarmabs_bag.shown.recorded_swarm import read_swarm
 from swarmabs_bag.shown.swarm_state import RobotIdentity, ShownRobot, SwarmState
 from swarmabs_config import configure
-from swarmabs_config.scenario import AnyScenario, parse_scenario
+from swarmabs_config.scenario import Scenario, parse_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core import messages as msg
 from swarmabs_core.behaviours.base import ConflictError, OtherSystemError
@@ -97,7 +97,7 @@ def messages_of(steps: Iterable[Step]) -> list[msg.Message]:
     return [record.message for step in steps for record in step.records]
 
 
-def bag_of(scenario: AnyScenario, steps: Iterable[Step], folder: Path) -> Path:
+def bag_of(scenario: Scenario, steps: Iterable[Step], folder: Path) -> Path:
     recording = Recording(scenario, folder, driver="simulate")
     for step in steps:
         recording.add(step)
@@ -303,7 +303,7 @@ def test_a_cut_bag_is_repaired_and_its_complete_steps_are_known(tmp_path: Path) 
 # What is shown: live, whatever the order, and from the bag
 
 
-def live(scenario: AnyScenario, found: Iterable[msg.Message]) -> SwarmState:
+def live(scenario: Scenario, found: Iterable[msg.Message]) -> SwarmState:
     state = SwarmState.of(scenario)
     for message in found:
         state.add(message)

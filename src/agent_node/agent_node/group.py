@@ -13,7 +13,8 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.messages import PLANE_STATE
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.runner import LockstepProgram, Settings
-from swarmabs_ros.settings import ScenarioFile, Variant
+from swarmabs_ros.scenario_file import ScenarioFile
+from swarmabs_ros.settings import Variant
 from swarmabs_ros.status import StatusChannel
 
 

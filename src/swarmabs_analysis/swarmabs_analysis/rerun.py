@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.run.step import Step
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import SwarmEvent
     from swarmabs_run.run import Outcome
 
@@ -55,7 +55,7 @@ class RepeatableRun:
     """
 
     bag: Path
-    scenario: AnyScenario
+    scenario: Scenario
     digest: str | None
     last_step: int
     complete: bool
@@ -197,7 +197,7 @@ def _unplanned_end(event: SwarmEvent) -> Change | None:
     return None
 
 
-def _differences(provenance: Mapping[str, object], scenario: AnyScenario) -> Iterator[str]:
+def _differences(provenance: Mapping[str, object], scenario: Scenario) -> Iterator[str]:
     if not provenance:
         yield "the bag does not record its software versions: the digest may differ"
         return

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     from swarmabs_analysis.verification.base import Verification
     from swarmabs_bag.reader import BagReader
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.nodes import NodeName
 
 DRIVERS = ("lockstep", "simulate", REALTIME.value)
@@ -217,7 +217,7 @@ def open_to_verify(
         return VerificationResult(str(path), problem=str(error))
 
 
-def _scenario(bag: BagReader) -> tuple[AnyScenario, tuple[str, ...]]:
+def _scenario(bag: BagReader) -> tuple[Scenario, tuple[str, ...]]:
     """Return the scenario of a bag, and a note on requests from outside, which cannot be recomputed."""
     if bag.problem is not None and bag.attachment(SCENARIO_FILE) is None:
         raise DamagedBagError(f"{bag.path}: {bag.problem}; its scenario is lost with its end")

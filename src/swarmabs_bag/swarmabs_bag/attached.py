@@ -27,7 +27,7 @@ from swarmabs_core.systems import PLANE_TABLES, SystemTables
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
 
 SCENARIO_FILE = "scenario.yaml"
 """Name of the attachment with the resolved scenario."""
@@ -47,7 +47,7 @@ UNDECIDED = "it contains several scenarios and does not state which one was run"
 _DISTRIBUTIONS = ("ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "mcap", "numpy")
 
 
-def versions(scenario: AnyScenario | None = None) -> dict[str, str]:
+def versions(scenario: Scenario | None = None) -> dict[str, str]:
     """Return the versions that may affect the result of a run, of all packages installed as distributions.
 
     With a scenario, those that provide its parent system, its controller and its swarm law are among them.
@@ -65,7 +65,7 @@ def versions(scenario: AnyScenario | None = None) -> dict[str, str]:
 
 
 def provenance(
-    scenario: AnyScenario,
+    scenario: Scenario,
     *,
     driver: str,
     realtime: Mapping[str, object] | None = None,
@@ -109,13 +109,13 @@ def arithmetic_of(stated: Mapping[str, object]) -> int | None:
     return number if isinstance(number, int) else None
 
 
-def attachments(scenario: AnyScenario, provenance: Mapping[str, object]) -> dict[str, bytes]:
+def attachments(scenario: Scenario, provenance: Mapping[str, object]) -> dict[str, bytes]:
     """Return the attachments of a new bag: the scenario and its `provenance`."""
     text = json.dumps(provenance, indent=2, sort_keys=True)
     return {SCENARIO_FILE: dump_scenario(scenario).encode(), PROVENANCE_FILE: text.encode() + b"\n"}
 
 
-def scenario_of(named: str, overrides: Sequence[str] = ()) -> AnyScenario:
+def scenario_of(named: str, overrides: Sequence[str] = ()) -> Scenario:
     """Load a scenario given by a user: a built-in one, a YAML file, or that of a bag.
 
     Raises
@@ -125,7 +125,7 @@ def scenario_of(named: str, overrides: Sequence[str] = ()) -> AnyScenario:
     """
     if names_bag(named):
         return attached_scenario(open_bag(Path(named), several=True), overrides)
-    scenario: AnyScenario = find_scenario(named, overrides)
+    scenario: Scenario = find_scenario(named, overrides)
     return scenario
 
 
@@ -144,7 +144,7 @@ def supply_scenario(bag: BagReader, named: str | None) -> None:
     bag.supplied[SCENARIO_FILE] = dump_scenario(find_scenario(named).resolved()).encode()
 
 
-def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered: bool = True) -> AnyScenario:
+def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered: bool = True) -> Scenario:
     """Return the scenario of a bag; several swarms must share it.
 
     For a steered run, it includes all requests as planned faults, so that the recorded run follows from it. With
@@ -168,7 +168,7 @@ def attached_scenario(bag: BagReader, overrides: Sequence[str] = (), *, steered:
         raise InputError(f"{bag.path} contains several scenarios and does not state {of}")
     source = f"{bag.path}:{SCENARIO_FILE}"
     acted = steered and was_steered(bag) and len(bag.swarms) <= 1
-    scenario: AnyScenario
+    scenario: Scenario
     try:
         scenario = parse_scenario(text.decode(), source=source, overrides=() if acted else overrides, recorded=True)
     except UnicodeDecodeError as error:

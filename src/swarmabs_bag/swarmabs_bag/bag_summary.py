@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_bag.reader import BagReader
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.systems import Vector
 
 
@@ -67,7 +67,7 @@ def summarise_bag(path: Path, namespace: str | None) -> dict[str, Any]:
     return figures.summary() | ({"digest": None} if is_realtime(bag) else {})
 
 
-def _scenario(bag: BagReader) -> AnyScenario | None:
+def _scenario(bag: BagReader) -> Scenario | None:
     try:
         return attached_scenario(bag)
     except (InputError, DamagedBagError):

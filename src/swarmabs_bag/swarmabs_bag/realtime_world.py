@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from swarmabs_bag.reader import BagReader
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
 
 _WORLD = ("period_ns", "epoch_ns", "simulated_robots", "simulated_plane", "own_limits")
 
@@ -68,7 +68,7 @@ def law_begins(bag: BagReader) -> dict[int, int]:
     }
 
 
-def realtime_figures(bag: BagReader, scenario: AnyScenario) -> RealtimeFigures:
+def realtime_figures(bag: BagReader, scenario: Scenario) -> RealtimeFigures:
     """Return the figures of a bag, by the same arithmetic as during the recording.
 
     Raises `DamagedBagError` if the bag is damaged, and `InputError` if its parent system is not the plane.

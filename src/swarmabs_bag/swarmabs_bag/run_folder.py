@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
 
 SUFFIX = ".mcap"
 _MOST_NAMED = 3
@@ -54,7 +54,7 @@ class RunFolder:
         self.scenario = path / "scenario.yaml"
         self.summary = path / "summary.json"
 
-    def fill(self, scenario: AnyScenario) -> None:
+    def fill(self, scenario: Scenario) -> None:
         """Write the resolved scenario and create the folder for the logs."""
         self.logs.mkdir()
         self.scenario.write_text(dump_scenario(scenario), encoding="utf-8")

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
 
 
 def run_scenario(
@@ -82,7 +82,7 @@ def _run(
     """Run a scenario; return the exit code, and the request that ended the run so that another one starts."""
     requests: list[str | None] = []
 
-    def execute(scenario: AnyScenario, folder: RunFolder, recording: RunOptions) -> Outcome:
+    def execute(scenario: Scenario, folder: RunFolder, recording: RunOptions) -> Outcome:
         if page is not None:
             page.show(folder.path)
         with shown(folder.path):
@@ -103,7 +103,7 @@ def _run(
 
     drawn = next((f"--{name}" for name in ("markers", "foxglove") if options[name]), None)
 
-    def check(scenario: AnyScenario) -> None:
+    def check(scenario: Scenario) -> None:
         if drawn is not None:
             on_plane(scenario, drawn)
         _step_seconds(scenario, rate)
@@ -151,7 +151,7 @@ def _page(port: int, *, steered: bool, opens: bool) -> Iterator[_Page]:
         yield _Page(stack.enter_context(PageViewer(port, steered=steered)), stack, opens=opens)
 
 
-def _step_seconds(scenario: AnyScenario, rate: float | None) -> float:
+def _step_seconds(scenario: Scenario, rate: float | None) -> float:
     """Return the shortest wall time of a step, s; 0: as fast as possible.
 
     Raises

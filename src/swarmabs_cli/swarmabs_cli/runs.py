@@ -19,7 +19,7 @@ from swarmabs_bag.run_folder import RunFolder, Split
 from swarmabs_cli.output import print_json, print_warnings, results_folder
 from swarmabs_config.installation import COMMAND
 from swarmabs_config.realtime import check_realtime
-from swarmabs_config.scenario import AnyScenario, Scenario, on_plane
+from swarmabs_config.scenario import Scenario, on_plane, warnings_of
 from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.ending import no_more_interrupts
@@ -31,7 +31,7 @@ from swarmabs_view.terminal import ProgressDisplay, shown_progress
 if TYPE_CHECKING:
     from swarmabs_analysis.rerun import RepeatableRun
 
-Execute = Callable[[AnyScenario, RunFolder, RunOptions], Outcome]
+Execute = Callable[[Scenario, RunFolder, RunOptions], Outcome]
 """Runs a scenario and leaves its results in a folder, such as `swarmabs_run.simulated_run.simulate_run`."""
 SETUP = "SWARMABS_SETUP"
 """Environment variable in which ``scripts/swarm`` passes its process id and the duration of the set-up, s."""
@@ -54,7 +54,7 @@ def carry_out(
     meanwhile: bool = False,
     show: bool = False,
     begun: float = 0.0,
-    check: Callable[[AnyScenario], object] = bool,
+    check: Callable[[Scenario], object] = bool,
 ) -> int:
     """Load and run a scenario, and print the summary; return the exit code.
 
@@ -73,9 +73,9 @@ def carry_out(
         _check_realtime(loaded, recorded)
     folder = results_folder(output, loaded.name)
     differences = recorded.differences if recorded is not None else ()
-    print_warnings((*loaded.warnings(), *differences))
+    print_warnings((*warnings_of(loaded), *differences))
     if not meanwhile:
-        print_warnings(theory_warnings(loaded))
+        print_warnings(_theory_warnings(loaded))
     loaded = loaded.resolved()
     if steered:
         click.echo(f"to steer the run: {COMMAND} steer {folder.path} ACTION VALUE", err=True)
@@ -112,18 +112,14 @@ def _recorded_run(bag: str, overrides: tuple[str, ...], scenario: str | None) ->
     return recorded_run(bag, overrides, scenario=scenario)
 
 
-def theory_warnings(scenario: AnyScenario) -> tuple[str, ...]:
-    """Return the warnings that follow from the theory, which covers scenarios on the plane."""
-    if not isinstance(scenario, Scenario):
-        return ()
-    from swarmabs_config.theory import setting  # noqa: PLC0415 - NumPy loads longer than a run starts
-    from swarmabs_core.theory.check import warnings  # noqa: PLC0415
+def _theory_warnings(scenario: Scenario) -> tuple[str, ...]:
+    from swarmabs_config.theory import theory_warnings  # noqa: PLC0415 - NumPy loads longer than a run starts
 
-    return tuple(warnings(setting(scenario)))
+    return theory_warnings(scenario)
 
 
 @contextmanager
-def _theory_printed(scenario: AnyScenario, show: ProgressDisplay) -> Iterator[Callable[[Progress], None]]:
+def _theory_printed(scenario: Scenario, show: ProgressDisplay) -> Iterator[Callable[[Progress], None]]:
     """Yield a function that shows progress and, after the start of the run, checks the theory in a thread.
 
     The display prints the warnings, at the latest when the run has ended.
@@ -137,7 +133,7 @@ def _theory_printed(scenario: AnyScenario, show: ProgressDisplay) -> Iterator[Ca
             show(progress)
             if checked is None:
                 if progress.phase != "starting":
-                    checked = pool.submit(theory_warnings, scenario)
+                    checked = pool.submit(_theory_warnings, scenario)
             elif not printed and checked.done():
                 printed = True
                 show.warn(checked.result())
@@ -149,7 +145,7 @@ def _theory_printed(scenario: AnyScenario, show: ProgressDisplay) -> Iterator[Ca
                 show.warn(checked.result())
 
 
-def _check_realtime(scenario: AnyScenario, recorded: RepeatableRun | None) -> None:
+def _check_realtime(scenario: Scenario, recorded: RepeatableRun | None) -> None:
     """Reject what only lockstep supports, before the folder is made."""
     if recorded is not None:
         raise InputError(
@@ -160,7 +156,7 @@ def _check_realtime(scenario: AnyScenario, recorded: RepeatableRun | None) -> No
 
 
 def summed_up(
-    scenario: AnyScenario,
+    scenario: Scenario,
     folder: RunFolder,
     run: Callable[[ProgressDisplay], Outcome],
     more: Callable[[Outcome], Mapping[str, object]],
@@ -188,7 +184,7 @@ def summed_up(
 
 
 def print_summary(
-    scenario: AnyScenario,
+    scenario: Scenario,
     summary: Mapping[str, Any],
     folder: RunFolder,
     outcome: Outcome,

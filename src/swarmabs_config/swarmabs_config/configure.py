@@ -10,7 +10,7 @@ from swarmabs_config import graph
 from swarmabs_config.graph import Option
 from swarmabs_config.model.controllers import settings_of
 from swarmabs_config.model.fields import LARGEST
-from swarmabs_config.model.scenario import UncheckedScenario, UncheckedSystemScenario
+from swarmabs_config.model.scenario import PlaneScenario, Scenario, SystemScenario
 from swarmabs_core.controllers import CONTROLLERS, OffsetController, ParentLaw
 from swarmabs_core.declaration import gathered
 from swarmabs_core.faults import (
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from typing import TypeAlias
 
     from swarmabs_config.model.agents import Agent
-    from swarmabs_config.model.scenario import AnyScenario
+    from swarmabs_config.model.scenario import Scenario
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.messages import Vector
     from swarmabs_core.parameters import Settings
@@ -57,12 +57,12 @@ LARGEST_OFFSET = 1.0
 """Largest offset of the plane's reference that can be requested, rad; a run ends at `plant.STEEPEST`."""
 
 
-def plugins(scenario: AnyScenario) -> Plugins:
+def plugins(scenario: Scenario) -> Plugins:
     """Return the parts of a scenario that packages may provide, each with its registry and its name."""
     return _nodes(scenario).plugins
 
 
-def options_for(scenario: AnyScenario) -> frozenset[Option]:
+def options_for(scenario: Scenario) -> frozenset[Option]:
     """Return the options that a scenario gives every node."""
     asked = {
         Option.SYSTEM: scenario.other_system is not None,
@@ -71,12 +71,12 @@ def options_for(scenario: AnyScenario) -> frozenset[Option]:
     return frozenset(option for option, given in asked.items() if given)
 
 
-def members(scenario: AnyScenario) -> tuple[int, ...]:
+def members(scenario: Scenario) -> tuple[int, ...]:
     """Return the ids of all robots, ascending."""
     return tuple(agent.id for agent in scenario.agents)
 
 
-def schedule(scenario: AnyScenario) -> tuple[Change, ...]:
+def schedule(scenario: Scenario) -> tuple[Change, ...]:
     """Return the scheduled membership changes by step."""
     return tuple(
         sorted(
@@ -86,7 +86,7 @@ def schedule(scenario: AnyScenario) -> tuple[Change, ...]:
     )
 
 
-def robot_faults(scenario: AnyScenario, agent_id: int) -> tuple[InjectedFault, ...]:
+def robot_faults(scenario: Scenario, agent_id: int) -> tuple[InjectedFault, ...]:
     """Return the faults injected into a robot, without changes of the membership."""
     return tuple(
         InjectedFault.of(fault, *scenario.fault_steps(fault))
@@ -95,7 +95,7 @@ def robot_faults(scenario: AnyScenario, agent_id: int) -> tuple[InjectedFault, .
     )
 
 
-def falsifications(scenario: AnyScenario) -> tuple[Falsification, ...]:
+def falsifications(scenario: Scenario) -> tuple[Falsification, ...]:
     """Return the faults injected into robots that the simulated parent must know, by robot."""
     return tuple(
         Falsification(agent.id, injected)
@@ -105,7 +105,7 @@ def falsifications(scenario: AnyScenario) -> tuple[Falsification, ...]:
     )
 
 
-def step_changes(scenario: AnyScenario, kind: str) -> tuple[StepChange, ...]:
+def step_changes(scenario: Scenario, kind: str) -> tuple[StepChange, ...]:
     """Return the step changes of a setting (`REFERENCE` or `DISTURBANCE`); where one ends, the setting returns to 0."""
     found: dict[int, float] = {}
     for fault in scenario.faults_of(SettingFault):
@@ -116,22 +116,22 @@ def step_changes(scenario: AnyScenario, kind: str) -> tuple[StepChange, ...]:
     return tuple(StepChange(step, found[step]) for step in sorted(found))
 
 
-def recording_window(scenario: AnyScenario) -> int:
+def recording_window(scenario: Scenario) -> int:
     """Return how many steps a recorded run may be ahead of the bag on disk."""
     return graph.recording_window(len(scenario.agents))
 
 
-def may_change(scenario: AnyScenario, *, steered: bool) -> bool:
+def may_change(scenario: Scenario, *, steered: bool) -> bool:
     """Return whether robots may join, end or be dropped, by plan or on request, so that `swarm/standing` is there."""
     return steered or Option.CHANGING in options_for(scenario)
 
 
-def division(scenario: AnyScenario) -> int:
+def division(scenario: Scenario) -> int:
     """Return for how many steps from a change on the observer tells how the abstract state divides."""
     return ALWAYS if scenario.lockstep.on_stall == "drop" else -(-SETTLING_NS // scenario.step_ns)
 
 
-def _run(scenario: AnyScenario) -> Run:
+def _run(scenario: Scenario) -> Run:
     return Run(
         period_ns=scenario.step_ns,
         last_step=scenario.steps,
@@ -145,7 +145,7 @@ def _run(scenario: AnyScenario) -> Run:
 class _PlaneNodes:
     """Configurations of the nodes on the plane, from the declarations of a scenario."""
 
-    def __init__(self, scenario: UncheckedScenario) -> None:
+    def __init__(self, scenario: PlaneScenario) -> None:
         self._scenario = scenario
 
     @property
@@ -179,7 +179,7 @@ class _PlaneNodes:
 class _SystemNodes:
     """Configurations of the nodes on another parent system, from the declarations of a scenario."""
 
-    def __init__(self, scenario: UncheckedSystemScenario) -> None:
+    def __init__(self, scenario: SystemScenario) -> None:
         self._scenario = scenario
         self._named = scenario.named
         self._selected: dict[str, Any] = {"system": self._named.type, "system_settings": self._named.settings}
@@ -238,15 +238,15 @@ class _SystemNodes:
         )
 
 
-def _nodes(scenario: AnyScenario) -> _PlaneNodes | _SystemNodes:
+def _nodes(scenario: Scenario) -> _PlaneNodes | _SystemNodes:
     """Return what configures the nodes of a scenario: the only place that asks for its parent system."""
-    if isinstance(scenario, UncheckedScenario):
+    if isinstance(scenario, PlaneScenario):
         return _PlaneNodes(scenario)
-    assert isinstance(scenario, UncheckedSystemScenario)  # noqa: S101 - there are two kinds
+    assert isinstance(scenario, SystemScenario)  # noqa: S101 - there are two kinds
     return _SystemNodes(scenario)
 
 
-def declared(scenario: UncheckedScenario) -> tuple[object, ...]:
+def declared(scenario: PlaneScenario) -> tuple[object, ...]:
     """Return the declarations of a scenario from which the configurations of the nodes are gathered."""
     run = replace(_run(scenario), actuator_lag=scenario.swarm.actuator_lag)
     swarm = scenario.swarm
@@ -254,43 +254,43 @@ def declared(scenario: UncheckedScenario) -> tuple[object, ...]:
     return run, *of_plane, swarm.gains, swarm.sensor, scenario.limits, scenario.realtime
 
 
-def observer_config(scenario: AnyScenario) -> ObserverConfig | SystemObserverConfig:
+def observer_config(scenario: Scenario) -> ObserverConfig | SystemObserverConfig:
     """Return the observer's configuration."""
     return _nodes(scenario).observer()
 
 
-def parent_config(scenario: AnyScenario) -> PlaneConfig | SystemParentConfig:
+def parent_config(scenario: Scenario) -> PlaneConfig | SystemParentConfig:
     """Return the configuration of the simulated parent."""
     return _nodes(scenario).parent(falsifications=falsifications(scenario), torques=step_changes(scenario, DISTURBANCE))
 
 
-def parent_law(scenario: UncheckedScenario) -> ParentLaw:
+def parent_law(scenario: PlaneScenario) -> ParentLaw:
     """Return the plane's control law by name, with its settings and the plane it controls."""
     plane = scenario.plane
     return ParentLaw(scenario.controller.type, controller_settings(scenario), plane.inertia, plane.friction)
 
 
 @overload
-def controller_config(scenario: UncheckedScenario, *, recording_window: int) -> ControllerConfig: ...
+def controller_config(scenario: PlaneScenario, *, recording_window: int) -> ControllerConfig: ...
 @overload
-def controller_config(scenario: AnyScenario, *, recording_window: int) -> ControllerConfig | SystemControllerConfig: ...
-def controller_config(scenario: AnyScenario, *, recording_window: int) -> ControllerConfig | SystemControllerConfig:
+def controller_config(scenario: Scenario, *, recording_window: int) -> ControllerConfig | SystemControllerConfig: ...
+def controller_config(scenario: Scenario, *, recording_window: int) -> ControllerConfig | SystemControllerConfig:
     """Return the configuration of the parent controller's node."""
     offsets = step_changes(scenario, REFERENCE)
     return _nodes(scenario).controller(recording_window=recording_window, offsets=offsets)
 
 
-def controller_settings(scenario: UncheckedScenario) -> Settings:
+def controller_settings(scenario: PlaneScenario) -> Settings:
     """Return the settings of the control law, nested names joined by dots."""
     return settings_of(scenario.controller)
 
 
-def parent_controller(scenario: UncheckedScenario) -> ParentController:
+def parent_controller(scenario: PlaneScenario) -> ParentController:
     """Return the plane's controller."""
     return parent_law(scenario).make(scenario.period, scenario.manifold)
 
 
-def reference(scenario: AnyScenario) -> OffsetReference:
+def reference(scenario: Scenario) -> OffsetReference:
     """Return the reference angle of the plane (rad), or the references of all that another parent system tracks.
 
     It is a function of time (s): the reference of law or system plus the scenario's offsets.
@@ -299,18 +299,18 @@ def reference(scenario: AnyScenario) -> OffsetReference:
     return OffsetReference(_nodes(scenario).reference, offsets, scenario.step_ns)
 
 
-def largest_requests(scenario: AnyScenario) -> dict[str, float]:
+def largest_requests(scenario: Scenario) -> dict[str, float]:
     """Return the largest offset of the reference and the largest disturbance that can be requested; 0: none."""
     return _nodes(scenario).largest_requests
 
 
 @overload
-def agent_configs(scenario: UncheckedScenario) -> tuple[AgentConfig, ...]: ...
+def agent_configs(scenario: PlaneScenario) -> tuple[AgentConfig, ...]: ...
 @overload
-def agent_configs(scenario: UncheckedSystemScenario) -> tuple[SystemAgentConfig, ...]: ...
+def agent_configs(scenario: SystemScenario) -> tuple[SystemAgentConfig, ...]: ...
 @overload
-def agent_configs(scenario: AnyScenario) -> tuple[AgentConfig | SystemAgentConfig, ...]: ...
-def agent_configs(scenario: AnyScenario) -> tuple[AgentConfig | SystemAgentConfig, ...]:
+def agent_configs(scenario: Scenario) -> tuple[AgentConfig | SystemAgentConfig, ...]: ...
+def agent_configs(scenario: Scenario) -> tuple[AgentConfig | SystemAgentConfig, ...]:
     """Return the robots' configurations by ascending id."""
     lives: dict[int, LifeSpan] = {}
     for change in schedule(scenario):
@@ -329,7 +329,7 @@ def agent_configs(scenario: AnyScenario) -> tuple[AgentConfig | SystemAgentConfi
     )
 
 
-def swarm_law(scenario: UncheckedScenario) -> dict[str, Any]:
+def swarm_law(scenario: PlaneScenario) -> dict[str, Any]:
     """Return the fields of a robot's configuration that select its control law."""
     return {"law": scenario.swarm.law.type, "law_settings": settings_of(scenario.swarm.law)}
 

@@ -19,10 +19,10 @@ from swarmabs_core.realtime.validation import Bounds
 from swarmabs_core.summation import exact_sum
 
 if TYPE_CHECKING:
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import PlaneScenario, Scenario
 
 
-def check_realtime(scenario: Scenario) -> None:
+def check_realtime(scenario: PlaneScenario) -> None:
     """Reject a scenario with settings that only lockstep supports.
 
     Raises
@@ -44,7 +44,7 @@ def check_realtime(scenario: Scenario) -> None:
             )
 
 
-def check_pairs(scenario: Scenario) -> None:
+def check_pairs(scenario: PlaneScenario) -> None:
     """Reject a scenario in which a standby coordinator would take over too late to keep the robots moving.
 
     Raises
@@ -68,19 +68,19 @@ def schedule(scenario: Scenario, epoch_ns: int) -> Schedule:
     return Schedule(scenario.step_ns, epoch_ns)
 
 
-def bounds(scenario: Scenario) -> Bounds:
+def bounds(scenario: PlaneScenario) -> Bounds:
     """Return the known bounds of the swarm and its plane."""
     mass = exact_sum(agent.mass for agent in scenario.agents)
     return Bounds(scenario.plane.gravity, scenario.plane.length, mass, scenario.period)
 
 
-def agent_configs(scenario: Scenario, clock: Schedule) -> tuple[RealtimeAgentConfig, ...]:
+def agent_configs(scenario: PlaneScenario, clock: Schedule) -> tuple[RealtimeAgentConfig, ...]:
     """Return the robots' configurations by ascending id."""
     common = gathered(RealtimeAgentConfig, *_declared(scenario, clock), **configure.swarm_law(scenario))
     return tuple(replace(common, **configure.robot(agent)) for agent in scenario.agents)
 
 
-def observer_config(scenario: Scenario, clock: Schedule) -> RealtimeObserverConfig:
+def observer_config(scenario: PlaneScenario, clock: Schedule) -> RealtimeObserverConfig:
     """Return the observer's configuration."""
     quorum, robots = scenario.realtime.quorum, len(scenario.agents)
     return gathered(
@@ -90,16 +90,18 @@ def observer_config(scenario: Scenario, clock: Schedule) -> RealtimeObserverConf
     )
 
 
-def plane_config(scenario: Scenario, clock: Schedule) -> RealtimePlaneConfig:
+def plane_config(scenario: PlaneScenario, clock: Schedule) -> RealtimePlaneConfig:
     """Return the simulated plane's configuration."""
     return gathered(RealtimePlaneConfig, *_declared(scenario, clock))
 
 
-def controller_config(scenario: Scenario, clock: Schedule, start_mode: Mode = Mode.RUN) -> RealtimeControllerConfig:
+def controller_config(
+    scenario: PlaneScenario, clock: Schedule, start_mode: Mode = Mode.RUN
+) -> RealtimeControllerConfig:
     """Return the configuration of the parent controller's node."""
     return gathered(RealtimeControllerConfig, *_declared(scenario, clock), start_mode=start_mode)
 
 
-def _declared(scenario: Scenario, clock: Schedule) -> tuple[object, ...]:
+def _declared(scenario: PlaneScenario, clock: Schedule) -> tuple[object, ...]:
     pair = Pair(takeover_after=scenario.realtime.takeover_after)
     return *configure.declared(scenario), clock, bounds(scenario), pair

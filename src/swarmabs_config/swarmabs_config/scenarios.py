@@ -7,14 +7,14 @@ import json
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import AfterValidator
 
 from swarmabs_config.installation import shared
 from swarmabs_config.model.errors import show
 from swarmabs_config.model.fields import problem
-from swarmabs_config.scenario import ScenarioError, load_scenario
+from swarmabs_config.scenario import Scenario, ScenarioError, load_scenario
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def described(path: Path) -> tuple[str, str]:
     return first.removeprefix("# "), second.removeprefix("# Figure: ")
 
 
-def find_scenario(named: str, overrides: Sequence[str] = ()) -> Any:
+def find_scenario(named: str, overrides: Sequence[str] = ()) -> Scenario:
     """Load the built-in scenario or the YAML file that a user has named, with overrides ``a.b=value``.
 
     Raises

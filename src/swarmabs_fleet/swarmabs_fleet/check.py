@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_config.fleet.loader import FLEET_FILE, LoadedFleet, load_fleet
 from swarmabs_config.model.fields import nearest
+from swarmabs_config.scenario import warnings_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.realtime.leadership import TAKEOVER_STEPS
 from swarmabs_fleet.bundle import MANIFEST, SECRET, SUMS, Manifest, host_bundle, manifest_of, read_manifest, versions
@@ -99,7 +100,7 @@ def _alone(loaded: LoadedFleet) -> Iterator[Verdict]:
     fleet = loaded.fleet
     used = sum(bool(HostPlan(fleet, host.name).nodes) for host in fleet.hosts)
     yield "ok", f"{len(fleet.robots)} robots on {used} hosts, domain {fleet.network.domain}"
-    for warning in (*fleet.warnings(), *loaded.scenario.warnings()):
+    for warning in (*fleet.warnings(), *warnings_of(loaded.scenario)):
         yield "note", warning
     yield from _standbys(loaded)
 

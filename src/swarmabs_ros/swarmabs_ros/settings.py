@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from swarmabs_config.graph import KEPT_STEPS
-from swarmabs_config.scenario import load_scenario
 from swarmabs_core.declaration import part, same, setting
-from swarmabs_core.errors import InputError
 from swarmabs_core.realtime.base import Realtime, Schedule
 from swarmabs_core.settings import Run
 from swarmabs_ros.lockstep import FIRST
-
-if TYPE_CHECKING:
-    from swarmabs_config.scenario import AnyScenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,20 +42,6 @@ class Variant:
     steered: bool = setting(
         default=False, description="whether the run is steered: each step starts with the order for it"
     )
-
-
-@dataclass(frozen=True, slots=True)
-class ScenarioFile:
-    """The scenario of a run, for a node that needs all of it."""
-
-    scenario_file: str = setting("", "file of the resolved scenario")
-
-    def load(self) -> AnyScenario:
-        """Return the scenario; raises `InputError` if no file is given or it is not valid."""
-        if not self.scenario_file:
-            raise InputError("parameter scenario_file is empty: give the file of the resolved scenario")
-        scenario: AnyScenario = load_scenario(Path(self.scenario_file))
-        return scenario
 
 
 @dataclass(frozen=True, slots=True)

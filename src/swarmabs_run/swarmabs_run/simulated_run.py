@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_run.run import Phase
 
 _PROGRESS_INTERVAL = 0.1
 """Time, s, between two reports of progress."""
 
 
-def simulate_run(scenario: AnyScenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> Outcome:
+def simulate_run(scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> Outcome:
     """Simulate a scenario that lists its generated robots, and record it in an empty folder."""
     folder.fill(scenario)
     with end_asked() as ended:  # entered before the bag is created, so that an interrupted bag is always completed
@@ -33,7 +33,7 @@ def simulate_run(scenario: AnyScenario, folder: RunFolder, options: RunOptions =
 
 
 def _recorded(
-    scenario: AnyScenario,
+    scenario: Scenario,
     recording: Recording,
     on_progress: Callable[[Progress], None] | None,
     ended: Callable[[], bool],

@@ -15,7 +15,7 @@ from swarmabs_bag.run.gatherer import RunCollector
 from swarmabs_bag.run.step import STEP_BYTES, STEP_SECONDS
 from swarmabs_config import configure
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, ROBOT, Option, endpoints
-from swarmabs_config.scenario import AnyScenario, dump_scenario, parse_scenario
+from swarmabs_config.scenario import Scenario, dump_scenario, parse_scenario
 from swarmabs_config.scenarios import as_override
 from swarmabs_core.arrays import RunArrays, RunEvent, run_arrays, run_event, table
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
@@ -47,7 +47,7 @@ class NodeInProcess(NamedTuple):
     hears: Collection[Topic]
 
 
-def nodes_in_process(scenario: AnyScenario, division: int | None = None) -> dict[NodeName, NodeInProcess]:
+def nodes_in_process(scenario: Scenario, division: int | None = None) -> dict[NodeName, NodeInProcess]:
     """Return all nodes of a scenario by name: observer, plane, parent controller, robots.
 
     The `division` is the number of steps from a change on in which the observer tells how the abstract state divides,
@@ -139,7 +139,7 @@ class Simulation:
 
     def __init__(
         self,
-        scenario: AnyScenario,
+        scenario: Scenario,
         nodes: Iterable[NodeInProcess] | None = None,
         division: int | None = None,
     ) -> None:
@@ -202,7 +202,7 @@ class _Sent:
             yield from collector.add_all(topic, sent[topic])
 
 
-def simulated_steps(scenario: AnyScenario) -> Iterator[Step]:
+def simulated_steps(scenario: Scenario) -> Iterator[Step]:
     """Simulate a scenario, on arrays if all robots always behave alike; the results are identical bit for bit.
 
     Raises `RunError` if the run fails, such as when the plane turns over.
@@ -223,13 +223,13 @@ def simulated_steps(scenario: AnyScenario) -> Iterator[Step]:
 
 
 def simulate(
-    scenario: AnyScenario | str | PathLike[str], overrides: Mapping[str, object] | None = None
+    scenario: Scenario | str | PathLike[str], overrides: Mapping[str, object] | None = None
 ) -> RunArrays | Any:
     """Simulate a scenario in this process.
 
     Parameters
     ----------
-    scenario : AnyScenario, str or path
+    scenario : Scenario, str or path
         A scenario, the name of a built-in one, a YAML file, or a bag whose scenario to simulate.
     overrides : mapping, optional
         Values by their dotted paths in the scenario, as with ``--set``; lists and mappings replace the existing ones.
@@ -273,7 +273,7 @@ def simulate(
     )
 
 
-def _changed(scenario: AnyScenario | str | PathLike[str], overrides: list[str]) -> Any:
-    if not isinstance(scenario, AnyScenario):
+def _changed(scenario: Scenario | str | PathLike[str], overrides: list[str]) -> Scenario:
+    if not isinstance(scenario, Scenario):
         return scenario_of(os.fspath(scenario), overrides)
     return parse_scenario(dump_scenario(scenario), overrides=overrides) if overrides else scenario

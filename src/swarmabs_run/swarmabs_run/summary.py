@@ -14,7 +14,7 @@ from swarmabs_core.ranges import texts_of
 if TYPE_CHECKING:
     from swarmabs_bag.run.figures import Tracking
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_run.run import Outcome
 
 AGES_SHOWN = 3
@@ -35,7 +35,7 @@ class Times:
     startup: float | None = None
 
 
-def summarise(scenario: AnyScenario, outcome: Outcome, times: Times) -> dict[str, object]:
+def summarise(scenario: Scenario, outcome: Outcome, times: Times) -> dict[str, object]:
     """Return the content of ``summary.json``; `swarmabs_analysis.rerun` adds ``rerun_of``."""
     figures, run = outcome.figures, outcome.stepping_seconds
     complete = outcome.status == "ok" and run

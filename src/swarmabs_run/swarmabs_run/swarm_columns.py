@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import PlaneScenario
     from swarmabs_core.messages import AbstractState, AuxiliaryState
     from swarmabs_core.models import AgentConfig
     from swarmabs_core.plant import SwarmLoad
@@ -42,7 +42,7 @@ class NotVectorisableError(Exception):
     """A robot behaves individually from this step on; only the state machines can continue."""
 
 
-def on_columns(scenario: Scenario) -> bool:
+def on_columns(scenario: PlaneScenario) -> bool:
     """Return whether the robots of a scenario, apart from faults, behave alike and use laws that support arrays."""
     plane, swarm = scenario.plane, scenario.swarm
     perfect = plane.sensor.perfect and swarm.sensor.perfect
@@ -89,7 +89,7 @@ class SwarmColumns:
         Masses, kg.
     """
 
-    def __init__(self, scenario: Scenario, configs: Iterable[AgentConfig], *, steps: bool = False) -> None:
+    def __init__(self, scenario: PlaneScenario, configs: Iterable[AgentConfig], *, steps: bool = False) -> None:
         ordered = sorted(configs, key=lambda config: (config.kind, config.agent_id))
         damped = [config for config in ordered if config.kind.by_force]
         single = len(ordered) - len(damped)

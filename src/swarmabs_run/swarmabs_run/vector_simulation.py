@@ -9,7 +9,7 @@ import numpy as np
 
 from swarmabs_bag.run.step import STEP_BYTES, STEP_SECONDS, Step, rows_of
 from swarmabs_config import configure
-from swarmabs_config.scenario import Scenario, SystemScenario
+from swarmabs_config.scenario import PlaneScenario, SystemScenario
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.arrays import LAYOUT, table
 from swarmabs_core.behaviours import Controller
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import (
         AbstractState,
         AnyBroadcast,
@@ -53,7 +53,7 @@ Coordinated: TypeAlias = tuple[Message, Message, Message, Message]
 MotionT = TypeVar("MotionT")
 
 
-def vectorisable(scenario: AnyScenario) -> bool:
+def vectorisable(scenario: Scenario) -> bool:
     """Return whether all robots of a scenario always behave alike and use laws that support arrays.
 
     If robots may be dropped, each step has a message of the observer more, which arrays do not provide.
@@ -62,14 +62,14 @@ def vectorisable(scenario: AnyScenario) -> bool:
         return False
     if isinstance(scenario, SystemScenario):
         return system_on_columns(scenario)
-    return isinstance(scenario, Scenario) and on_columns(scenario)
+    return isinstance(scenario, PlaneScenario) and on_columns(scenario)
 
 
-def swarm_of(scenario: AnyScenario) -> Swarm[Any]:
+def swarm_of(scenario: Scenario) -> Swarm[Any]:
     """Return all robots of a scenario for which `vectorisable` holds, with their parent, at step 0."""
     if isinstance(scenario, SystemScenario):
         return SystemSwarm(scenario)
-    assert isinstance(scenario, Scenario)  # noqa: S101 - there are two kinds
+    assert isinstance(scenario, PlaneScenario)  # noqa: S101 - there are two kinds
     return PlaneSwarm(scenario)
 
 
@@ -139,7 +139,7 @@ class PlaneSwarm:
 
     family = PLANE_FAMILY
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: PlaneScenario) -> None:
         configs = {config.agent_id: config for config in configure.agent_configs(scenario)}
         plane = scenario.plane
         self._columns = SwarmColumns(scenario, configs.values())
@@ -236,7 +236,7 @@ class _Gathered(Generic[MotionT]):
 class VectorSimulation:
     """Simulates a scenario whose robots all behave alike: one for which `vectorisable` holds."""
 
-    def __init__(self, scenario: AnyScenario) -> None:
+    def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._controller = Controller(configure.controller_config(scenario, recording_window=0))
         self._swarm = swarm_of(scenario)

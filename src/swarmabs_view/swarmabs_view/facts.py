@@ -12,7 +12,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Literal
 
 from swarmabs_bag.shown.swarm_state import Members, finite
-from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenario import PlaneScenario
 from swarmabs_core.systems import PLANE_TABLES
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 from swarmabs_view.presenter import Presenter
@@ -21,7 +21,7 @@ from swarmabs_view.protocol import Hello, Manifold, Plane, Regions, Sets
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from swarmabs_config.model.scenario import AnyScenario
+    from swarmabs_config.model.scenario import Scenario
 
     Work = Callable[[], None]
 
@@ -41,7 +41,7 @@ def hello_of(
     source: Literal["bag", "run", "swarm"],
     title: str,
     place: str,
-    scenario: AnyScenario | None = None,
+    scenario: Scenario | None = None,
     last_step: int | None = None,
 ) -> Hello:
     """Return the hello of a swarm without its robots; without a scenario, the plane until a system describes itself."""
@@ -62,7 +62,7 @@ def hello_of(
         return hello
     steps = scenario.steps if last_step is None else last_step
     hello = hello.model_copy(update={"period": scenario.period, "last_step": steps})
-    if not isinstance(scenario, Scenario):
+    if not isinstance(scenario, PlaneScenario):
         return hello
     plane, manifold = scenario.plane, scenario.manifold
     masses = [agent.mass for agent in scenario.initial_agents]

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from swarmabs_bag.shown.swarm_state import Instant
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_view.playback import Recording
     from swarmabs_view.presenter import Placed
     from swarmabs_view.session import Session
@@ -70,7 +70,7 @@ SUMMARY_SECONDS = 10.0
 """Time within which a run must write its summary after its orchestrator has ended, s."""
 
 
-def first_step(scenario: AnyScenario) -> SwarmState:
+def first_step(scenario: Scenario) -> SwarmState:
     """Return what is shown of the first step of a run in lockstep; raises `RunError` if it fails."""
     state, network = SwarmState.of(scenario), Network(nodes_in_process(scenario).values())
     network.start()
@@ -84,7 +84,7 @@ class RunView:
 
     def __init__(self, folder: Path, token: str | None = None) -> None:
         self._folder = RunFolder(folder)
-        self._scenario: AnyScenario | None = None
+        self._scenario: Scenario | None = None
         self._recording: Recording | None = None
         self._live = LiveView(hello_of("run", folder.name, str(folder)), SwarmState())
         self._live.text = "the processes are starting"
@@ -143,7 +143,7 @@ class RunView:
         self._live.learn(hello, SwarmState.of(scenario))
         self._scenario = scenario
 
-    async def _expect(self, scenario: AnyScenario) -> None:
+    async def _expect(self, scenario: Scenario) -> None:
         """Show the first step, which in lockstep is known in advance: it may be long before a paused run repeats it."""
         if not is_realtime(self._folder.path):
             with suppress(RunError):

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rich.console import ConsoleOptions, RenderResult
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_run.processes import ProcessState
     from swarmabs_run.run import Progress
 
@@ -78,7 +78,7 @@ class ProgressDisplay(Protocol):
 
 
 @contextmanager
-def shown_progress(scenario: AnyScenario, folder: Path | None = None) -> Iterator[ProgressDisplay]:
+def shown_progress(scenario: Scenario, folder: Path | None = None) -> Iterator[ProgressDisplay]:
     """Show the progress of a run on standard error inside the block; pass it to the yielded display.
 
     The panel also shows the processes of the run, if it has any and its folder is given.
@@ -178,7 +178,7 @@ class ProcessTable:
         yield table
 
 
-def describe(progress: Progress, scenario: AnyScenario) -> str:
+def describe(progress: Progress, scenario: Scenario) -> str:
     """Describe the progress of a run in a line."""
     if progress.phase == "starting":
         return f"{scenario.name}: starting, {progress.ready} of {progress.processes} processes ready"
@@ -193,7 +193,7 @@ def describe(progress: Progress, scenario: AnyScenario) -> str:
     return "; ".join(parts)
 
 
-def speed_of(progress: Progress, scenario: AnyScenario) -> str:
+def speed_of(progress: Progress, scenario: Scenario) -> str:
     """Return how fast a run is, or why it makes no steps; empty if that is not known yet."""
     if progress.phase == "closing":
         return "completing the bag"
@@ -228,7 +228,7 @@ class _Terminal:
 
 
 class _Lines:
-    def __init__(self, scenario: AnyScenario) -> None:
+    def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._news = Warnings().of
         self._shown, self._phase = time.monotonic(), ""
@@ -267,7 +267,7 @@ class RunPanel:
         The processes of the run; empty if it has none.
     """
 
-    def __init__(self, scenario: AnyScenario) -> None:
+    def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._tracking = tracking_of(scenario)
         self._kinds = {agent.id: agent.kind for agent in scenario.agents}

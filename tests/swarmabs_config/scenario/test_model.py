@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from swarmabs_config.model.agents import DoubleIntegratorAgent, Generate, SingleIntegratorAgent
 from swarmabs_config.model.controllers import AriseConfig, LqrConfig, PdConfig
 from swarmabs_config.model.scenario import Swarm
-from swarmabs_config.scenario import Scenario, ScenarioError, loader, parse_scenario
+from swarmabs_config.scenario import PlaneScenario, ScenarioError, loader, parse_scenario, warnings_of
 from swarmabs_config.scenario.checks import second_moments
 from swarmabs_config.scenario.loader import default_name, upgraded
 from swarmabs_config.scenario.yaml_tree import Plain
@@ -67,16 +67,16 @@ def test_time_is_exact_and_the_step_of_a_fault_the_nearest_and_the_even_one_of_t
         (0.000000003, 0.000000001, 3, 1, 3),
         (1.1, 0.0011, 1_100_000_000, 1_100_000, 1000),
     ):
-        scenario = Scenario(schema=1, swarm=Swarm(agents=PAPER), duration=duration, step=step)
+        scenario = PlaneScenario(schema=1, swarm=Swarm(agents=PAPER), duration=duration, step=step)
         assert (scenario.duration_ns, scenario.step_ns, scenario.steps) == (duration_ns, step_ns, steps)
         assert scenario.period == step_ns / 1e9
     of_faults = {0.0: 0, 0.005: 0, 0.015: 2, 0.025: 2, 0.0150000001: 2, 0.0149999999: 1, 5.0: 500}
-    scenario = Scenario(schema=1, swarm=Swarm(agents=PAPER))
+    scenario = PlaneScenario(schema=1, swarm=Swarm(agents=PAPER))
     assert {at: scenario.fault_step(at) for at in of_faults} == of_faults
 
 
 def test_listed_robots_come_in_order_of_their_ids_and_single_integrators_answer_like_double_ones() -> None:
-    scenario = Scenario(schema=1, swarm=Swarm(agents=PAPER[::-1]))
+    scenario = PlaneScenario(schema=1, swarm=Swarm(agents=PAPER[::-1]))
     assert scenario.agents == PAPER
     assert scenario.swarm.agents == PAPER[::-1]
     assert scenario.resolved().swarm.agents == PAPER
@@ -139,19 +139,19 @@ def test_spread_is_the_sum_over_pairs(offset: float) -> None:
 
 def test_a_warning_of_an_underdamped_swarm_and_feedback_of_the_wrong_sign() -> None:
     text = "schema: 1\nmanifold: {torque_max: 1}\nswarm: {gains: {kd: [5, KD]}, generate: {KIND: 200, position: 0.125}}"
-    (warning,) = parse_scenario(text.replace("KD", "5").replace("KIND", "double_integrator")).warnings()
+    (warning,) = warnings_of(parse_scenario(text.replace("KD", "5").replace("KIND", "double_integrator")))
     assert warning.startswith("swarm.gains: with Kd < 2 sqrt(Kp) the inertia, 1.5")
     assert "use a kd of at least 6.325, or smaller positions" in warning
-    assert parse_scenario(text.replace("KD", "6.325").replace("KIND", "double_integrator")).warnings() == ()
-    assert parse_scenario(text.replace("KD", "5").replace("KIND", "single_integrator")).warnings() == ()
+    assert warnings_of(parse_scenario(text.replace("KD", "6.325").replace("KIND", "double_integrator"))) == ()
+    assert warnings_of(parse_scenario(text.replace("KD", "5").replace("KIND", "single_integrator"))) == ()
     scenario = parse_scenario(HEAD + "manifold: {torque_max: 1}\ncontroller: {type: pd, gains: [-3, 1]}")
-    assert scenario.warnings() == ("controller.gains: k1 = -3.0 does not level the plane; use a positive gain",)
+    assert warnings_of(scenario) == ("controller.gains: k1 = -3.0 does not level the plane; use a positive gain",)
 
 
 def test_a_warning_of_faults_that_leave_too_few_robots_or_too_little_weight() -> None:
     ends = [f"{{kind: {kind}, at: {n}, agent: {n}}}" for n, kind in enumerate(("kill", "leave", "freeze"), 1)]
     scenario = parse_scenario(HEAD + f"manifold: {{torque_max: 1}}\nfaults: [{', '.join(ends)}]")
-    (warning,) = scenario.warnings()
+    (warning,) = warnings_of(scenario)
     assert warning.startswith("faults: from step 301 on, the number of active robots is 1; ")
     for fault, steps in (
         ("leave, at: 2", [201]),
@@ -161,21 +161,19 @@ def test_a_warning_of_faults_that_leave_too_few_robots_or_too_little_weight() ->
         ("leave, at: 29.99", [3000]),
     ):
         text = f"manifold: {{torque_max: 1.9, curvature: 0}}\nfaults: [{{kind: {fault}, agent: 3}}]"
-        found = [text.partition(" kg")[0] for text in parse_scenario(HEAD + text).warnings() if text[:7] == "faults:"]
+        found = [text.partition(" kg")[0] for text in warnings_of(parse_scenario(HEAD + text)) if text[:7] == "faults:"]
         assert found == [f"faults: from step {step} on, the robots present weigh 1.368" for step in steps]
 
 
 def test_models_are_immutable_and_strict() -> None:
-    scenario = Scenario(schema=1, swarm=Swarm(agents=PAPER))
+    scenario = PlaneScenario(schema=1, swarm=Swarm(agents=PAPER))
     with pytest.raises(ValidationError, match="frozen"):
         scenario.seed = 2
     for plane in (Plane(inertia="0.5"), Plane(inertia=math.nan)):  # type: ignore[arg-type]
         with pytest.raises(ValidationError, match=r"valid number|finite number"):
-            Scenario(schema=1, swarm=Swarm(agents=PAPER), plane=plane)
+            PlaneScenario(schema=1, swarm=Swarm(agents=PAPER), plane=plane)
     with pytest.raises(ValidationError, match=r"expected a mapping, found an object of type Plane; write \{type: pd"):
-        Scenario(schema=1, swarm=Swarm(agents=PAPER), controller=Plane())  # type: ignore[arg-type]
-    with pytest.raises(ValidationError, match=r"listed twice; give every robot its own id, e\.g\. 2"):
-        Scenario(schema=1, swarm=Swarm(agents=(PAPER[0], PAPER[0])))
+        PlaneScenario(schema=1, swarm=Swarm(agents=PAPER), controller=Plane())  # type: ignore[arg-type]
 
 
 def test_default_names_are_names() -> None:

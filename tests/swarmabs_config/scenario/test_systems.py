@@ -7,7 +7,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from swarmabs_config.scenario import ScenarioError, dump_scenario, json_schema, parse_scenario
+from swarmabs_config.scenario import ScenarioError, dump_scenario, json_schema, parse_scenario, warnings_of
 
 
 def beam(k: object, coordinates: object) -> dict[str, object]:
@@ -129,9 +129,9 @@ def test_the_offset_of_a_reference_need_not_be_an_angle(systems: Path) -> None:
 
 def test_a_gain_that_is_unstable_in_sampled_time_is_warned_of(systems: Path) -> None:
     del systems
-    assert parse_scenario(str(beam(199.0, 0.2))).warnings() == ()
-    (warning,) = parse_scenario(str(beam([5.0, 200.0], 0.2))).warnings()
+    assert warnings_of(parse_scenario(str(beam(199.0, 0.2)))) == ()
+    (warning,) = warnings_of(parse_scenario(str(beam([5.0, 200.0], 0.2))))
     assert warning.endswith("k = 200.0 1/s is unstable at a step of 0.01 s; use less than 200.0")
     forces = str(beam(300.0, 0.2)).replace("single", "double")
-    assert parse_scenario(forces).warnings() == ()
-    assert parse_scenario(forces.replace("'gains'", "'force_law': 'velocity', 'gains'")).warnings()
+    assert warnings_of(parse_scenario(forces)) == ()
+    assert warnings_of(parse_scenario(forces.replace("'gains'", "'force_law': 'velocity', 'gains'")))

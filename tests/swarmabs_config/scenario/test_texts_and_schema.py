@@ -12,7 +12,15 @@ import yaml
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
 from jsonschema import Draft202012Validator
 
-from swarmabs_config.scenario import ScenarioError, dump_scenario, json_schema, load_scenario, parse_scenario, yaml_tree
+from swarmabs_config.scenario import (
+    ScenarioError,
+    dump_scenario,
+    json_schema,
+    load_scenario,
+    parse_scenario,
+    warnings_of,
+    yaml_tree,
+)
 from swarmabs_config.scenarios import builtin_scenarios
 
 GIVEN = """
@@ -199,7 +207,7 @@ def loads_back(text: str, *overrides: str) -> bool:
     again = parse_scenario(canonical)
     assert again == found.resolved()
     assert dump_scenario(again) == canonical
-    assert all(warning.isprintable() for warning in found.warnings())
+    assert all(warning.isprintable() for warning in warnings_of(found))
     return True
 
 

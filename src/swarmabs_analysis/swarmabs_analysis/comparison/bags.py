@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.run.figures import Reference
     from swarmabs_bag.run.step import Step
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.record import Record
     from swarmabs_core.systems import SystemTables
 
@@ -212,7 +212,7 @@ class _Side:
             raise NotABagError(f"{bag.path} is not the bag of a swarm: it has none of its topics; name another bag")
         self.bag = bag
         self.robots: set[int] = set()
-        self.scenario: AnyScenario | None = None
+        self.scenario: Scenario | None = None
         self.summary = summary = BagSummary(
             str(bag.path),
             problem=bag.problem and f"{bag.path}: {bag.problem}",
@@ -272,7 +272,7 @@ def _unknown(_time: float) -> float:
     return math.nan
 
 
-def _scenario_differences(a: AnyScenario | None, b: AnyScenario | None) -> tuple[SettingDifference, ...]:
+def _scenario_differences(a: Scenario | None, b: Scenario | None) -> tuple[SettingDifference, ...]:
     if a is None or b is None:
         return ()
     ours, theirs = (scenario.resolved().model_dump(mode="json", by_alias=True) for scenario in (a, b))

@@ -14,7 +14,7 @@ from swarmabs_bag.errors import NotABagError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run_folder import RunFolder, find_bag, new_run_folder
 from swarmabs_config.model.errors import printable, shorten
-from swarmabs_config.scenario import Scenario, dump_scenario, on_plane
+from swarmabs_config.scenario import PlaneScenario, dump_scenario, on_plane
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.errors import InputError, RunError, SwarmabsError
@@ -22,7 +22,7 @@ from swarmabs_core.messages import PLANE_STATE
 from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.summary import Times, summarise
 
-Execute = Callable[[Scenario, RunFolder, RunOptions], Outcome]
+Execute = Callable[[PlaneScenario, RunFolder, RunOptions], Outcome]
 """Executes a run and leaves its results in a folder."""
 
 _LONGEST_REASON = 400
@@ -32,7 +32,7 @@ _LONGEST_REASON = 400
 class RecordedRun:
     """A run read from its bag: scenario and messages."""
 
-    scenario: Scenario
+    scenario: PlaneScenario
     arrays: RunArrays
 
 
@@ -41,7 +41,7 @@ class CompleteBag:
     """A complete bag: its MCAP file and the attached scenario."""
 
     bag: Path
-    scenario: Scenario
+    scenario: PlaneScenario
 
     def load(self) -> RecordedRun:
         """Read the whole bag.
@@ -113,7 +113,7 @@ def find_made(folder: Path, needed: Iterable[str]) -> dict[str, CompleteBag]:
     return runs
 
 
-def make_run(scenario: Scenario, folder: Path, execute: Execute, options: RunOptions) -> CompleteBag:
+def make_run(scenario: PlaneScenario, folder: Path, execute: Execute, options: RunOptions) -> CompleteBag:
     """Run a scenario and keep the results in a folder of its name in `folder`, which appears complete or not at all.
 
     Raises

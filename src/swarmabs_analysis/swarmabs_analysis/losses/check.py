@@ -25,7 +25,7 @@ from swarmabs_core.theory.report import Condition, Form, Loss, Report, Theorem, 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.faults import Fault
     from swarmabs_core.messages import AnyRobotState
     from swarmabs_core.theory.report import Number
@@ -94,12 +94,12 @@ LAW = _threshold(
 THRESHOLDS = (RUN, REACH, SPEED, SETTLED, LIMITS, LAW)
 
 
-def check_losses(scenario: AnyScenario, report: Report, *, any_loss: bool = False) -> Report:
+def check_losses(scenario: Scenario, report: Report, *, any_loss: bool = False) -> Report:
     """Return a report of the theory with conditions on simulations, if robots are lost or their commands limited.
 
     Parameters
     ----------
-    scenario : AnyScenario
+    scenario : Scenario
         The scenario, whose planned losses are simulated.
     report : Report
         Its report, such as that of `swarmabs_config.theory.check_scenario`.
@@ -140,13 +140,13 @@ def check_losses(scenario: AnyScenario, report: Report, *, any_loss: bool = Fals
     return replace(report, simulated=tuple(groups), losses=tuple(losses), notes=(*report.notes, *notes))
 
 
-def _ends(scenario: AnyScenario) -> list[Change]:
+def _ends(scenario: Scenario) -> list[Change]:
     """Return the planned ends of robots before the last step."""
     changes = configure.schedule(scenario)
     return [change for change in changes if change.kind is not ChangeKind.JOIN and change.step < scenario.steps]
 
 
-def _without(scenario: AnyScenario, planned: Sequence[Change]) -> AnyScenario:
+def _without(scenario: Scenario, planned: Sequence[Change]) -> Scenario:
     """Return a scenario without the planned ends of robots, and without the failures of their drives."""
     lost = {change.agent_id for change in planned}
 
@@ -224,9 +224,7 @@ def _reach(watch: Watch) -> Condition:
     return Condition(REACH.name, None, form, {}, f"{row.name} of {watch.at(watch.outside)}")
 
 
-def _planned(
-    scenario: AnyScenario, planned: Sequence[Change], normal: Watch, end: int
-) -> Iterator[tuple[Theorem, Loss]]:
+def _planned(scenario: Scenario, planned: Sequence[Change], normal: Watch, end: int) -> Iterator[tuple[Theorem, Loss]]:
     """Simulate planned losses; yield the conditions on what follows each, until the next one."""
     if not planned:
         return
@@ -269,7 +267,7 @@ class _Case(NamedTuple):
     robots: tuple[int, ...]
 
 
-def _on_request(scenario: AnyScenario, normal: _Traced) -> Iterator[tuple[Theorem, list[Loss], list[str]]]:
+def _on_request(scenario: Scenario, normal: _Traced) -> Iterator[tuple[Theorem, list[Loss], list[str]]]:
     """Kill each robot, and each pair of robots; yield the worst of each condition, all losses, and notes."""
     measures, count = normal.measures, len(normal.ids)
     window = min(measures.steps(AFTER_ANY), scenario.steps)
@@ -318,7 +316,7 @@ def _cases(normal: _Traced, size: int, latest: int) -> Iterator[_Case]:
 
 
 def _lost(
-    scenario: AnyScenario, normal: _Traced, cases: Sequence[_Case], window: int
+    scenario: Scenario, normal: _Traced, cases: Sequence[_Case], window: int
 ) -> Iterator[tuple[_Case, tuple[tuple[Condition, ...], Loss]]]:
     """Simulate losses, given by ascending steps, each for some steps; yield the conditions and numbers of each."""
     # Only with `drop` does a swarm expect that robots end which nothing ends.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_bag.run.figures import tracking_of
 from swarmabs_config import configure
-from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenario import PlaneScenario
 from swarmabs_core.messages import (
     NEVER,
     PARENT_STATES,
@@ -26,7 +26,7 @@ from swarmabs_core.ranges import Strays, lane
 from swarmabs_core.systems.law import Gram
 
 if TYPE_CHECKING:
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import AnyParentState, AnyRobotState, Message
     from swarmabs_core.robot_controller import Limits
     from swarmabs_core.systems.interface import NamedSystem, Vector
@@ -46,7 +46,7 @@ class Place(NamedTuple):
 class _OfPlane:
     """The measures of a swarm on the plane."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: PlaneScenario) -> None:
         self._length, self._limits = scenario.plane.length, scenario.limits
         self.coordinates = lane(self._length)
         self.ordinary_speed, self.rows = self._length, 2
@@ -124,8 +124,8 @@ class Measures:
         Whether anything of the parent follows a reference.
     """
 
-    def __init__(self, scenario: AnyScenario) -> None:
-        self.of = _OfPlane(scenario) if isinstance(scenario, Scenario) else _OfSystem(scenario.named)  # type: ignore[attr-defined]
+    def __init__(self, scenario: Scenario) -> None:
+        self.of = _OfPlane(scenario) if isinstance(scenario, PlaneScenario) else _OfSystem(scenario.named)  # type: ignore[attr-defined]
         self.period = scenario.period
         self._reference, self._tracking = configure.reference(scenario), tracking_of(scenario)
         self.tracks = bool(self._tracking.followed)

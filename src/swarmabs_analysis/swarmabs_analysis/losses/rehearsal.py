@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
     from swarmabs_analysis.losses.measures import Watch
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Message
 
 
@@ -28,7 +28,7 @@ class Rehearsal:
         The step in which the robots wait for the desired state.
     """
 
-    def __init__(self, scenario: AnyScenario) -> None:
+    def __init__(self, scenario: Scenario) -> None:
         self._nodes = nodes_in_process(scenario)
         self._desired = scenario.family.desired.message
         self._network = Network(self._nodes.values())

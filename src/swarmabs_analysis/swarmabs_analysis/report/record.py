@@ -20,7 +20,7 @@ from swarmabs_bag.realtime_world import realtime_figures
 from swarmabs_bag.run.figures import RunFigures, Tracking, tracking_of
 from swarmabs_bag.shown.recorded_swarm import recorded_swarm
 from swarmabs_config import configure
-from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenario import PlaneScenario
 from swarmabs_core.arrays import RunArrays
 from swarmabs_core.messages import EVENTS, STANDING, EventKind
 from swarmabs_core.steering import DISTURBANCE
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_bag.shown.recorded_swarm import RecordedSwarm
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.arrays import SystemArrays
     from swarmabs_core.plant import Plane
     from swarmabs_core.systems import SystemTables
@@ -92,14 +92,14 @@ class Recorded:
     def run(self) -> RecordedRun:
         """Scenario and arrays of a run on the plane, as the figures of the paper take them."""
         scenario, arrays = self.scenario, self.arrays
-        assert isinstance(scenario, Scenario)  # noqa: S101 - only what shows the plane's own data asks
+        assert isinstance(scenario, PlaneScenario)  # noqa: S101 - only what shows the plane's own data asks
         assert isinstance(arrays, RunArrays)  # noqa: S101
         return RecordedRun(scenario, arrays)
 
     @property
-    def scenario(self) -> AnyScenario:
+    def scenario(self) -> Scenario:
         """The scenario of the run."""
-        scenario: AnyScenario = self.swarm.scenario
+        scenario: Scenario = self.swarm.scenario
         return scenario
 
     @property
@@ -115,7 +115,7 @@ class Recorded:
     @property
     def plane(self) -> Plane | None:
         """The plane, if it is the parent system: what only the plane has is shown if it is there."""
-        return self.scenario.plane if isinstance(self.scenario, Scenario) else None
+        return self.scenario.plane if isinstance(self.scenario, PlaneScenario) else None
 
     @cached_property
     def tracking(self) -> Tracking:

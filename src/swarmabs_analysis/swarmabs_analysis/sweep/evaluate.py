@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from swarmabs_bag.run.figures import RunFigures, tracking_of
 from swarmabs_config import configure
-from swarmabs_config.scenario import Scenario, parse_scenario
-from swarmabs_config.theory import setting
+from swarmabs_config.scenario import parse_scenario
+from swarmabs_config.theory import attraction
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.theory.state_feedback import estimate
 from swarmabs_run.simulation import simulated_steps
 
 if TYPE_CHECKING:
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
 
 Row: TypeAlias = "dict[str, float | int | str | bool | None]"
 """Results of a case by name."""
@@ -46,8 +45,7 @@ def evaluate(task: Task) -> str:
         row.update(status="refused", reason=str(error)[:LONGEST_REASON], outcome="refused")
     else:
         row.update(_run(scenario))
-        if isinstance(scenario, Scenario):
-            row.update(_estimates(scenario, task.angle_max))
+        row.update(_estimates(scenario, task.angle_max))
     return json.dumps(row, allow_nan=False)
 
 
@@ -56,7 +54,7 @@ def lost(index: int, reason: str) -> str:
     return json.dumps({"case": index, "status": "failed", "reason": reason, "outcome": "failed"})
 
 
-def _run(scenario: AnyScenario) -> Row:
+def _run(scenario: Scenario) -> Row:
     """Simulate a scenario, and return figures, status and outcome."""
     reason = None
     run = RunFigures(configure.reference(scenario), tracking_of(scenario))
@@ -86,10 +84,11 @@ def _run(scenario: AnyScenario) -> Row:
 
 def _estimates(scenario: Scenario, angle_max: float) -> Row:
     """Return whether the initial state is in the estimates of the region of attraction."""
-    region = estimate(setting(scenario, angle_max))
+    region = attraction(scenario, angle_max)
     if region is None:
         return {}
-    squared = region.error_squared(scenario.plane.angle, scenario.plane.angular_velocity)
+    plane = region.setting.plane
+    squared = region.error_squared(plane.angle, plane.angular_velocity)
     return {
         "initial_error_squared": squared,
         "in_printed_estimate": squared <= region.printed,

@@ -21,8 +21,8 @@ from swarmabs_analysis.sweep.table import metrics_of, unit_of
 from swarmabs_bag.run.figures import PLANE_TRACKING, TOLERANCE, tracking_of
 from swarmabs_bag.shown.colours import ABSENT, FAILED, PLANE, REFERENCE, tint
 from swarmabs_config.scenario import SystemScenario, parse_scenario
-from swarmabs_config.theory import setting
-from swarmabs_core.theory.state_feedback import Estimate, estimate
+from swarmabs_config.theory import attraction
+from swarmabs_core.theory.state_feedback import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -156,7 +156,7 @@ def _draw(study: Study, rows: Rows, subject: _Subject) -> Figure:
     sweep, scenario = study.sweep, parse_scenario(study.scenario)
     estimated = None
     if set(subject.axes) == set(sweep.parameters) == {ANGLE, ANGULAR_VELOCITY}:
-        estimated = estimate(setting(scenario, sweep.attraction.angle_max))
+        estimated = attraction(scenario, sweep.attraction.angle_max)
     cases = _cases(study, rows, subject)
     parts, ratios, size = [("", cases.outcome >= 0)], [1.0], (7.6, 5.6)
     if estimated is not None:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from swarmabs_analysis.sweep.evaluate import Row
     from swarmabs_analysis.sweep.study import Study
     from swarmabs_bag.run.figures import Tracking
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
 
 _TYPES = {"double": "float64"}
 """Types of Arrow that exports name otherwise."""
@@ -66,7 +66,7 @@ def table_files(study: Study, rows: Mapping[int, Row]) -> dict[str, bytes]:
     }
 
 
-def unit_of(scenario: AnyScenario, path: str) -> str:
+def unit_of(scenario: Scenario, path: str) -> str:
     """Return the unit of the parameter at a path of a scenario, empty if it has none."""
     return unit_at(scenario, path).replace("^2", "²")
 

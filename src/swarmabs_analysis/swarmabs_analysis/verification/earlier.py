@@ -12,11 +12,11 @@ from swarmabs_core.ranges import RangeMonitor, crossing_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.systems import Quantity
 
 
-def are_earlier(events: Iterable[SwarmEvent], scenario: AnyScenario) -> bool:
+def are_earlier(events: Iterable[SwarmEvent], scenario: Scenario) -> bool:
     """Return whether the events of a run are those of such a version: the first about a robot out of range decides.
 
     If there is none, they are, unless the parent system states ends of coordinates, as only later versions can.

@@ -18,7 +18,7 @@ from swarmabs_analysis.verification.recomputation import Recomputation
 from swarmabs_bag.run.digest import Digest
 from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
-from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenario import PlaneScenario
 from swarmabs_core.behaviours import Observer, Parent
 from swarmabs_core.cdr import agent_id_of, encode
 from swarmabs_core.errors import RunError
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
     from swarmabs_analysis.verification.base import Finding
     from swarmabs_analysis.verification.trial import Trial
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Message, Messages
 
 WINDOW = 100
@@ -146,7 +146,7 @@ class LockstepVerification(Verification):
 
     def __init__(
         self,
-        scenario: AnyScenario,
+        scenario: Scenario,
         *,
         tolerance: float = 0.0,
         of_plane: float = 0.0,
@@ -156,7 +156,7 @@ class LockstepVerification(Verification):
     ) -> None:
         super().__init__(tolerance, scenario.step_ns)
         self._of_plane = max(tolerance, of_plane)
-        self._end = scenario.plane.length / 2.0 if of_plane and isinstance(scenario, Scenario) else inf
+        self._end = scenario.plane.length / 2.0 if of_plane and isinstance(scenario, PlaneScenario) else inf
         self._off_plane = False
         self._trial = trial
         self.result.expected_steps = scenario.steps + 1
@@ -182,7 +182,7 @@ class LockstepVerification(Verification):
         self._failure = ""  # why the run could not continue, if the bag shows it
         self._ended = False
         self._recomputation: Recomputation | None = None
-        if isinstance(scenario, Scenario) and on_columns(scenario) and not tolerance and trial is None:
+        if isinstance(scenario, PlaneScenario) and on_columns(scenario) and not tolerance and trial is None:
             self._recomputation = Recomputation(scenario, self._nodes)
         self._before: Step | None = None  # the last verified step
         self._confirmed: Step | None = None  # the same if the nodes have to continue after it

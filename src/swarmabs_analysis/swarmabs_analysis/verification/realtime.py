@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from swarmabs_analysis.verification.base import Finding
     from swarmabs_bag.realtime_world import RealtimeWorld
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import PlaneScenario
 
 LATE = "it was received too late to be checked"
 MEASURED = "it was measured, not computed"
@@ -37,7 +37,7 @@ class RealtimeVerification(Verification):
     """
 
     def __init__(
-        self, scenario: Scenario, world: RealtimeWorld, *, tolerance: float = 0.0, of_plane: float = 0.0
+        self, scenario: PlaneScenario, world: RealtimeWorld, *, tolerance: float = 0.0, of_plane: float = 0.0
     ) -> None:
         super().__init__(tolerance)
         self._world = world

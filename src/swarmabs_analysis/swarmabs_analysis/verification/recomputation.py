@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import PlaneScenario
     from swarmabs_core.messages import AnyRobotState, Message, Messages, Topic
     from swarmabs_run.simulation import NodeInProcess
 
@@ -59,13 +59,13 @@ class Recomputation:
 
     Parameters
     ----------
-    scenario : Scenario
+    scenario : PlaneScenario
         One that is `on_columns`.
     nodes : mapping
         The nodes, which have answered the step before.
     """
 
-    def __init__(self, scenario: Scenario, nodes: Mapping[NodeName, NodeInProcess]) -> None:
+    def __init__(self, scenario: PlaneScenario, nodes: Mapping[NodeName, NodeInProcess]) -> None:
         self._scenario = scenario
         self._nodes = nodes
         self._period_ns = scenario.step_ns
@@ -196,7 +196,7 @@ def zones_of(values: Floats, borders: Sequence[float]) -> NDArray[np.int64]:
     return np.where((before == after) & ~np.isnan(values), before, -1)
 
 
-def _disturbed(scenario: Scenario, disturbances: StepSchedule) -> Iterator[tuple[int, int]]:
+def _disturbed(scenario: PlaneScenario, disturbances: StepSchedule) -> Iterator[tuple[int, int]]:
     """Yield first and last steps of the ranges that are left to the state machines, with the steps next to them."""
     for change in configure.schedule(scenario):
         yield change.step - 1, change.step + 2

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from swarmabs_analysis.verification.base import VerificationResult
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Message, Messages
     from swarmabs_core.nodes import NodeName
     from swarmabs_core.systems.interface import NamedSystem
@@ -39,7 +39,7 @@ class Trial:
         The nodes under test.
     overrides : sequence of str
         The changes that `scenario` includes, each ``a.b=value``.
-    scenario, recorded : Scenario or SystemScenario
+    scenario, recorded : Scenario
         The changed scenario, and that of the recording.
 
     Raises
@@ -49,7 +49,7 @@ class Trial:
     """
 
     def __init__(
-        self, nodes: Sequence[NodeName], overrides: Sequence[str], scenario: AnyScenario, recorded: AnyScenario
+        self, nodes: Sequence[NodeName], overrides: Sequence[str], scenario: Scenario, recorded: Scenario
     ) -> None:
         self.nodes = tuple(dict.fromkeys(nodes))
         self.overrides = tuple(overrides)
@@ -90,7 +90,7 @@ class Trial:
         }
 
 
-def check_nodes(nodes: Iterable[NodeName], recorded: AnyScenario) -> None:
+def check_nodes(nodes: Iterable[NodeName], recorded: Scenario) -> None:
     """Raise `InputError` if one of the nodes is a robot that the scenario of a recording lacks."""
     members = sorted(configure.members(recorded))
     for node in nodes:
@@ -100,12 +100,12 @@ def check_nodes(nodes: Iterable[NodeName], recorded: AnyScenario) -> None:
             raise InputError(f"--node {node}: the scenario has no robot {node.agent_id}; it has {ids}{more}")
 
 
-def _check_changes(scenario: AnyScenario, recorded: AnyScenario) -> None:
+def _check_changes(scenario: Scenario, recorded: Scenario) -> None:
     for what in _contradicted(scenario, recorded):
         raise InputError(f"--set changes the {what}, but the messages of the other nodes are recorded; use run instead")
 
 
-def _contradicted(scenario: AnyScenario, recorded: AnyScenario) -> Iterator[str]:
+def _contradicted(scenario: Scenario, recorded: Scenario) -> Iterator[str]:
     """Yield what a changed scenario must have in common with the recorded one and has not."""
     for what, of in (
         ("control period", lambda given: given.step_ns),
@@ -119,7 +119,7 @@ def _contradicted(scenario: AnyScenario, recorded: AnyScenario) -> Iterator[str]
             yield what
 
 
-def _quantities(scenario: AnyScenario) -> SystemTables | None:
+def _quantities(scenario: Scenario) -> SystemTables | None:
     """Return names and units in the messages of a scenario's parent system, None for the plane."""
     system = scenario.other_system
     return None if system is None else SystemTables.read(system.description)._replace(settings={})

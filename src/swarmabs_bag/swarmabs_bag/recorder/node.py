@@ -36,7 +36,8 @@ from swarmabs_core.messages import (
 from swarmabs_ros.announcements import send_events
 from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
 from swarmabs_ros.runner import LockstepProgram, Settings
-from swarmabs_ros.settings import ScenarioFile, Variant
+from swarmabs_ros.scenario_file import ScenarioFile
+from swarmabs_ros.settings import Variant
 from swarmabs_ros.status import StatusChannel
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.recorder.recording import RealtimeRecording
     from swarmabs_bag.run.step import Step
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +136,7 @@ class Recorder:
 
     def __init__(
         self,
-        scenario: AnyScenario,
+        scenario: Scenario,
         recording: Recording,
         on_step: Callable[[range], None],
         *,

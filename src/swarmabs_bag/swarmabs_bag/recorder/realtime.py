@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from swarmabs_config.graph import Qos
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
     from swarmabs_ros.status import StatusChannel
 
@@ -145,7 +145,7 @@ class RealtimeRecorder:
                 recording.add(record, time.time_ns(), writer)
 
 
-def _folder(bag: str, bags: str, scenario: AnyScenario) -> Path | None:
+def _folder(bag: str, bags: str, scenario: Scenario) -> Path | None:
     """Return the folder of the bag; one of many is named after the time at which it is begun."""
     if bags:
         return Path(bags) / f"{scenario.name}-{datetime.now(timezone.utc):%Y%m%dT%H%M%S.%fZ}"

@@ -16,7 +16,7 @@ from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_config.realtime import bounds
-from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenario import PlaneScenario
 from swarmabs_core.messages import EVENTS, STANDING
 from swarmabs_core.realtime.base import Health, Level
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
     from swarmabs_bag.run.step import Step
     from swarmabs_config.graph import Qos
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
     from swarmabs_core.record import Record
 
@@ -39,7 +39,7 @@ class _Recording(Generic[F]):
 
     def __init__(
         self,
-        scenario: AnyScenario,
+        scenario: Scenario,
         folder: Path | None,
         run: F,
         stated: Mapping[str, object],
@@ -50,7 +50,7 @@ class _Recording(Generic[F]):
         split: Split,
     ) -> None:
         self.run: F = run
-        length = scenario.plane.length if isinstance(scenario, Scenario) else None
+        length = scenario.plane.length if isinstance(scenario, PlaneScenario) else None
         self._tracker = SummaryTracker(configure.members(scenario), length)
         self._writer: BagWriter | None = None
         if folder is not None:
@@ -105,7 +105,7 @@ class Recording(_Recording[RunFigures]):
 
     def __init__(
         self,
-        scenario: AnyScenario,
+        scenario: Scenario,
         folder: Path | None,
         *,
         driver: str,
@@ -152,7 +152,7 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
 
     def __init__(
         self,
-        scenario: Scenario,
+        scenario: PlaneScenario,
         folder: Path | None,
         world: RealtimeWorld,
         *,

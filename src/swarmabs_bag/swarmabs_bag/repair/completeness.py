@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_bag.realtime_world import RealtimeWorld
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Family, Message
     from swarmabs_core.record import Record
 
@@ -81,7 +81,7 @@ def _gaps(missing: Iterable[tuple[Topic, int, tuple[int, int]]]) -> list[Gap]:
 class LockstepCompleteness:
     """The messages of a run in lockstep that a bag holds, of which every step has each once."""
 
-    def __init__(self, scenario: AnyScenario, family: Family) -> None:
+    def __init__(self, scenario: Scenario, family: Family) -> None:
         self._planned = scenario.steps
         self._family = family
         self._members = configure.members(scenario)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_bag.run.step import Step
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.realtime.base import Schedule
     from swarmabs_core.record import Record
     from swarmabs_core.systems.interface import ParentSystem, SystemTables, Vector
@@ -89,7 +89,7 @@ TOLERANCE = PLANE_TRACKING.tolerances[0]
 """Error below which the plane counts as settled, rad."""
 
 
-def tracking_of(scenario: AnyScenario) -> Tracking:
+def tracking_of(scenario: Scenario) -> Tracking:
     """Return what the parent system of a scenario tracks."""
     return Tracking.of(scenario.tables)
 

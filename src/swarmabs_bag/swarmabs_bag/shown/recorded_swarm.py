@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.shown.swarm_state import Members, RobotStatus
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.arrays import Tables
     from swarmabs_core.systems import SystemTables
 
@@ -55,7 +55,7 @@ class RecordedSwarm:
     """
 
     bag: Path
-    scenario: AnyScenario
+    scenario: Scenario
     arrays: RunArrays | SystemArrays
     events: tuple[SwarmEvent, ...]
     status: str
@@ -263,7 +263,7 @@ def _since_first(events: tuple[SwarmEvent, ...], tables: Tables) -> tuple[SwarmE
 
 
 def _ending(
-    bag: BagReader, scenario: AnyScenario, states: int | None, events: Iterable[SwarmEvent]
+    bag: BagReader, scenario: Scenario, states: int | None, events: Iterable[SwarmEvent]
 ) -> tuple[str, str | None]:
     """Return how the run ended; `states` is the number of states of the parent system, None if steps may lack one."""
     if bag.problem is not None:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import (
         AbstractState,
         AnyParentState,
@@ -342,7 +342,7 @@ class SwarmState:
         self._steps: dict[int, _Step] = {}
 
     @classmethod
-    def of(cls, scenario: AnyScenario) -> Self:
+    def of(cls, scenario: Scenario) -> Self:
         """Return the initial state of a scenario's swarm; its robots must be listed."""
         there = {agent.id for agent in scenario.initial_agents}
         reference = configure.reference(scenario)

@@ -8,7 +8,7 @@ from rich.table import Table
 from swarmabs_bag.attached import scenario_of
 from swarmabs_cli.options import examples, json_option, set_option
 from swarmabs_cli.output import print_json, print_tables, print_warnings
-from swarmabs_config.scenario import dump_scenario, json_schema, load_scenario
+from swarmabs_config.scenario import dump_scenario, json_schema, load_scenario, on_plane, warnings_of
 from swarmabs_config.scenarios import builtin_scenarios, described
 
 
@@ -25,7 +25,7 @@ def list_scenarios(*, as_json: bool) -> None:
     """List the built-in scenarios with their figures in the paper."""
     rows = []
     for name, path in builtin_scenarios().items():
-        loaded = load_scenario(path)
+        loaded = on_plane(load_scenario(path), "the list")
         kinds = [agent.kind for agent in loaded.agents]
         description, figure = described(path)
         rows.append(
@@ -59,7 +59,7 @@ def list_scenarios(*, as_json: bool) -> None:
 def show(name: str, overrides: tuple[str, ...], *, as_json: bool) -> None:
     """Print a scenario with every default filled in."""
     loaded = scenario_of(name, overrides).resolved()
-    print_warnings(loaded.warnings())
+    print_warnings(warnings_of(loaded))
     if as_json:
         print_json(loaded.model_dump(mode="json", by_alias=True))
     else:

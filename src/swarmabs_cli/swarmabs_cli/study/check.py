@@ -14,6 +14,7 @@ from swarmabs_analysis.losses.check import check_losses
 from swarmabs_bag.attached import scenario_of
 from swarmabs_cli.options import Number, duration_option, examples, json_option, scenario_argument, set_option
 from swarmabs_cli.output import print_json, print_warnings
+from swarmabs_config.scenario import warnings_of
 from swarmabs_config.theory import check_scenario
 from swarmabs_core.theory.report import Condition, Coverage, Form, Loss, Report, Theorem, Verdict
 
@@ -63,7 +64,7 @@ def check(
     if duration is not None:
         overrides = (*overrides, f"duration={duration}")
     loaded = scenario_of(scenario, overrides)
-    print_warnings(loaded.warnings())
+    print_warnings(warnings_of(loaded))
     report = check_losses(loaded, check_scenario(loaded, angle_max), any_loss=any_loss)
     if as_json:
         print_json(report.document())

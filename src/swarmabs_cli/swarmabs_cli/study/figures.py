@@ -14,7 +14,7 @@ from swarmabs_analysis.report import write_file
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_cli.options import examples, json_option
 from swarmabs_cli.output import print_json
-from swarmabs_config.scenario import AnyScenario
+from swarmabs_config.scenario import Scenario, on_plane
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.run import Outcome, RunOptions
@@ -85,7 +85,7 @@ def figures(
     _make_folder(runs if missing else output)
     try:
         for name in missing:
-            scenario = find_scenario(name)
+            scenario = on_plane(find_scenario(name), "a figure of the paper")
             with shown_progress(scenario) as show:
                 execute = _run_processes if make == "run" else simulate_run
                 sources[name] = make_run(scenario, runs, execute, RunOptions(on_progress=show))
@@ -107,7 +107,7 @@ def figures(
     return 0
 
 
-def _run_processes(scenario: AnyScenario, folder: RunFolder, options: RunOptions) -> Outcome:
+def _run_processes(scenario: Scenario, folder: RunFolder, options: RunOptions) -> Outcome:
     from swarmabs_run.orchestration.lockstep_run import LockstepRun  # noqa: PLC0415 - needs ROS
 
     return LockstepRun(scenario, folder, options).run()

@@ -11,7 +11,7 @@ from swarmabs_config.fleet.checked import Fleet
 from swarmabs_config.fleet.robots import SimulatedDrive
 from swarmabs_config.model.fields import LONGEST_FILE_NAME, schema_of
 from swarmabs_config.realtime import check_pairs, check_realtime
-from swarmabs_config.scenario import Scenario, ScenarioError, dump_scenario, on_plane, parse_scenario
+from swarmabs_config.scenario import PlaneScenario, ScenarioError, dump_scenario, on_plane, parse_scenario
 from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_config.scenario.loader import read_mapping, validated
 from swarmabs_config.scenario.text_file import read_text
@@ -38,7 +38,7 @@ class LoadedFleet:
     """A fleet and its scenario with the fleet's robots; the position of a robot that measures it is a placeholder."""
 
     fleet: Fleet
-    scenario: Scenario
+    scenario: PlaneScenario
 
     @property
     def fleet_text(self) -> str:
@@ -69,8 +69,7 @@ def load_fleet(path: str | os.PathLike[str]) -> LoadedFleet:
     fleet = validated(Fleet, data, root)
     settings = [as_override(name, value) for name, value in fleet.settings.items()]
     try:
-        scenario = find_scenario(named_scenario(fleet.scenario, path.parent), settings)
-        on_plane(scenario, "a fleet")
+        scenario = on_plane(find_scenario(named_scenario(fleet.scenario, path.parent), settings), "a fleet")
     except ScenarioError as error:
         raise at_parameter(error, root, {"set": fleet.settings}) from error
     except InputError as error:
@@ -117,7 +116,7 @@ def _default_name(stem: str) -> str:
     return name if name[:1].isalnum() else f"fleet{name}"[:LONGEST_FILE_NAME]
 
 
-def _with_robots(scenario: Scenario, fleet: Fleet, root: Node) -> Scenario:
+def _with_robots(scenario: PlaneScenario, fleet: Fleet, root: Node) -> PlaneScenario:
     """Return the scenario with the fleet's robots, checked like any other scenario."""
     _of_scenario(check_realtime, scenario, root)
     data: dict[str, Plain] = scenario.model_dump(mode="json", by_alias=True)
@@ -131,7 +130,7 @@ def _with_robots(scenario: Scenario, fleet: Fleet, root: Node) -> Scenario:
         raise _at_robot(error, fleet, root) from error
 
 
-def _of_scenario(check: Callable[[Scenario], None], scenario: Scenario, root: Node) -> None:
+def _of_scenario(check: Callable[[PlaneScenario], None], scenario: PlaneScenario, root: Node) -> None:
     """Check a scenario; an error names the field of the fleet file that names it."""
     try:
         check(scenario)

@@ -7,6 +7,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_v
 
 from swarmabs_core.cdr import SECOND
 from swarmabs_core.declaration import setting_of
+from swarmabs_core.errors import InputError
 from swarmabs_core.faults import FAULTS, Fault, JoinFault, SystemReferenceFault
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import UNPLANNED
@@ -21,7 +22,7 @@ from swarmabs_core.settings import Lockstep, Run
 from swarmabs_core.steering import REFERENCE
 from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_core.systems.desired import Requests
-from swarmabs_core.systems.interface import PLANE_TABLES, NamedSystem, SystemTables
+from swarmabs_core.systems.interface import PLANE_TABLES, SYSTEMS, NamedSystem, SystemTables
 from swarmabs_core.systems.law import SystemGains
 
 from .agents import AGENT_KINDS, Agent, Generate, SystemAgent, SystemGenerate
@@ -48,8 +49,12 @@ from .fields import (
     known_version,
     nearest_step,
     problem,
+    schema_of,
     to_nanoseconds,
 )
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 LONGEST_NAME = 60
 FaultT = TypeVar("FaultT", bound=Fault)
@@ -93,21 +98,29 @@ FolderName: TypeAlias = Annotated[str, AfterValidator(_folder_name)]
 """A name with which the folder of a run or a sweep begins."""
 
 
-def _one_source(swarm: "Swarm | SystemSwarm") -> None:
-    """Refuse a swarm whose robots are both listed and generated, or neither."""
-    if swarm.agents is not None and swarm.generate is not None:
-        raise problem(
-            "both 'agents' and 'generate' are given",
-            "keep one of them; '--set swarm.agents=null' removes one",
-        )
-    if swarm.agents is None and swarm.generate is None:
-        raise problem("no robots: neither 'agents' nor 'generate' is given", "list 'agents', or use 'generate'")
-
-
-class Swarm(Model):
-    """The robots and their gains: exactly one of `agents` and `generate` is given."""
+class AnySwarm(Model):
+    """The robots of a swarm: exactly one of `agents` and `generate` is given."""
 
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["agents"]}, {"required": ["generate"]}]})
+
+    if TYPE_CHECKING:  # the subclasses determine the types, and the order in files
+        agents: tuple[Agent | SystemAgent, ...] | None
+        generate: Generate | SystemGenerate | None
+
+    @model_validator(mode="after")
+    def _check_one_source(self) -> "Self":
+        if self.agents is not None and self.generate is not None:
+            raise problem(
+                "both 'agents' and 'generate' are given",
+                "keep one of them; '--set swarm.agents=null' removes one",
+            )
+        if self.agents is None and self.generate is None:
+            raise problem("no robots: neither 'agents' nor 'generate' is given", "list 'agents', or use 'generate'")
+        return self
+
+
+class Swarm(AnySwarm):
+    """The robots and their gains: exactly one of `agents` and `generate` is given."""
 
     law: Annotated[LawConfig, Tagged("type", LAW_CONFIGS, DEFAULT_LAW)] = Field(
         default=PaperLaw(), description="the robots' control law"
@@ -120,23 +133,9 @@ class Swarm(Model):
     sensor: Annotated[RobotSensor, Declared()] = declared_field(RobotSensor, "how a robot measures its own motion")
     actuator_lag: Annotated[float, Like(Run, "actuator_lag")] = like(Run, "actuator_lag")
 
-    @model_validator(mode="after")
-    def _check_one_source(self) -> "Swarm":
-        _one_source(self)
-        return self
 
-    @cached_property
-    def members(self) -> tuple[Agent, ...]:
-        """The robots in order of their ids, whether they are listed or generated."""
-        if self.generate is not None:
-            return self.generate.agents()
-        return tuple(sorted(self.agents or (), key=lambda agent: agent.id))
-
-
-class SystemSwarm(Model):
+class SystemSwarm(AnySwarm):
     """The robots on a parent system, and their gains: exactly one of `agents` and `generate` is given."""
-
-    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["agents"]}, {"required": ["generate"]}]})
 
     gains: Annotated[SystemGains, Declared()] = declared_field(SystemGains, "gains of the robots' control laws")
     force_law: Annotated[str, Like(SystemAgentConfig, "force_law")] = like(SystemAgentConfig, "force_law")
@@ -146,14 +145,13 @@ class SystemSwarm(Model):
     agents: Annotated[tuple[SystemAgent, ...], AsTuple] | None = Field(default=None, description="list of the robots")
     generate: SystemGenerate | None = Field(default=None, description="random swarm, instead of 'agents'")
 
-    @model_validator(mode="after")
-    def _check_one_source(self) -> "SystemSwarm":
-        _one_source(self)
-        return self
 
+class Scenario(Model):
+    """A complete description of a run, whose further keys depend on the parent system.
 
-class AnyScenario(Model):
-    """What the scenarios of all parent systems have in common."""
+    Instances are immutable. `load_scenario` and `parse_scenario` read them and check what involves several keys; their
+    errors name file and line.
+    """
 
     family: ClassVar[Family]
     """The topics of the run."""
@@ -170,16 +168,15 @@ class AnyScenario(Model):
     step: Duration = measured(0.01, "control period", "s")
     seed: Annotated[int, Like(Run, "seed")] = like(Run, "seed")
 
-    if TYPE_CHECKING:  # the subclasses determine the order of these fields in files
-        swarm: Any
+    if TYPE_CHECKING:  # the subclasses determine the types, and the order in files
+        swarm: AnySwarm
         lockstep: Lockstep
         faults: tuple[Fault, ...]
 
-        def resolved(self) -> "AnyScenario":
-            """Return the same scenario with every robot listed, in order of ids."""
-
-        def warnings(self) -> tuple[str, ...]:
-            """Return one line for each setting that is valid but likely to cause trouble."""
+    def resolved(self) -> "Self":
+        """Return the same scenario with every robot listed, in order of ids, and nothing left to generate."""
+        swarm = self.swarm.model_copy(update={"agents": self.agents, "generate": None})
+        return self.model_copy(update={"swarm": swarm})
 
     @property
     def other_system(self) -> NamedSystem | None:
@@ -216,10 +213,10 @@ class AnyScenario(Model):
         """The control period in s, as used in every computation."""
         return self.step_ns / SECOND
 
-    @property
+    @cached_property
     def agents(self) -> tuple[Any, ...]:
         """The robots in order of their ids, whether they are listed or generated."""
-        return self.swarm.members  # type: ignore[no-any-return]
+        raise NotImplementedError
 
     @property
     def initial_agents(self) -> tuple[Any, ...]:
@@ -243,8 +240,8 @@ class AnyScenario(Model):
         return UNPLANNED if at is None else nearest_step(at, self.step_ns)
 
 
-class UncheckedScenario(AnyScenario):
-    """A complete description of a run on the plane, before the checks across fields."""
+class PlaneScenario(Scenario):
+    """A scenario on the plane."""
 
     family = PLANE_FAMILY
 
@@ -268,19 +265,16 @@ class UncheckedScenario(AnyScenario):
         default=(), description="faults and membership changes"
     )
 
-    if TYPE_CHECKING:
-
-        @property
-        def agents(self) -> tuple[Agent, ...]:
-            """The robots in order of their ids, whether they are listed or generated."""
-
-        @property
-        def initial_agents(self) -> tuple[Agent, ...]:
-            """The robots present at step 0: all but those that join later."""
+    @cached_property
+    def agents(self) -> tuple[Agent, ...]:
+        """The robots in order of their ids, whether they are listed or generated."""
+        if self.swarm.generate is not None:
+            return self.swarm.generate.agents()
+        return tuple(sorted(self.swarm.agents or (), key=lambda agent: agent.id))
 
 
-class UncheckedSystemScenario(AnyScenario):
-    """A complete description of a run on a parent system of an installed package, before the checks across fields."""
+class SystemScenario(Scenario):
+    """A scenario on a parent system of an installed package."""
 
     family = SYSTEM_FAMILY
 
@@ -309,3 +303,28 @@ class UncheckedSystemScenario(AnyScenario):
         if self.swarm.generate is not None:
             return self.swarm.generate.agents(self.named)
         return tuple(sorted(self.swarm.agents or (), key=lambda agent: agent.id))
+
+
+def json_schema() -> dict[str, object]:
+    """Return the JSON Schema (2020-12) of a scenario file, with the registered controllers and trajectories.
+
+    If packages provide parent systems, it branches on the key ``system``. It covers names, types, units and ranges.
+    Checks across fields are made when a scenario is loaded.
+    """
+    plane = {**schema_of(PlaneScenario, "swarmabs scenario"), "description": "A complete description of a run."}
+    if not len(SYSTEMS):
+        return plane
+    system = schema_of(SystemScenario, "swarmabs scenario")
+    definitions: dict[str, object] = {}
+    for schema in (plane, system):
+        definitions.update(schema.pop("$defs"))  # type: ignore[call-overload]  # a mapping
+    head = {name: plane[name] for name in ("$schema", "title", "description")}
+    return {**head, "$defs": definitions, "if": {"required": ["system"]}, "then": system, "else": plane}
+
+
+def on_plane(scenario: Scenario, what: str) -> PlaneScenario:
+    """Return a scenario on the plane; raise `InputError` for any other, which `what` does not support."""
+    if isinstance(scenario, PlaneScenario):
+        return scenario
+    system = scenario.other_system
+    raise InputError(f"{what} supports only the plane, not the parent system {system.type if system else ''!r}")

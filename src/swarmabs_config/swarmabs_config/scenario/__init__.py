@@ -2,15 +2,15 @@
 
 from swarmabs_config.model.agents import Agent
 from swarmabs_config.model.errors import ScenarioError
-from swarmabs_config.model.scenario import AnyScenario
+from swarmabs_config.model.scenario import PlaneScenario, Scenario, SystemScenario, json_schema, on_plane
 
-from .checked import Scenario, SystemScenario, json_schema, on_plane
+from .checks import warnings_of
 from .dump import dump_scenario
 from .loader import load_scenario, parse_scenario
 
 __all__ = [
     "Agent",
-    "AnyScenario",
+    "PlaneScenario",
     "Scenario",
     "ScenarioError",
     "SystemScenario",
@@ -19,4 +19,5 @@ __all__ = [
     "load_scenario",
     "on_plane",
     "parse_scenario",
+    "warnings_of",
 ]

@@ -15,7 +15,7 @@ from swarmabs_core.controllers import PD
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import JoinFault, MembershipFault
 from swarmabs_core.membership import ChangeKind
-from swarmabs_core.messages import PLANE_FAMILY, Kind
+from swarmabs_core.messages import PLANE_FAMILY, SYSTEM_FAMILY, Family, Kind
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.swarm_law import LAWS
 from swarmabs_core.systems.check import problems_of
@@ -25,51 +25,25 @@ from .fault_checks import faults, offset_law, system_settings
 
 if TYPE_CHECKING:
     from swarmabs_config.model.agents import Agent
-    from swarmabs_config.model.scenario import AnyScenario, UncheckedScenario, UncheckedSystemScenario
+    from swarmabs_config.model.scenario import PlaneScenario, Scenario, SystemScenario
     from swarmabs_core.manifold import Manifold
 
 SMALLEST_S3 = 1e-12
 """S3 in units of S0^2 L^2 with which a run may start: with less, all robots are at one point but for rounding."""
 
 
-def findings(scenario: "UncheckedScenario") -> list[Finding]:
+def findings(scenario: "Scenario") -> list[Finding]:
     """Return every error of a scenario whose individual fields are valid."""
     # A later check relies on the earlier ones, or matters only after them.
-    for checks in (
-        (_timing,),
-        (_ids, _positions, faults, _plane),
-        (_distinct_positions,),
-        (_preimage,),
-        (_constructed,),
-        (offset_law,),
-    ):
-        if found := [finding for check in checks for finding in check(scenario)]:
-            return found
+    for group in _CHECKS[scenario.family]:
+        if errors := [finding for check in group for finding in check(scenario)]:
+            return errors
     return []
 
 
-def system_findings(scenario: "UncheckedSystemScenario") -> list[Finding]:
-    """Return every error of a scenario on a parent system whose individual fields are valid."""
-    for checks in ((_timing, _generated), (_ids, faults), (_system,), (system_settings,)):
-        if found := [finding for check in checks for finding in check(scenario)]:
-            return found
-    return []
-
-
-def warnings(scenario: "UncheckedScenario") -> tuple[str, ...]:
+def warnings_of(scenario: "Scenario") -> tuple[str, ...]:
     """Return one line for each setting that is valid but likely to cause trouble."""
-    checks = (_underdamped, _wrong_feedback, _membership)
-    return tuple(text for check in checks for text in check(scenario))
-
-
-def system_warnings(scenario: "UncheckedSystemScenario") -> tuple[str, ...]:
-    """Return a line if the gain of robots that follow the law of velocity is too large for the control period."""
-    swarm, largest = scenario.swarm, max(scenario.swarm.gains.k)
-    by_velocity = swarm.force_law == "velocity" or not all(Kind.of(agent.kind).by_force for agent in scenario.agents)
-    if not by_velocity or largest * scenario.period < 2.0:
-        return ()
-    limit = _rounded_down(2.0 / scenario.period)
-    return (f"swarm.gains: k = {largest!r} 1/s is unstable at a step of {scenario.step!r} s; use less than {limit!r}",)
+    return tuple(text for warn in _WARNINGS[scenario.family] for text in warn(scenario))
 
 
 def second_moments(agents: Iterable["Agent"]) -> tuple[float, float]:
@@ -80,7 +54,7 @@ def second_moments(agents: Iterable["Agent"]) -> tuple[float, float]:
     return s0, s0 * math.fsum(square * (position - centre) ** 2 for square, position in members)
 
 
-def _timing(scenario: "AnyScenario") -> Iterator[Finding]:
+def _timing(scenario: "Scenario") -> Iterator[Finding]:
     if scenario.duration_ns % scenario.step_ns:
         below = scenario.duration_ns // scenario.step_ns * scenario.step_ns
         near = [ns for ns in (below, below + scenario.step_ns) if ns > 0]
@@ -92,7 +66,7 @@ def _timing(scenario: "AnyScenario") -> Iterator[Finding]:
         )
 
 
-def _generated(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
+def _generated(scenario: "SystemScenario") -> Iterator[Finding]:
     """Draw the robots, which the other checks need."""
     if scenario.swarm.generate is None:
         return
@@ -102,7 +76,7 @@ def _generated(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
         yield Finding.of(("swarm", "generate"), error.problem, error.remedy)
 
 
-def _system(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
+def _system(scenario: "SystemScenario") -> Iterator[Finding]:
     present = {agent.id for agent in scenario.initial_agents}
     later = {agent.id for agent in scenario.agents} - present
     listed, gains, requests = scenario.swarm.agents, scenario.swarm.gains, scenario.requests
@@ -115,7 +89,7 @@ def _system(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
         yield Finding.of(("swarm", "generate") if generated else where, problem, remedy)
 
 
-def _ids(scenario: "AnyScenario") -> Iterator[Finding]:
+def _ids(scenario: "Scenario") -> Iterator[Finding]:
     if len(scenario.agents) < 2 and scenario.family is PLANE_FAMILY:
         count = len(scenario.agents)
         yield Finding.of(
@@ -137,7 +111,7 @@ def _ids(scenario: "AnyScenario") -> Iterator[Finding]:
         first.setdefault(agent.id, location)
 
 
-def _positions(scenario: "UncheckedScenario") -> Iterator[Finding]:
+def _positions(scenario: "PlaneScenario") -> Iterator[Finding]:
     half = scenario.plane.length / 2
     placed: list[tuple[Location, float]] = [
         (("swarm", "agents", index, "position"), agent.position)
@@ -155,7 +129,7 @@ def _positions(scenario: "UncheckedScenario") -> Iterator[Finding]:
             )
 
 
-def _plane(scenario: "UncheckedScenario") -> Iterator[Finding]:
+def _plane(scenario: "PlaneScenario") -> Iterator[Finding]:
     plane = scenario.plane
     if abs(plane.angle) > plane.end_stop:
         yield Finding.of(
@@ -173,7 +147,7 @@ def _plane(scenario: "UncheckedScenario") -> Iterator[Finding]:
         )
 
 
-def _distinct_positions(scenario: "UncheckedScenario") -> Iterator[Finding]:
+def _distinct_positions(scenario: "PlaneScenario") -> Iterator[Finding]:
     where = _swarm_location(scenario)
     present = scenario.initial_agents
     if len(present) < 2:
@@ -193,7 +167,7 @@ def _distinct_positions(scenario: "UncheckedScenario") -> Iterator[Finding]:
         )
 
 
-def _preimage(scenario: "UncheckedScenario") -> Iterator[Finding]:
+def _preimage(scenario: "PlaneScenario") -> Iterator[Finding]:
     # A tau^2 + B - tau^2/(g^2 M) is linear in tau^2, positive at 0: if negative anywhere, then at torque_max.
     manifold, mass = scenario.manifold, _total_mass(scenario.agents)
     if (failing := _empty_from(manifold, mass, scenario.plane.gravity)) is None:
@@ -224,7 +198,7 @@ def _rounded_up(value: float) -> float:
     return float(Context(prec=4, rounding=ROUND_CEILING).create_decimal_from_float(value))
 
 
-def _constructed(scenario: "UncheckedScenario") -> Iterator[Finding]:
+def _constructed(scenario: "PlaneScenario") -> Iterator[Finding]:
     """Construct the controller and any law of an installed package, so that settings they reject fail here."""
     made: list[tuple[Location, Callable[[], object]]] = []
     made.append((("controller",), partial(configure.parent_controller, scenario)))
@@ -242,7 +216,7 @@ def _constructed(scenario: "UncheckedScenario") -> Iterator[Finding]:
             return
 
 
-def _swarm_location(scenario: "AnyScenario") -> Location:
+def _swarm_location(scenario: "Scenario") -> Location:
     return ("swarm", "agents" if scenario.swarm.agents is not None else "generate")
 
 
@@ -250,7 +224,7 @@ def _total_mass(agents: Iterable["Agent"]) -> float:
     return math.fsum(agent.mass for agent in agents)
 
 
-def _underdamped(scenario: "UncheckedScenario") -> Iterator[str]:
+def _underdamped(scenario: "PlaneScenario") -> Iterator[str]:
     if not any(Kind.of(agent.kind).by_force for agent in scenario.initial_agents):
         return
     kp, kd = scenario.swarm.gains.kp[1], scenario.swarm.gains.kd[1]
@@ -266,13 +240,13 @@ def _underdamped(scenario: "UncheckedScenario") -> Iterator[str]:
         )
 
 
-def _wrong_feedback(scenario: "UncheckedScenario") -> Iterator[str]:
+def _wrong_feedback(scenario: "PlaneScenario") -> Iterator[str]:
     gains = configure.controller_settings(scenario).get("gains")
     if scenario.controller.type == PD.name and isinstance(gains, tuple) and float(gains[0]) <= 0.0:
         yield f"controller.gains: k1 = {gains[0]!r} does not level the plane; use a positive gain"
 
 
-def _membership(scenario: "UncheckedScenario") -> Iterator[str]:
+def _membership(scenario: "PlaneScenario") -> Iterator[str]:
     """Warn if, after a fault, the remaining robots are too few, or too light for the manifold."""
     active = {agent.id for agent in scenario.initial_agents}
     heavy = set(active)
@@ -308,3 +282,32 @@ def _membership(scenario: "UncheckedScenario") -> Iterator[str]:
                 f"manifold beyond |tau| = {failing:.4g} N m; lower manifold.torque_max, or keep more robots"
             )
             return
+
+
+def _unstable(scenario: "SystemScenario") -> Iterator[str]:
+    """Warn if the gain of robots that follow the law of velocity is too large for the control period."""
+    swarm, largest = scenario.swarm, max(scenario.swarm.gains.k)
+    by_velocity = swarm.force_law == "velocity" or not all(Kind.of(agent.kind).by_force for agent in scenario.agents)
+    if by_velocity and largest * scenario.period >= 2.0:
+        limit = _rounded_down(2.0 / scenario.period)
+        yield (
+            f"swarm.gains: k = {largest!r} 1/s is unstable at a step of {scenario.step!r} s; use less than {limit!r}"
+        )
+
+
+_CHECKS: dict[Family, tuple[tuple[Callable[..., Iterator[Finding]], ...], ...]] = {
+    PLANE_FAMILY: (
+        (_timing,),
+        (_ids, _positions, faults, _plane),
+        (_distinct_positions,),
+        (_preimage,),
+        (_constructed,),
+        (offset_law,),
+    ),
+    SYSTEM_FAMILY: ((_timing, _generated), (_ids, faults), (_system,), (system_settings,)),
+}
+"""The checks by what the scenario is about, in groups."""
+_WARNINGS: dict[Family, tuple[Callable[..., Iterator[str]], ...]] = {
+    PLANE_FAMILY: (_underdamped, _wrong_feedback, _membership),
+    SYSTEM_FAMILY: (_unstable,),
+}

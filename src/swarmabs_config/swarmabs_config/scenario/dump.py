@@ -4,7 +4,7 @@ import json
 import re
 from collections.abc import Iterator
 
-from swarmabs_config.model.scenario import AnyScenario
+from swarmabs_config.model.scenario import Scenario
 
 from .yaml_tree import Plain
 
@@ -12,7 +12,7 @@ _PLAIN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _WORDS_OF_YAML = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 
 
-def dump_scenario(scenario: AnyScenario) -> str:
+def dump_scenario(scenario: Scenario) -> str:
     """Return a scenario as YAML with every default filled in and every robot listed.
 
     The text is canonical: equal scenarios give equal texts, and the text loads back to

@@ -25,7 +25,7 @@ from swarmabs_core.faults import (
 from swarmabs_core.membership import UNPLANNED
 
 if TYPE_CHECKING:
-    from swarmabs_config.model.scenario import AnyScenario, UncheckedScenario, UncheckedSystemScenario
+    from swarmabs_config.model.scenario import PlaneScenario, Scenario, SystemScenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class _Span:
     end: float
 
 
-def faults(scenario: "AnyScenario") -> Iterator[Finding]:
+def faults(scenario: "Scenario") -> Iterator[Finding]:
     """Check each fault alone, then those of the same robots or the same setting."""
     ids = {agent.id for agent in scenario.agents}
     spans: list[_Span] = []
@@ -59,7 +59,7 @@ def faults(scenario: "AnyScenario") -> Iterator[Finding]:
         yield from _second(span, spans[:number], ids)
 
 
-def _within_run(span: _Span, scenario: "AnyScenario") -> Iterator[Finding]:
+def _within_run(span: _Span, scenario: "Scenario") -> Iterator[Finding]:
     fault, (begin, end) = span.fault, span.fault.when
     if span.first > scenario.steps and fault.at is not None:
         yield Finding.of(
@@ -127,7 +127,7 @@ def _second(span: _Span, others: list[_Span], ids: set[int]) -> Iterator[Finding
             return
 
 
-def offset_law(scenario: "UncheckedScenario") -> Iterator[Finding]:
+def offset_law(scenario: "PlaneScenario") -> Iterator[Finding]:
     """Check that the parent controller's reference can be offset, if a fault does so."""
     index = next((index for index, fault in enumerate(scenario.faults) if isinstance(fault, ReferenceFault)), None)
     if index is not None and not isinstance(configure.parent_controller(scenario), OffsetController):
@@ -139,7 +139,7 @@ def offset_law(scenario: "UncheckedScenario") -> Iterator[Finding]:
         )
 
 
-def system_settings(scenario: "UncheckedSystemScenario") -> Iterator[Finding]:
+def system_settings(scenario: "SystemScenario") -> Iterator[Finding]:
     """Check that the parent system supports the faults that offset its reference or disturb it, and false masses."""
     largest = configure.largest_requests(scenario)
     for index, fault in enumerate(scenario.faults):

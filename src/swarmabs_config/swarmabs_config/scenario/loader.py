@@ -7,16 +7,16 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from swarmabs_config.model.errors import ScenarioError, describe, show
-from swarmabs_config.model.fields import Location, Model, nearest
-from swarmabs_config.model.scenario import LONGEST_NAME, RETIRED_FAULTS
+from swarmabs_config.model.fields import Finding, Location, Model, nearest, raise_findings
+from swarmabs_config.model.scenario import LONGEST_NAME, RETIRED_FAULTS, PlaneScenario, Scenario, SystemScenario
 
-from .checked import Scenario, SystemScenario
+from .checks import findings
 from .overrides import apply_overrides
 from .reference_file import with_rows
 from .text_file import read_text
@@ -34,10 +34,8 @@ UPGRADES: tuple[Upgrade, ...] = ()
 AnyModel = TypeVar("AnyModel", bound=Model)
 
 
-def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Any:
+def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scenario:
     """Read a scenario file in YAML, whose stem is the default of ``name``, and apply overrides ``a.b=v`` in order.
-
-    It is a `Scenario`, or a `Scenario` or a `SystemScenario`.
 
     Raises
     ------
@@ -59,8 +57,8 @@ def parse_scenario(
     overrides: Sequence[str] = (),
     folder: Path | None = None,
     recorded: bool = False,
-) -> Any:
-    """Read a scenario from a text in YAML: a `Scenario` or a `SystemScenario`.
+) -> Scenario:
+    """Read a scenario from a text in YAML.
 
     Parameters
     ----------
@@ -90,7 +88,7 @@ def parse_scenario(
     if isinstance(data, dict):
         data = upgraded(data)
         data.setdefault("name", default_name)
-    return validated(_model_of(data), data, root)
+    return validated(_model_of(data), data, root, findings)
 
 
 def _without_retired(faults: Node) -> Node:
@@ -102,13 +100,13 @@ def _without_retired(faults: Node) -> Node:
     return Node(tuple(one for one, kind in kept if kind is None or kind.node.value not in RETIRED_FAULTS), faults.mark)
 
 
-def _model_of(data: Plain) -> type[Scenario | SystemScenario]:
+def _model_of(data: Plain) -> type[Scenario]:
     """Return the model of a scenario, and remove the key ``system`` from one on the plane."""
     if not isinstance(data, dict) or "system" not in data:
-        return Scenario
+        return PlaneScenario
     if data["system"] in ("plane", {"type": "plane"}):
         del data["system"]
-        return Scenario
+        return PlaneScenario
     return SystemScenario
 
 
@@ -128,8 +126,10 @@ def read_mapping(text: str, source: str, kind: str = "scenario") -> Node:
     return root
 
 
-def validated(model: type[AnyModel], data: Plain, root: Node) -> AnyModel:
-    """Return the model of `data`, which was read as `root`.
+def validated(
+    model: type[AnyModel], data: Plain, root: Node, check: Callable[[AnyModel], Sequence[Finding]] = lambda _: ()
+) -> AnyModel:
+    """Return the model of `data`, which was read as `root`; `check` finds errors that involve several fields.
 
     Raises
     ------
@@ -137,9 +137,11 @@ def validated(model: type[AnyModel], data: Plain, root: Node) -> AnyModel:
         If it is invalid; the first error in order of the file.
     """
     try:
-        return model.model_validate(data)
+        content = model.model_validate(data)
+        raise_findings(check(content))
     except ValidationError as exc:
         raise _first_error(exc, root) from exc
+    return content
 
 
 def upgraded(data: dict[str, Plain], upgrades: Sequence[Upgrade] = UPGRADES) -> dict[str, Plain]:

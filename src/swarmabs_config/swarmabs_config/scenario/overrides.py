@@ -7,9 +7,8 @@ from functools import partial
 from swarmabs_config.model.controllers import DEFAULT_CONTROLLER, DEFAULT_LAW, DEFAULT_TRAJECTORY
 from swarmabs_config.model.errors import describe, shorten
 from swarmabs_config.model.fields import Location
-from swarmabs_config.model.scenario import DEFAULT_OBSERVER
+from swarmabs_config.model.scenario import DEFAULT_OBSERVER, PlaneScenario
 
-from .checked import Scenario
 from .yaml_tree import Entry, Mark, Node, read_tree
 
 _LONGEST_SHOWN = 100
@@ -111,7 +110,7 @@ def _default(root: Node, location: Location) -> object:
         if isinstance(named, dict) and "type" in named:
             target[key] = {"type": named["type"]}
     try:
-        default: object = Scenario.model_validate(data).model_dump(mode="json", by_alias=True)
+        default: object = PlaneScenario.model_validate(data).model_dump(mode="json", by_alias=True)
     except ValueError:  # unknown type of controller: reported when the scenario is checked
         return None
     for part in location:

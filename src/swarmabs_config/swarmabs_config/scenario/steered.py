@@ -19,7 +19,7 @@ from .loader import parse_scenario
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from swarmabs_config.model.scenario import AnyScenario
+    from swarmabs_config.model.scenario import Scenario
 
 _SETTINGS = {kind: each for kind, each in FAULTS.items() if issubclass(each, SettingFault)}
 _ENDING = {kind: each for kind, each in FAULTS.items() if issubclass(each, MembershipFault)}
@@ -31,18 +31,18 @@ _ENDS = {
 
 
 def as_planned(
-    scenario: AnyScenario,
+    scenario: Scenario,
     events: Iterable[SwarmEvent],
     *,
     ends: Iterable[Change] = (),
     source: str = "scenario of the steered run",
     overrides: Sequence[str] = (),
-) -> Any:
+) -> Scenario:
     """Return the scenario that plans what steering did to a run.
 
     Parameters
     ----------
-    scenario : AnyScenario
+    scenario : Scenario
         The scenario of the run.
     events : iterable of SwarmEvent
         The events of the run; those of planned faults change nothing.
@@ -86,7 +86,7 @@ def as_planned(
 
 
 def _planned(
-    scenario: AnyScenario, settings: dict[str, dict[int, float]], joined: dict[int, int], ended: dict[int, Change]
+    scenario: Scenario, settings: dict[str, dict[int, float]], joined: dict[int, int], ended: dict[int, Change]
 ) -> list[dict[str, Any]] | None:
     """Return the faults of the scenario and of the steering; None if nothing was steered."""
 

@@ -17,7 +17,7 @@ from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.run_folder import new_run_folder, next_run_folder
 from swarmabs_config.graph import REALTIME, Driver
 from swarmabs_config.realtime import check_realtime
-from swarmabs_config.scenario import on_plane
+from swarmabs_config.scenario import on_plane, warnings_of
 from swarmabs_core.errors import InputError
 from swarmabs_ros.status import REPORT_FD, START_FD, epoch_records
 from swarmabs_run.orchestration.plan import plan
@@ -108,7 +108,7 @@ def launch_plan(named: str, out: str, driver: Driver, overrides: Sequence[str] =
         If the scenario does not exist or does not support this driver, or if the folder is in use.
     """
     scenario = scenario_of(named, overrides)
-    warnings = tuple(scenario.warnings())
+    warnings = warnings_of(scenario)
     scenario = scenario.resolved()
     if driver is REALTIME:
         check_realtime(on_plane(scenario, "real time"))

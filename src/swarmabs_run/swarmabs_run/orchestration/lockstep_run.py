@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_run.orchestration.machine import Machine
     from swarmabs_run.orchestration.plan import Arrange
     from swarmabs_run.run import Outcome
@@ -37,7 +37,7 @@ class LockstepRun(ProcessRun):
     """A run in lockstep: messages alone advance its steps; processes end or stop where the scenario has faults."""
 
     def __init__(
-        self, scenario: AnyScenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
+        self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
     ) -> None:
         super().__init__(scenario, folder, options, arrange)
         self._own_process = {process.agents[0]: process.name for process in self._plan if len(process.agents) == 1}

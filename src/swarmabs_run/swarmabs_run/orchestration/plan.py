@@ -39,7 +39,7 @@ from swarmabs_run.run import DEFAULTS
 
 if TYPE_CHECKING:
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import AnyScenario, Scenario
+    from swarmabs_config.scenario import PlaneScenario, Scenario
     from swarmabs_run.run import RunOptions
 
 Parameters = dict[str, object]
@@ -116,7 +116,7 @@ def group_name(agent_ids: tuple[int, ...]) -> str:
 
 
 def plan(
-    scenario: AnyScenario, folder: RunFolder, options: RunOptions = DEFAULTS, driver: Driver = LOCKSTEP
+    scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, driver: Driver = LOCKSTEP
 ) -> tuple[ProcessPlan, ...]:
     """Return the processes of a scenario: the coordinators first, then the robots by id.
 
@@ -138,7 +138,7 @@ def plan(
 
 
 def _lockstep_plan(
-    scenario: AnyScenario, folder: RunFolder, recorder: Parameters, options: RunOptions
+    scenario: Scenario, folder: RunFolder, recorder: Parameters, options: RunOptions
 ) -> tuple[ProcessPlan, ...]:
     window = configure.recording_window(scenario)
     packed = options.packs(len(scenario.agents))
@@ -178,7 +178,7 @@ def _lockstep_plan(
     )
 
 
-def _realtime_plan(scenario: Scenario, recorder: Parameters) -> tuple[ProcessPlan, ...]:
+def _realtime_plan(scenario: PlaneScenario, recorder: Parameters) -> tuple[ProcessPlan, ...]:
     schedule = realtime.schedule(scenario, 0)
     coordinators = {
         PLANE: _without_epoch(realtime.plane_config(scenario, schedule)),
@@ -215,7 +215,7 @@ def _coordinator(
     node: str,
     driver: Driver,
     parameters: Parameters,
-    scenario: AnyScenario,
+    scenario: Scenario,
     also: frozenset[Option] = frozenset(),
     spare: Iterator[int] | None = None,
 ) -> ProcessPlan:
@@ -233,7 +233,7 @@ def _coordinator(
 
 
 def _agent_processes(
-    scenario: AnyScenario, common: Parameters, folder: RunFolder, options: RunOptions
+    scenario: Scenario, common: Parameters, folder: RunFolder, options: RunOptions
 ) -> Iterator[ProcessPlan]:
     configs = configure.agent_configs(scenario)
     absent = {config.agent_id for config in configs if config.life.first_step == UNPLANNED}

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from typing import ClassVar
 
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import AnyScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_run.orchestration.launcher_process import LauncherProcess
     from swarmabs_run.run import Figures, Phase
 
@@ -51,7 +51,7 @@ class ProcessRun:
     _driver: ClassVar[Driver] = LOCKSTEP
 
     def __init__(
-        self, scenario: AnyScenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
+        self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
     ) -> None:
         end_grace()  # checked here, because the launcher reads it only after the run has started
         self._scenario = scenario

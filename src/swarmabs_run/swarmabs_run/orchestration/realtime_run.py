@@ -15,7 +15,7 @@ from swarmabs_run.run import DEFAULTS, RunOptions
 
 if TYPE_CHECKING:
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import PlaneScenario
     from swarmabs_run.run import Figures
 
 LEAD, LEAD_PER_PROCESS = 1.0, 0.02
@@ -43,7 +43,7 @@ class RealtimeRun(ProcessRun):
 
     _driver = REALTIME
 
-    def __init__(self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> None:
+    def __init__(self, scenario: PlaneScenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> None:
         check_realtime(scenario)
         super().__init__(scenario, folder, options)
         self._limits = scenario.realtime

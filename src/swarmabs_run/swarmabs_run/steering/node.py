@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP
-from swarmabs_config.scenario import AnyScenario
+from swarmabs_config.scenario import Scenario
 from swarmabs_core.behaviours import Decision, SteeringConfig, SteeringController
 from swarmabs_core.cdr import decode
 from swarmabs_core.declaration import setting
@@ -20,7 +20,7 @@ from swarmabs_core.messages import PARENT_STATES, Action, Messages, Topic
 from swarmabs_core.steering import DISTURBANCE, ENDS, REFERENCE, STEERER
 from swarmabs_ros.lockstep import NodeSpec
 from swarmabs_ros.runner import LockstepProgram, Settings
-from swarmabs_ros.settings import ScenarioFile
+from swarmabs_ros.scenario_file import ScenarioFile
 from swarmabs_ros.status import StatusChannel
 from swarmabs_run.run import SLOWEST_STEP
 from swarmabs_run.steering.server import PAUSES, PUSH, ROBOTS, VALUED, RequestQueue, SteeringServer
@@ -84,7 +84,7 @@ class Pace:
         return self._controller.handle(message)
 
 
-def steering_config(scenario: AnyScenario) -> SteeringConfig:
+def steering_config(scenario: Scenario) -> SteeringConfig:
     """Return the steering configuration; a disturbance of the plane is limited to the largest torque of the swarm."""
     largest = configure.largest_requests(scenario)
     return SteeringConfig(

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import PlaneScenario
     from swarmabs_core.messages import Topic
     from swarmabs_ros.status import StatusChannel
     from swarmabs_view.visualization.ros_messages import RosMessage, VisualTopic
@@ -157,7 +157,7 @@ class FoxgloveServer:
 
 
 def show(
-    scenario: Scenario,
+    scenario: PlaneScenario,
     listener: Listener,
     publishers: Sequence[Publish],
     foxglove: FoxgloveServer | None,
@@ -197,7 +197,7 @@ def _hear(listener: Listener, swarm: SwarmState) -> list[tuple[Topic, bytes]]:
     return [(topic, payload) for (topic, _), payload in newest.items()]
 
 
-def _scenario(settings: ViewSettings) -> Scenario:
+def _scenario(settings: ViewSettings) -> PlaneScenario:
     if not settings.scenario_file:
         raise InputError("parameter scenario_file is empty: give the scenario file")
     return on_plane(load_scenario(Path(settings.scenario_file)), "the RViz scene").resolved()

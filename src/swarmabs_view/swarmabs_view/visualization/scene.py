@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from swarmabs_bag.shown.swarm_state import RobotStatus, ShownRobot, ShownVector, SwarmState
-    from swarmabs_config.scenario import Scenario
+    from swarmabs_config.scenario import PlaneScenario
 
 WORLD, PLANE = "world", "plane"
 JOINT = "plane_tilt"
@@ -175,7 +175,7 @@ class Scene:
         self._drawn: set[tuple[str, int]] = set()
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Scene:
+    def of(cls, scenario: PlaneScenario) -> Scene:
         """Return the scene of a scenario whose robots are listed."""
         robots = [(agent.id, int(Kind.of(agent.kind)), agent.mass) for agent in scenario.agents]
         return cls(scenario.plane.length, robots, scenario.manifold.torque_max)
