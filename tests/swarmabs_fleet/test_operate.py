@@ -11,14 +11,16 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import product
+from math import inf
 from pathlib import Path
 from threading import Thread
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 from tests.processes import ROOT, until
 from tests.swarmabs_fleet.bundle_processes import ended, installed, running
@@ -40,6 +42,7 @@ from swarmabs_fleet.operate import (
     Row,
     StopMonitor,
     Target,
+    _Call,
     in_order,
     joined,
     target,
@@ -193,6 +196,38 @@ class Peer:
         status = DiagnosticStatus(level=bytes([1]), hardware_id="agent_001", message="stands")
         status.values = [KeyValue(key="left", value="3 4")]
         self._diagnostics.publish(DiagnosticArray(status=[status]))
+
+
+class ForgetfulClient:
+    """A client of a service whose first answers are lost."""
+
+    srv_name = "/hall/swarm/stop"
+
+    def __init__(self, lost: int) -> None:
+        self.lost = lost
+        self.calls = 0
+
+    def service_is_ready(self) -> bool:
+        return True
+
+    def call_async(self, _: Trigger.Request) -> Future:
+        self.calls += 1
+        future = Future()
+        if self.calls > self.lost:
+            future.set_result(Trigger.Response(success=True))
+        return future
+
+
+@pytest.mark.parametrize(("interval", "calls", "problem"), [(1.0, 3, ""), (inf, 1, "did not answer within 5 s")])
+def test_a_call_that_may_be_repeated_survives_answers_that_are_lost(interval: float, calls: int, problem: str) -> None:
+    client = ForgetfulClient(lost=2)
+    call = _Call(cast("Any", client), 5.0, 100.0, interval)
+    now = 98.0
+    while call.waits(now):
+        call.advance(now)
+        now += 0.25
+    assert (client.calls, now) == (calls, 100.25 if calls == 3 else 103.0)
+    assert problem in call.problem() and bool(problem) == bool(call.problem())
 
 
 MIXED = {"agent_001/leave": "", "agent_009/leave": "was not found", "agent_001/join": "join is asked for"}

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -173,35 +173,47 @@ def _run(folder: Path) -> Target:
 
 @dataclass(slots=True)
 class _Call:
-    """A call of a service: waits for the service, then for its answer, until a monotonic time, s."""
+    """A call of a service: waits for the service, then for its answer, until a monotonic time, s.
+
+    DDS may lose an answer to a client that the service has not discovered yet, so a call is repeated every `interval`
+    seconds if that does no harm.
+    """
 
     client: Client
     patience: float
     deadline: float
-    future: Future | None = None
+    interval: float
+    futures: list[Future] = field(default_factory=list)
+    repeated: float = 0.0
 
     def begins(self) -> bool:
         """Return whether the service has been found and not been called."""
-        return self.future is None and bool(self.client.service_is_ready())
+        return not self.futures and bool(self.client.service_is_ready())
 
     def advance(self, now: float) -> None:
-        """Call the service if it has been found."""
+        """Call the service if it has been found, and again if it does not answer."""
         if self.begins():
-            self.future = self.client.call_async(Trigger.Request())
             self.deadline = now + self.patience
+        elif not self.futures or now < self.repeated:
+            return
+        self.futures.append(self.client.call_async(Trigger.Request()))
+        self.repeated = now + self.interval
+
+    def _answer(self) -> Any:
+        """Return the first answer, None before it."""
+        return next((future.result() for future in self.futures if future.done()), None)
 
     def waits(self, now: float) -> bool:
         """Return whether there is still something to wait for."""
-        return now < self.deadline and (self.future is None or not self.future.done())
+        return now < self.deadline and self._answer() is None
 
     def problem(self) -> str:
         """Return what is wrong so far, empty once the service has reported success."""
-        name = self.client.srv_name
-        if self.future is None:
+        name, answer = self.client.srv_name, self._answer()
+        if not self.futures:
             return f"{name} was not found; check that its node is running, and run this on the controller's host"
-        if not self.future.done():
+        if answer is None:
             return f"{name} did not answer within {self.patience:g} s; check its node with 'swarm status'"
-        answer = self.future.result()
         return "" if answer.success else f"{name}: {answer.message}"
 
 
@@ -234,10 +246,11 @@ class OperatorClient:
         if problem:
             raise RunError(problem)
 
-    def call_each(self, services: Sequence[str], patience: float) -> dict[str, str]:
+    def call_each(self, services: Sequence[str], patience: float, *, interval: float = inf) -> dict[str, str]:
         """Call ``std_srvs/Trigger`` services at the same time, and return by name what went wrong, empty if nothing.
 
-        Once one of them has reported success, the others have `GRACE` at most.
+        One that does not answer is called again every `interval` seconds. Once one of them has reported success, the
+        others have `GRACE` at most.
 
         Raises
         ------
@@ -245,7 +258,7 @@ class OperatorClient:
             If the run has ended.
         """
         start = time.monotonic()
-        calls = {name: _Call(self._client(name), patience, start + patience) for name in services}
+        calls = {name: _Call(self._client(name), patience, start + patience, interval) for name in services}
         while any(call.waits(time.monotonic()) for call in calls.values()):
             if any(call.begins() for call in calls.values()):
                 self._target.check()

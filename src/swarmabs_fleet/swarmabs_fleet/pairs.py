@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 STOP, RESET = SERVICES[CONTROLLER][:2]
 PAIRS = {"observer": OBSERVER, "controller": CONTROLLER}
 """The coordinators of which one of a pair leads, by their names in the fleet file."""
+AGAIN = 1.0
+"""Time, s, after which a controller that does not answer is told again to stop, which does no harm."""
 
 
 def stop(operated: Target, client: OperatorClient, patience: float) -> list[str]:
@@ -27,7 +29,7 @@ def stop(operated: Target, client: OperatorClient, patience: float) -> list[str]
     RunError
         If neither confirms it.
     """
-    problems = client.call_each(_of_controllers(operated, STOP), patience)
+    problems = client.call_each(_of_controllers(operated, STOP), patience, interval=AGAIN)
     missed = [problem for problem in problems.values() if problem]
     if len(missed) == len(problems):
         raise RunError(missed[0])
