@@ -1,5 +1,6 @@
 """Short runs, their reports, and what a reader of the page finds in them."""
 
+import warnings
 from collections.abc import Sequence
 from html.parser import HTMLParser
 from importlib import import_module
@@ -7,11 +8,14 @@ from pathlib import Path
 
 import pytest
 from markupsafe import Markup
+from matplotlib.figure import Figure
 from tests.swarmabs_analysis.figures.conftest import record
 from tests.swarmabs_bag.sample_run import SCENARIO, make_run, write_bag
 
+from swarmabs_analysis.figures.style import styled
 from swarmabs_analysis.report import Report, make_report
 from swarmabs_analysis.report.panels import Panel
+from swarmabs_analysis.report.pictures import page_picture
 from swarmabs_core.messages import Message
 
 CHANGES = (
@@ -73,10 +77,27 @@ def messages(steps: int) -> list[Message]:
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have panels told on the page, and not drawn, which takes seconds."""
 
-    def told(panel: Panel) -> Markup:
-        return Markup('<svg aria-label="{}. {}"></svg>').format(panel.heading, panel.about)
-
     monkeypatch.setattr(import_module("swarmabs_analysis.report.page"), "page_picture", told)
+
+
+@pytest.fixture
+def sketched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have panels drawn, but only those of angle and positions rendered, which takes seconds for all."""
+
+    def sketch(panel: Panel) -> Markup:
+        if panel.key in {"parent-0", "robots-coordinate-0"}:
+            return page_picture(panel)
+        with styled(), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "All-NaN", RuntimeWarning)
+            panel.draw(Figure())
+        return told(panel)
+
+    monkeypatch.setattr(import_module("swarmabs_analysis.report.page"), "page_picture", sketch)
+
+
+def told(panel: Panel) -> Markup:
+    """Return what a panel says to those who do not see it."""
+    return Markup('<svg aria-label="{}. {}"></svg>').format(panel.heading, panel.about)
 
 
 @pytest.fixture(scope="session")

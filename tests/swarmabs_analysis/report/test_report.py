@@ -7,12 +7,14 @@ import shutil
 import subprocess
 import sys
 from hashlib import sha256
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
@@ -23,17 +25,19 @@ from tests.swarmabs_analysis.report.conftest import SCENARIO, Page, messages, wr
 from tests.swarmabs_bag.test_arrays import digest
 from tests.swarmabs_view.conftest import browser_arguments, chromium
 
-from swarmabs_analysis.figures.style import styled
+from swarmabs_analysis.figures.style import BLACK, styled
 from swarmabs_analysis.report import Report, make_report
-from swarmabs_analysis.report.panels import panels
-from swarmabs_analysis.report.pictures import WIDTH, thin_lines
+from swarmabs_analysis.report.panels import Panel, panels
+from swarmabs_analysis.report.pictures import WIDTH, page_picture, thin_lines
 from swarmabs_analysis.report.record import read_recorded
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.run_folder import new_run_folder
+from swarmabs_bag.shown.colours import FAILED
 from swarmabs_bag.shown.recorded_swarm import column_points
 from swarmabs_config.scenario import dump_scenario
 from swarmabs_config.scenarios import find_scenario
-from swarmabs_core.messages import AgentState, EventKind, Message, PlaneState, SwarmEvent
+from swarmabs_core.messages import AgentState, EventKind, Kind, Message, PlaneState, SwarmEvent
+from swarmabs_core.systems.kinds import KINDS
 from swarmabs_run.simulated_run import simulate_run
 
 Floats = NDArray[np.float64]
@@ -65,31 +69,43 @@ def test_metrics(page: Page, run: Path, report: Report) -> None:
     assert ("code", report.numbers["digest"]) in page.texts
 
 
-def test_margins(page: Page, run: Path) -> None:
-    bag = ReadBag(run)
+def test_margins_at_each_step(page: Page, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag, recorded = ReadBag(run), read_recorded(run)
     # Robot 4 joins at step 2, robot 1 dies after step 5 and stays, robot 2 leaves after step 10.
     on_plane = [[1, 2, 3]] * 2 + [[1, 2, 3, 4]] * 9 + [[1, 3, 4]] * 20
     states = {agent: bag.column("/swarm/agent_state", "position", agent) for agent in bag.agents()}
     mass = {agent: bag.column("/swarm/agent_state", "mass", agent)[0] for agent in bag.agents()}
     first = {1: 0, 2: 0, 3: 0, 4: 2}
-    reach, clearance = [], []
     torque, inertia = bag.column("/swarm/abstract_state", "torque"), bag.column("/swarm/abstract_state", "inertia")
+    wanted = bag.column("/swarm/desired_abstract_state", "torque")
+    wanted_inertia = bag.column("/swarm/desired_abstract_state", "inertia")
+    reach, clearance = [], []
     for step, agents in enumerate(on_plane):
         at = {agent: states[agent][min(step - first[agent], len(states[agent]) - 1)] for agent in agents}
         reach.append(max(map(abs, at.values())))
         assert GRAVITY * sum(mass[agent] * at[agent] for agent in agents) == pytest.approx(torque[step], abs=1e-12)
         # The nearest of very many points of the curve on which the outermost robot can be at the plane's end.
         total, least = sum(mass[agent] for agent in agents), min(mass[agent] for agent in agents)
-        moment = np.linspace(-total * LENGTH / 2, total * LENGTH / 2, 400_001)
+        moment = np.linspace(-total * LENGTH / 2, total * LENGTH / 2, 40_001)
         curve = moment**2 / total + (LENGTH / 2 - np.abs(moment) / total) ** 2 / (1 / least - 1 / total)
-        clearance.append(np.hypot(GRAVITY * moment - torque[step], curve - inertia[step]).min())
-    assert value(page, "Margin to the plane's end") == LENGTH / 2 - max(reach)
-    assert value(page, "Margin to A_A's boundary") == pytest.approx(min(clearance), abs=1e-6)
+        for tau, j in ((torque[step], inertia[step]), (wanted[step], wanted_inertia[step])):
+            clearance.append(np.hypot(GRAVITY * moment - tau, curve - j).min())
     s0, s3 = (bag.column("/swarm/auxiliary_state", field) for field in ("s0", "s3"))
-    assert value(page, "Smallest S₃/S₀²") == pytest.approx((s3 / s0**2).min(), rel=1e-14)
+    expected = (LENGTH / 2 - np.array(reach), np.array(clearance[::2]), np.array(clearance[1::2]), s3 / s0**2)
+    margin = recorded.margins
+    for values, others in zip((margin.end, margin.actual, margin.desired, margin.spread), expected, strict=True):
+        np.testing.assert_allclose(values, others, rtol=1e-14, atol=1e-6)
+    rows = ("Margin to the plane's end", "Margin to A_A's boundary", "Margin of the desired state", "Smallest S₃/S₀²")
+    assert [value(page, row) for row in rows] == pytest.approx([min(values) for values in expected], abs=1e-6)
+    # Of long runs, the boundary of A_A is computed at some steps, and drawn there.
+    monkeypatch.setattr(import_module("swarmabs_analysis.report.record"), "_MOST_ROWS", 10)
+    (panel,) = (panel for panel in panels(read_recorded(run)) if panel.key == "margin-set")
+    line = draw(panel)[0].lines[0]
+    np.testing.assert_array_equal(line.get_xdata(), recorded.arrays.time[::4])
+    np.testing.assert_array_equal(line.get_ydata(), margin.actual[::4])
 
 
-def test_weights_give_the_recorded_abstract_state_and_events_stand_in_a_table(page: Page, run: Path) -> None:
+def test_weights_give_the_recorded_abstract_state_and_events_have_a_table(page: Page, run: Path) -> None:
     recorded, bag = read_recorded(run), ReadBag(run)
     np.testing.assert_allclose(recorded.torque, bag.column("/swarm/abstract_state", "torque"), rtol=0, atol=1e-14)
     on_plane = recorded.swarm.on_plane.sum(axis=1)
@@ -100,7 +116,7 @@ def test_weights_give_the_recorded_abstract_state_and_events_stand_in_a_table(pa
     assert {"left", "joined", "kill", "leave"} <= set(cells)
 
 
-def test_a_picture_shows_the_bag(report: Report, run: Path) -> None:
+def test_a_picture_in_the_page_shows_the_bag(report: Report, run: Path) -> None:
     """The angle's line in the page, taken back to rad by the labels of the axis, is the recorded angle."""
     svg = report.html[report.html.index('id="panel-parent-0"') :]
     svg = svg[: svg.index("</svg>")]
@@ -111,6 +127,69 @@ def test_a_picture_shows_the_bag(report: Report, run: Path) -> None:
     height = (points[:, 1].max() - points[:, 1]) / np.ptp(points[:, 1])
     scaled = (angle - angle.min()) / np.ptp(angle)
     assert height[[0, -1]] == pytest.approx(scaled[[0, -1]], abs=0.005)
+
+
+UNITS = {
+    "parent-0": "rad",
+    "parent-1": "rad/s",
+    "parent-error": "rad",
+    "parent-error-decades": "rad",
+    "robots-coordinate-0": "m",
+    "robots-rate-0": "m/s",
+    "robots-command-position-1": "m/s",
+    "robots-command-position-2": "N",
+    "abstract-0": "N m",
+    "abstract-1": "kg m²",
+    "abstract-error": "N m",
+    "space": "kg m²",
+    "margin-end": "m",
+    "margin-set": "N m and kg m²",
+    "margin-spread": "m²",
+    "sums": "kg²",
+}
+"""Units of the vertical axes, by panel."""
+RANGE = re.compile(r"(?:^|; )([^:;]*): (?:from \S+ to \S+ ?([^,;]*), )?between (\S+) and (\S+) ?([^;]*)")
+
+
+def test_panels_state_units_and_ranges_of_what_they_draw(run: Path) -> None:
+    shown = {panel.key: panel for panel in panels(read_recorded(run))}
+    axes = {key: draw(panel) for key, panel in shown.items()}
+    assert {key: axes[key][0].get_ylabel().removesuffix(" (logarithmic)").split(", ")[-1] for key in UNITS} == UNITS
+    assert [one.get_ylabel().split(", ")[1] for one in axes["sums"]] == [
+        *("kg²", "kg² m", "kg² m²", "kg⁴ m²", "kg²/s", "kg² m/s", "kg² m²/s", "kg m²/s²")
+    ]
+    for key, panel in shown.items():
+        ranges = RANGE.findall(panel.about)
+        assert bool(ranges) == (key not in {"parent-error-decades", "space", "membership"})
+        if key in {"parent-0", "parent-1", "parent-error", "margin-end", "margin-spread"}:
+            (_, unit, low, high, also) = ranges[0]
+            values = np.asarray(axes[key][0].lines[0].get_ydata(), dtype=float)
+            assert (unit, also) == (UNITS[key], UNITS[key])
+            assert [float(low), float(high)] == pytest.approx([values.min(), values.max()], rel=1e-3)
+    assert shown["margin-end"].about.endswith(" m at 0.3 s")
+    bag = ReadBag(run)
+    (line, *_) = axes["parent-error"][0].lines
+    assert (line.get_label(), line.get_ydata()[-1]) == ("reference - θ", -bag.column("/plane/state", "angle")[-1])
+    about = shown["membership"].about
+    assert about.startswith("robots on the plane: initially 3, finally 3; robots that report: initially 3, finally 2;")
+
+
+def test_the_panel_of_membership_shows_when_each_robot_follows_or_is_dead(run: Path) -> None:
+    """Robot 1 dies at 0.06 s, robot 2 has left at 0.11 s, robot 4 joins at 0.02 s; the run ends at 0.3 s."""
+    (panel,) = (panel for panel in panels(read_recorded(run)) if panel.key == "membership")
+    (axes,) = draw(panel)
+    spans = {}
+    for bar in axes.collections:
+        (begin, low), (end, high) = bar.get_paths()[0].vertices.min(axis=0), bar.get_paths()[0].vertices.max(axis=0)
+        spans[round((low + high) / 2.0), to_hex(bar.get_facecolor()[0])] = (begin, end)
+    single, double = (KINDS[kind].colour.lower() for kind in (Kind.SINGLE_INTEGRATOR, Kind.DOUBLE_INTEGRATOR))
+    assert spans == {
+        (0, single): pytest.approx((0.0, 0.06)),
+        (0, FAILED.lower()): pytest.approx((0.06, 0.3)),
+        (1, single): pytest.approx((0.0, 0.11)),
+        (2, double): pytest.approx((0.0, 0.3)),
+        (3, double): pytest.approx((0.02, 0.3)),
+    }
 
 
 def test_every_column_keeps_its_ends_extremes_and_gaps() -> None:
@@ -205,9 +284,7 @@ def assert_self_contained(html: str) -> None:
     assert policies == ["default-src 'none'; style-src 'unsafe-inline'; img-src data:"]
 
 
-def test_page_is_complete_refers_to_nothing_and_is_the_same_elsewhere(
-    report: Report, page: Page, run: Path, tmp_path: Path
-) -> None:
+def test_page_is_complete_and_refers_to_nothing(report: Report, page: Page) -> None:
     assert_self_contained(report.html)
     assert report.html.startswith("<!DOCTYPE html>\n<html lang=")
     headings = [text for tag, text in page.texts if tag == "h2"]
@@ -225,7 +302,11 @@ def test_page_is_complete_refers_to_nothing_and_is_the_same_elsewhere(
     # No colour of a picture is fixed: all follow the scheme.
     assert re.findall(r'style="[^"]*#[0-9a-f]{6}', report.html) == []
     assert report.png.startswith(b"\x89PNG")
-    assert make_report(Path(shutil.copytree(run, tmp_path / "elsewhere"))).png == report.png
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_report_is_the_same_elsewhere(run: Path, tmp_path: Path) -> None:
+    assert make_report(Path(shutil.copytree(run, tmp_path / "elsewhere"))).html == make_report(run).html
 
 
 def broken(message: Message) -> Message:
@@ -237,6 +318,7 @@ def broken(message: Message) -> Message:
     return message
 
 
+@pytest.mark.usefixtures("sketched")
 def test_hostile_text_stays_text_and_numbers_that_cannot_be_drawn_are_left_out(tmp_path: Path) -> None:
     run = [*map(broken, messages(40)), SwarmEvent(0, 0, 2, EventKind.DEAD, 0.0, HOSTILE)]
     run += [SwarmEvent(0, 0, 1, 200, float("nan"), HOSTILE)]
@@ -273,8 +355,9 @@ def test_timing_of_another_run_is_not_taken(tmp_path: Path) -> None:
 
 @pytest.mark.system
 @pytest.mark.timeout(300)
-def test_another_process_gives_the_same_bytes(report: Report, run: Path) -> None:
-    done = subprocess.run([sys.executable, "-c", SCRIPT, run], capture_output=True, text=True, check=True)
+def test_another_process_gives_the_same_bytes_elsewhere(report: Report, run: Path, tmp_path: Path) -> None:
+    elsewhere = shutil.copytree(run, tmp_path / "elsewhere")
+    done = subprocess.run([sys.executable, "-c", SCRIPT, elsewhere], capture_output=True, text=True, check=True)
     assert done.stdout.split() == [sha256(content).hexdigest() for content in (report.html.encode(), report.png)]
 
 
@@ -319,16 +402,35 @@ def test_nothing_or_one_step_recorded(tmp_path: Path, count: int) -> None:
     assert report.png.startswith(b"\x89PNG")
 
 
-def test_two_hundred_robots(tmp_path: Path) -> None:
-    record(tmp_path / "run", "arise_het_200", "duration=0.5")
-    report = make_report(tmp_path / "run")
-    page = Page(report.html)
-    assert len(report.html) < 600_000
-    # What the pictures tell to those who do not see them, by heading.
-    labels = dict((attributes["aria-label"] or "").split(". ", 1) for tag, attributes in page.tags if tag == "svg")
-    assert "Mass density of the robots" in labels
-    assert "positions of 200 robots" in labels["Positions of the robots"]
-    assert any(tag == "image" for tag, _ in page.tags)
+def test_two_hundred_robots_are_drawn_as_percentiles_three_of_them_and_density(tmp_path: Path) -> None:
+    run = record(tmp_path / "run", "arise_het_200", "duration=0.5")
+    recorded, bag = read_recorded(run), ReadBag(run)
+    shown = {panel.key: panel for panel in panels(recorded)}
+    positions = np.stack([bag.column("/swarm/agent_state", "position", agent) for agent in bag.agents()], axis=1)
+    masses = np.array([bag.column("/swarm/agent_state", "mass", agent)[0] for agent in bag.agents()])
+    (axes,) = draw(shown["robots-coordinate-0"])
+    above = positions[:, positions[0] > 0.0]
+    low, high = np.quantile(above[0], [0.05, 0.95])
+    band = axes.collections[0].get_paths()[0].vertices
+    assert [band[band[:, 0] == 0.0, 1].min(), band[band[:, 0] == 0.0, 1].max()] == pytest.approx([low, high])
+    (median,) = (line for line in axes.lines if line.get_linewidth() == 1.1 and line.get_color() == BLACK)
+    assert np.asarray(median.get_ydata())[[0, -1]] == pytest.approx(np.median(above, axis=1)[[0, -1]])
+    named = {str(line.get_label()): line for line in axes.lines if not str(line.get_label()).startswith("_")}
+    for word, column in (
+        ("largest", np.abs(positions).max(axis=0).argmax()),
+        ("heaviest", masses.argmax()),
+        ("lightest", masses.argmin()),
+    ):
+        (line,) = (line for label, line in named.items() if word in label)
+        np.testing.assert_array_equal(line.get_ydata(), positions[:, column])
+    density, _ = draw(shown["mass"])
+    mesh = density.collections[0]
+    millimetres = 1e3 * np.diff(np.array(mesh.get_coordinates())[:, 0, 1])
+    assert millimetres @ np.asarray(mesh.get_array()) == pytest.approx(masses.sum())
+    assert f"total mass {masses.sum():.4g} kg" in shown["mass"].about
+    assert "positions of 200 robots" in shown["robots-coordinate-0"].about
+    assert "<image" in page_picture(shown["mass"])
+    assert len(page_picture(shown["robots-coordinate-0"])) < 40_000
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -359,36 +461,47 @@ def test_refused_bags(tmp_path: Path) -> None:
         make_report(file)
 
 
-def test_a_zoom_names_all_events_in_it_and_no_legend_leaves_its_picture(tmp_path: Path) -> None:
+def draw(panel: Panel) -> list[Axes]:
+    """Return the axes of a panel."""
+    with styled():
+        figure = Figure((WIDTH, panel.height), layout="constrained")
+        panel.draw(figure)
+    return figure.axes
+
+
+def entries(axes: Axes) -> list[str]:
+    legend = axes.get_legend()
+    return [] if legend is None else [text.get_text() for text in legend.get_texts()]
+
+
+def test_a_zoom_names_all_events_in_it_and_no_legend_leaves_its_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     faults = "faults=[{at: 3, kind: kill, agent: 5}, {at: 5, kind: kill, agent: 7}, {at: 7, kind: leave, agent: 9}]"
     run = record(tmp_path, "arise_het_20", "duration=10", "swarm.generate.single_integrator=11", faults)
-    shown = {panel.key: panel for panel in panels(read_recorded(run))}
+    recorded = read_recorded(run)
+    shown = {panel.key: panel for panel in panels(recorded)}
     assert shown["zoom-1"].heading == "Around 5.01 s: robot 7 dead"
     assert shown["zoom-1"].about.endswith("then 7.01 s: robot 9 left")
     assert shown["zoom-0"].about.endswith("then 3.01 s: robot 5 dead")
     for name in ("robots-coordinate-0", "robots-command-position-2", "membership", "space"):
-        with styled():
-            figure = Figure((WIDTH, shown[name].height), layout="constrained")
-            shown[name].draw(figure)
-            figure.draw_without_rendering()
-            legend = figure.axes[0].get_legend()
-            assert legend is not None and legend.get_window_extent().x1 <= figure.bbox.x1
+        (axes, *_) = draw(shown[name])
+        axes.figure.draw_without_rendering()
+        legend = axes.get_legend()
+        assert legend is not None and legend.get_window_extent().x1 <= axes.figure.bbox.x1
+    # Of too many moments, those with the largest errors are shown.
+    error, times = np.abs(recorded.error), recorded.arrays.time
+    largest = [error[(times >= moment) & (times <= moment + 4.0)].max() for moment in (0.0, 5.01)]
+    monkeypatch.setattr(import_module("swarmabs_analysis.report.panels"), "MOST_ZOOMS", 1)
+    (zoom,) = (panel for panel in panels(recorded) if panel.section == "zooms")
+    assert zoom.heading == ("Around the start" if largest[0] > largest[1] else shown["zoom-1"].heading)
+    assert f"largest error {max(largest):.4g} rad" in zoom.about
 
 
 SETTINGS = (
     "faults=[{at: 5, until: 6, kind: disturbance, torque: 0.1}, {at: 7, kind: disturbance, torque: -0.2}, "
     "{at: 10, kind: reference, offset: 0.05}]"
 )
-
-
-def drawn(report_of: Path, key: str) -> list[Axes]:
-    """Return the axes of a panel."""
-    shown = {panel.key: panel for panel in panels(read_recorded(report_of))}
-    with styled():
-        figure = Figure((WIDTH, shown[key].height), layout="constrained")
-        shown[key].draw(figure)
-        figure.draw_without_rendering()
-    return figure.axes
 
 
 def shaded(axes: Axes) -> list[tuple[float, float]]:
@@ -398,26 +511,23 @@ def shaded(axes: Axes) -> list[tuple[float, float]]:
     return [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in spans]
 
 
-def entries(axes: Axes) -> list[str]:
-    legend = axes.get_legend()
-    return [] if legend is None else [text.get_text() for text in legend.get_texts()]
-
-
-def test_disturbances_are_shaded_and_steps_of_the_reference_marked_with_their_names(tmp_path: Path) -> None:
-    run = record(tmp_path / "run", "pd_het_4", "duration=15", SETTINGS)
+def test_disturbances_are_shaded_and_steps_of_the_reference_marked_with_their_names(tmp_path: Path, run: Path) -> None:
+    settings = record(tmp_path / "run", "pd_het_4", "duration=15", "step=0.05", SETTINGS)
+    shown = {panel.key: panel for panel in panels(read_recorded(settings))}
     for key in ("parent-0", "robots-coordinate-0", "abstract-0", "margin-end", "sums"):
-        axes = drawn(run, key)[0]
+        axes = draw(shown[key])[0]
         assert shaded(axes) == [pytest.approx((5.0, 6.0)), pytest.approx((7.0, 15.0))]
         assert [line for line in axes.lines if np.asarray(line.get_xdata()).tolist() == [10.0, 10.0]]
         assert key == "sums" or {"disturbance", "reference step"} <= set(entries(axes))
-    shown = {panel.heading: panel.key for panel in panels(read_recorded(run)) if panel.section == "zooms"}
-    assert list(shown) == ["Around the start", "Around 5 s: disturbance 0.1 N m", "Around 10 s: reference 0.05 rad"]
-    upper, _ = drawn(run, shown["Around the start"])
+    zooms = {panel.heading: panel for panel in shown.values() if panel.section == "zooms"}
+    assert list(zooms) == ["Around the start", "Around 5 s: disturbance 0.1 N m", "Around 10 s: reference 0.05 rad"]
+    upper, _ = draw(zooms["Around the start"])
     assert len(entries(upper)) == 4
-    upper, _ = drawn(run, shown["Around 10 s: reference 0.05 rad"])
+    upper, _ = draw(zooms["Around 10 s: reference 0.05 rad"])
     assert entries(upper)[4:] == ["disturbance", "reference step"]
-    quiet = record(tmp_path / "quiet", "pd_het_4")
-    assert shaded(drawn(quiet, "parent-0")[0]) == [] and entries(drawn(quiet, "parent-0")[0]) == ["θ", "reference θ"]
+    (quiet,) = (panel for panel in panels(read_recorded(run)) if panel.key == "parent-0")
+    (axes,) = draw(quiet)
+    assert shaded(axes) == [] and entries(axes) == ["θ", "reference θ"]
 
 
 @pytest.mark.system
