@@ -9,6 +9,7 @@ from tests.plugin_packages import BANG_BANG, SCALED, install
 from tests.swarmabs_core.helpers import digest
 
 from swarmabs_config.scenario import Scenario, json_schema, parse_scenario
+from swarmabs_config.theory import check_scenario
 from swarmabs_core.controllers import CONTROLLERS, PD, ControllerType, ParentContext, ParentController, StateFeedback
 from swarmabs_core.errors import InputError
 from swarmabs_core.manifold import Manifold
@@ -154,3 +155,11 @@ def test_a_law_that_doubles_the_gains_does_what_doubled_gains_do(packages: Path,
     assert plain == doubled != halved
     assert not vectorisable(scenario("many", "{type: scaled}", {})), "one that is not known on arrays"
     assert vectorisable(scenario("many", "{type: paper}", {}))
+
+
+def test_no_theorem_is_about_another_law(packages: Path) -> None:
+    install(packages, "law", "scaled", SCALED)
+    assert any(one.applicable for one in check_scenario(scenario("SI", "{type: paper}", {})).theorems)
+    report = check_scenario(scenario("SI", "{type: scaled}", {}))
+    assert not report.covered and not any(one.applicable for one in report.theorems)
+    assert any("not of scaled" in note for note in report.notes)

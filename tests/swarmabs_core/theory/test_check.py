@@ -43,6 +43,12 @@ def test_where_the_papers_manifold_leaves_the_plane_is_noted() -> None:
     assert not any("manifold" in note for note in check("pd_het_4", "manifold.torque_max=1.5").notes)
 
 
+@pytest.mark.parametrize("noise", ["plane.sensor.noise=[0.01, 0]", "swarm.sensor.noise=[0, 0.01]"])
+def test_what_the_theorems_assume_of_sensors_is_noted(noise: str) -> None:
+    assert not any("sensors" in note for note in check("pd_het_4").notes)
+    assert "the theorems assume perfect sensors" in check("pd_het_4", noise).notes
+
+
 def far_out(kd: float) -> tuple[str, ...]:
     """Return double integrators that start at the ends of the plane."""
     positions = (f"swarm.agents.{i}.position={0.5 if i % 2 else -0.5}" for i in range(4))

@@ -7,14 +7,18 @@ from scipy.optimize import minimize_scalar
 
 from swarmabs_core.theory.linear_algebra import discrete_lyapunov, exponential, minimum, subspace_outside
 
-RANDOM = np.random.default_rng(30)
+
+def random() -> np.random.Generator:
+    """Return numbers that do not depend on which tests ran before."""
+    return np.random.default_rng(30)
 
 
 @pytest.mark.parametrize("size", [1, 3, 6])
 @pytest.mark.parametrize("scale", [0.0, 1e-4, 1.0, 60.0])
 def test_exponential(size: int, scale: float) -> None:
+    draw = random()
     for _ in range(20):
-        matrix = scale * RANDOM.normal(size=(size, size))
+        matrix = scale * draw.normal(size=(size, size))
         wanted = expm(matrix)
         assert np.abs(exponential(matrix) - wanted).max() <= 1e-11 * np.abs(wanted).max()
 
@@ -27,7 +31,7 @@ def test_exponential_of_a_matrix_that_cannot_be_diagonalised() -> None:
 
 @pytest.mark.parametrize("size", [1, 4, 9])
 def test_discrete_lyapunov(size: int) -> None:
-    matrix = RANDOM.normal(size=(size, size))
+    matrix = random().normal(size=(size, size))
     matrix *= 0.95 / np.abs(np.linalg.eigvals(matrix)).max()
     assert discrete_lyapunov(matrix, np.eye(size)) == pytest.approx(
         solve_discrete_lyapunov(matrix, np.eye(size)), rel=1e-8, abs=1e-10
@@ -38,7 +42,7 @@ def test_discrete_lyapunov(size: int) -> None:
 def test_subspace_of_eigenvalues_outside_a_circle(near: tuple[float, ...]) -> None:
     blocks = np.diag([*near, 0.9, 0.9, 0.999, -0.3, 1.2])
     blocks[len(near), len(near) + 1] = 1.0  # a Jordan block
-    change = RANDOM.normal(size=blocks.shape)
+    change = random().normal(size=blocks.shape)
     matrix = change @ blocks @ np.linalg.inv(change)
     found = subspace_outside(matrix, 1.0, 1e-6)
     _, basis, count = schur(matrix, sort=lambda real, imaginary: abs(complex(real, imaginary) - 1.0) > 1e-6)

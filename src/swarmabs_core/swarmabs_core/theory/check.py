@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_core.robot_controller import Limits
+from swarmabs_core.swarm_law import PAPER
 from swarmabs_core.theory.arise import FRICTION_ALONE, check_arise
 from swarmabs_core.theory.error_dynamics import inertia_swing
 from swarmabs_core.theory.general_theorems import abstract_states, constrained_conditions, constraints
@@ -72,6 +73,8 @@ def _swarm_theorems(setting: Setting, parent: ParentCheck | None) -> Iterator[Th
             label, title = f"{name}_{kind}_sys", f"{law} with {robots}"
             if parent is None or parent.name != name:
                 yield Theorem(label, title, note=f"the parent controller is {setting.controller}")
+            elif setting.swarm_law != PAPER.name:
+                yield Theorem(label, title, note=f"the swarm's law is {setting.swarm_law}")
             elif kind != setting.kind:
                 yield Theorem(label, title, note=f"the swarm has {_SWARMS[setting.kind]}")
             else:
@@ -83,9 +86,10 @@ def _general_theorems(setting: Setting, bounds: Constraints, parent: ParentCheck
         ("GeneralStability", "the set S of parent system and swarm"),
         ("GeneralConstrainedStability", "the set S_c within the constraints"),
     )
-    if parent is None:
+    if parent is None or setting.swarm_law != PAPER.name:
+        unknown = setting.controller if parent is None else setting.swarm_law
         for label, title in names:
-            yield Theorem(label, title, note=f"no Lyapunov function is known for {setting.controller}")
+            yield Theorem(label, title, note=f"no Lyapunov function is known for {unknown}")
         return
     (initial,) = [condition for condition in parent.conditions if condition.name == "initial state"]
     yield Theorem(*names[0], (parent.derivative, initial))
@@ -130,10 +134,14 @@ def _notes(setting: Setting) -> Iterator[str]:
             "with the desired torque and inertia are off the plane (the manifold leaves A_A); reduce torque_max, or "
             "use a longer plane"
         )
+    if setting.swarm_law != PAPER.name:
+        yield f"the conditions of sampled time are those of the paper's law of the swarm, not of {setting.swarm_law}"
     if robot.limits != Limits():
         yield "the theorems do not consider the limits of the drives"
     if robot.feels_gravity and setting.has_double:
         yield "plane.robot_gravity: the theorems do not consider gravity along the plane, which is destabilising"
+    if not (setting.plane.sensor.perfect and robot.sensor.perfect):
+        yield "the theorems assume perfect sensors"
     if setting.faulty:
         yield (
             "the theorems do not consider faults, losses, or robots that join or leave; they cover the initial swarm "

@@ -45,6 +45,11 @@ class Setting:
         return self.make_law()
 
     @property
+    def swarm_law(self) -> str:
+        """The name of the swarm's control law."""
+        return self.robots[0].law
+
+    @property
     def gains(self) -> SwarmGains:
         """The gains of the swarm."""
         return self.robots[0].gains
