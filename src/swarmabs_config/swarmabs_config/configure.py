@@ -107,13 +107,13 @@ def falsifications(scenario: Scenario) -> tuple[Falsification, ...]:
 
 def step_changes(scenario: Scenario, kind: str) -> tuple[StepChange, ...]:
     """Return the step changes of a setting (`REFERENCE` or `DISTURBANCE`); where one ends, the setting returns to 0."""
-    found: dict[int, float] = {}
+    values: dict[int, float] = {}
     for fault in scenario.faults_of(SettingFault):
         if fault.kind == kind:
             if fault.until is not None:
-                found.setdefault(scenario.fault_step(fault.until), 0.0)
-            found[scenario.fault_step(fault.at)] = fault.value
-    return tuple(StepChange(step, found[step]) for step in sorted(found))
+                values.setdefault(scenario.fault_step(fault.until), 0.0)
+            values[scenario.fault_step(fault.at)] = fault.value
+    return tuple(StepChange(step, values[step]) for step in sorted(values))
 
 
 def recording_window(scenario: Scenario) -> int:

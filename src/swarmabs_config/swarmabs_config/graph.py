@@ -458,10 +458,10 @@ SERVICES = {
 
 def services(node: str, options: frozenset[Option] = frozenset()) -> tuple[str, ...]:
     """Return the services of a node with these options; those of a standby, too, have names of their own."""
-    found = SERVICES.get(node, ())
+    names = SERVICES.get(node, ())
     if Option.STANDBY not in options:
-        return found
-    return tuple(map(standby_service, found))
+        return names
+    return tuple(map(standby_service, names))
 
 
 def standby_service(name: str) -> str:
@@ -487,8 +487,8 @@ def endpoints(
     """
     if driver is not REALTIME:
         options -= _REALTIME_ONLY
-    found = ((link.topic_with(options), link) for link in GRAPH if driver in link.offered)
-    links = [(topic, link) for topic, link in found if topic is not None]
+    named = ((link.topic_with(options), link) for link in GRAPH if driver in link.offered)
+    links = [(topic, link) for topic, link in named if topic is not None]
     return Endpoints(
         tuple(
             written

@@ -30,27 +30,27 @@ def findings(fleet: UncheckedFleet) -> list[Finding]:
         (_references,),
         (_network, _loopback, _security, _installation, _participants, _topics),
     ):
-        if found := [finding for check in group for finding in check(fleet)]:
-            return found
+        if errors := [finding for check in group for finding in check(fleet)]:
+            return errors
     return []
 
 
 def warnings(fleet: UncheckedFleet) -> tuple[str, ...]:
     """Return one line for each setting that is valid but likely to cause trouble."""
-    found = []
+    lines = []
     used = {node.host for node in participants.node_plans(fleet)}
     idle = [host.name for host in fleet.hosts if host.name not in used]
     if idle:
-        found.append(f"hosts: no node runs on {idle[0]}; remove this host, or assign a node to it")
+        lines.append(f"hosts: no node runs on {idle[0]}; remove this host, or assign a node to it")
     if fleet.security.level == "none":
-        found.append(
+        lines.append(
             "security is none: anyone on the network can read all traffic and command the swarm within its limits"
         )
     if fleet.coordinators.controller.start_mode == "run":
-        found.append(
+        lines.append(
             "coordinators.controller.start_mode is run: robots move as soon as all nodes are present, without a reset"
         )
-    return tuple(found)
+    return tuple(lines)
 
 
 def _twice(kind: str, values: Iterable[tuple[Location, Hashable]], remedy: str) -> Iterator[Finding]:
@@ -97,7 +97,7 @@ def _ids(fleet: UncheckedFleet) -> Iterator[Finding]:
 
 
 def _references(fleet: UncheckedFleet) -> Iterator[Finding]:
-    known = [host.name for host in fleet.hosts]
+    host_names = [host.name for host in fleet.hosts]
     parts = fleet.coordinators
     doubled = {"observer": parts.observer, "controller": parts.controller, "recorder": parts.recorder}
     named: list[tuple[Location, str | None]] = [
@@ -108,8 +108,8 @@ def _references(fleet: UncheckedFleet) -> Iterator[Finding]:
         (("network", "server"), fleet.network.server),
     ]
     for location, name in named:
-        if name is not None and name not in known:
-            yield Finding.of(location, f"unknown host '{name}'", nearest(name, known))
+        if name is not None and name not in host_names:
+            yield Finding.of(location, f"unknown host '{name}'", nearest(name, host_names))
     for name, part in doubled.items():
         if part is not None and part.standby == part.host:
             yield Finding.of(

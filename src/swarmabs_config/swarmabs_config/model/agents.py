@@ -162,8 +162,8 @@ class SystemGenerate(_numbers(Kind)):  # type: ignore[misc]  # the fields are th
 
     @model_validator(mode="after")
     def _check_ranges(self) -> "SystemGenerate":
-        ranges: list[tuple[Location, Pair]] = [(("constants", name), each) for name, each in self.constants.items()]
-        ranges += [(("coordinates", n), each) for n, each in enumerate(self.coordinates)]
+        ranges: list[tuple[Location, Pair]] = [(("constants", name), ends) for name, ends in self.constants.items()]
+        ranges += [(("coordinates", n), ends) for n, ends in enumerate(self.coordinates)]
         findings = [
             Finding.of(where, f"the smallest {low!r} exceeds the largest {high!r}", "write [smallest, largest]")
             for where, (low, high) in ranges

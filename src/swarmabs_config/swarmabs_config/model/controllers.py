@@ -99,7 +99,7 @@ class CsvTrajectory(Model):
 
 DEFAULT_TRAJECTORY = "sine"
 TRAJECTORY_CONFIGS: dict[str, type[Model]] = {
-    **{each.type: model_of(each, tag="type") for each in (Sine, Constant, QuinticStep)},
+    **{shape.type: model_of(shape, tag="type") for shape in (Sine, Constant, QuinticStep)},
     "csv": CsvTrajectory,
 }
 """The model of each ``trajectory.type``."""
@@ -178,17 +178,17 @@ SYSTEM_CONFIGS: Mapping[str, type[Model]] = _Configs(SYSTEMS, SystemConfig)
 
 def settings_of(part: BaseModel) -> Settings:
     """Return the settings of a controller, law or system, nested names joined by dots."""
-    found: dict[str, Value] = {}
+    settings: dict[str, Value] = {}
 
     def flatten(prefix: str, values: Mapping[str, object]) -> None:
         for key, value in values.items():
             if isinstance(value, dict):
                 flatten(f"{prefix}{key}.", value)
             else:
-                found[prefix + key] = cast("Value", value)
+                settings[prefix + key] = cast("Value", value)
 
     flatten("", part.model_dump(exclude={"type"}, by_alias=True))
-    return found
+    return settings
 
 
 ModelT = TypeVar("ModelT", bound=Model)

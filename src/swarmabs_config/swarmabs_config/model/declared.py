@@ -46,7 +46,7 @@ class Declared:
         model = handler.generate_schema(model_of(source))
         return core_schema.no_info_before_validator_function(
             lambda value: tree_of(value) if isinstance(value, source) else value,
-            core_schema.no_info_after_validator_function(DeclaredModel.made, model),
+            core_schema.no_info_after_validator_function(DeclaredModel.instance, model),
             serialization=core_schema.plain_serializer_function_ser_schema(tree_of),
         )
 
@@ -56,15 +56,15 @@ class DeclaredModel(Model):
 
     declaration: ClassVar[type]
 
-    def made(self) -> object:
+    def instance(self) -> object:
         """Return an instance of the declaration."""
-        return self._made(self.declaration)
+        return self._instance_of(self.declaration)
 
-    def _made(self, declaration: type) -> object:
+    def _instance_of(self, declaration: type) -> object:
         values: dict[str, object] = {}
         for name, attribute, declared in entries_of(declaration):
             if not name and isinstance(declared, Part):
-                values[attribute] = self._made(declared.declaration)
+                values[attribute] = self._instance_of(declared.declaration)
                 continue
             value = getattr(self, _field_of(name))
             values[attribute] = attribute_of(declared, value) if isinstance(declared, Setting) else value
@@ -95,21 +95,21 @@ def model_of(declaration: type, tag: str = "") -> type[Model]:
 
 def _fields_of(declaration: type) -> dict[str, Any]:
     """Return the fields of a declaration's model by name, each with its type."""
-    found: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for name, _, declared in entries_of(declaration):
         if isinstance(declared, Part):
             inner = declared.declaration
             if name:
                 annotation: Any = Annotated[inner, Declared()]
-                found[_field_of(name)] = (annotation, declared_field(inner, declared.description, alias=name))
+                fields[_field_of(name)] = (annotation, declared_field(inner, declared.description, alias=name))
             else:
-                found |= _fields_of(inner)
+                fields |= _fields_of(inner)
             continue
         assert isinstance(declared, Setting)  # noqa: S101 - a file cannot select anything else
         default = ... if declared.required else None if declared.unset is not None else declared.parameter.default
         content = described_field(declared.in_file, default=default, alias=name)
-        found[_field_of(name)] = (_type_of(declared), content)
-    return found
+        fields[_field_of(name)] = (_type_of(declared), content)
+    return fields
 
 
 def described_field(declared: Parameter, **options: Any) -> Any:
@@ -141,7 +141,7 @@ def unit_at(content: Any, path: str) -> str:
         elif isinstance(content, tuple):
             content = content[int(name)] if name.isdigit() and int(name) < len(content) else None
         elif is_dataclass(content) and not isinstance(content, type):
-            entry = next((each for each in entries_of(type(content)) if each.name == name), None)
+            entry = next((entry for entry in entries_of(type(content)) if entry.name == name), None)
             if entry is None:
                 return ""
             unit = entry.declared.parameter.unit if isinstance(entry.declared, Setting) else ""
@@ -211,8 +211,8 @@ def like(declaration: type, attribute: str, *, required: bool = False) -> Any:
 
 def _type_of(declared: Setting) -> Any:
     """Return the type of a setting in a file."""
-    found = _of_parameter(declared.in_file, whole_nanoseconds=declared.whole_nanoseconds, names=declared.names)
-    return found if declared.unset is None else found | None
+    annotation = _of_parameter(declared.in_file, whole_nanoseconds=declared.whole_nanoseconds, names=declared.names)
+    return annotation if declared.unset is None else annotation | None
 
 
 def _of_parameter(setting: Parameter, **more: Any) -> Any:
@@ -228,8 +228,8 @@ def _of_parameter(setting: Parameter, **more: Any) -> Any:
     if not default:
         return annotated[array[item, ...], BeforeValidator(as_tuple(None))]
     # An empty ROS parameter counts as not given, so the node would use its default.
-    found = annotated[array[item, ...], AfterValidator(_not_empty), BeforeValidator(as_tuple(None))]
-    return annotated[found, OrNumber()] if len(default) == 1 and isinstance(default[0], float) else found
+    values = annotated[array[item, ...], AfterValidator(_not_empty), BeforeValidator(as_tuple(None))]
+    return annotated[values, OrNumber()] if len(default) == 1 and isinstance(default[0], float) else values
 
 
 def _scalar(

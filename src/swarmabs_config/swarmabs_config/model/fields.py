@@ -68,12 +68,12 @@ def raise_findings(findings: Sequence[Finding]) -> None:
         raise as_error(*findings)
 
 
-def nearest(name: str, known: Sequence[str]) -> str:
-    """Return a remedy: the known name nearest to `name`, or all known names if none is near."""
-    close = get_close_matches(shorten(name), known, n=1, cutoff=0.6)
+def nearest(name: str, names: Sequence[str]) -> str:
+    """Return a remedy: the name nearest to `name`, or all names if none is near."""
+    close = get_close_matches(shorten(name), names, n=1, cutoff=0.6)
     if close:
         return f"did you mean '{close[0]}'?"
-    return f"known: {', '.join(known)}"
+    return f"known: {', '.join(names)}"
 
 
 class Model(BaseModel):
@@ -81,7 +81,7 @@ class Model(BaseModel):
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
-    def made(self) -> object:
+    def instance(self) -> object:
         """Return the object that this model describes: itself, unless it is derived from a declaration."""
         return self
 
@@ -107,15 +107,15 @@ class Model(BaseModel):
         # Unknown keys before missing ones, so that a misspelt required key is reported as misspelt.
         if not isinstance(data, Mapping):
             return data
-        known = set(cls.key_names())
-        unknown = [key for key, value in data.items() if key not in known and not cls.tolerates(key, value)]
+        own = set(cls.key_names())
+        unknown = [key for key, value in data.items() if key not in own and not cls.tolerates(key, value)]
         raise_findings([Finding((str(key),), cls.unknown_key(str(key))) for key in unknown])
         required = {field.alias or name: field for name, field in cls.model_fields.items() if field.is_required()}
         missing = {key: field.description for key, field in required.items() if key not in data}
         raise_findings(
             [Finding.of((key,), f"'{key}' is missing", f"add '{key}: ...' ({what})") for key, what in missing.items()],
         )
-        return {key: value for key, value in data.items() if key in known}
+        return {key: value for key, value in data.items() if key in own}
 
 
 def schema_of(model: type[Model], title: str) -> dict[str, object]:
@@ -258,8 +258,8 @@ class OrNumber:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Allow the items of the list in its place."""
-        found = handler(schema)
-        return {"anyOf": [found, found["items"]]}
+        array = handler(schema)
+        return {"anyOf": [array, array["items"]]}
 
 
 AsTuple = BeforeValidator(as_tuple(None))
@@ -307,14 +307,14 @@ class Tagged:
         name = value.get(self.tag, self.default)
         model = self._find(name)
         if model is not None:
-            return model.model_validate(value).made()
-        known = list(self.registry)
+            return model.model_validate(value).instance()
+        names = list(self.registry)
         if name is None and self.tag not in value:
-            raise problem(f"'{self.tag}' is missing", f"add '{self.tag}: ...', one of {', '.join(known) or 'none'}")
+            raise problem(f"'{self.tag}' is missing", f"add '{self.tag}: ...', one of {', '.join(names) or 'none'}")
         text = show(name) if isinstance(name, str) else f"({describe(name)})"
         install = "install the package that provides it"
         given = name if isinstance(name, str) else ""
-        remedy = self.retired.get(given) or (nearest(given, known) if known else install)
+        remedy = self.retired.get(given) or (nearest(given, names) if names else install)
         error = Finding.of((self.tag,), f"unknown {self.tag} {text}", remedy)
         raise as_error(error)
 

@@ -61,9 +61,9 @@ FaultT = TypeVar("FaultT", bound=Fault)
 
 
 DEFAULT_OBSERVER = "sum"
-OBSERVERS = {each.type: model_of(each, tag="type") for each in (SumObserver, ParentResponse)}
+OBSERVERS = {observer.type: model_of(observer, tag="type") for observer in (SumObserver, ParentResponse)}
 """The model of each ``observer.type``."""
-FAULT_KINDS = {kind: model_of(each, tag="kind") for kind, each in FAULTS.items()}  # type: ignore[arg-type]  # classes are hashable
+FAULT_KINDS = {kind: model_of(fault, tag="kind") for kind, fault in FAULTS.items()}  # type: ignore[arg-type]  # classes are hashable
 """The model of each ``kind`` of fault."""
 RETIRED_FAULTS = dict.fromkeys(
     ("kill_node", "freeze_node"),
@@ -71,7 +71,7 @@ RETIRED_FAULTS = dict.fromkeys(
 )
 """The remedy for each ``kind`` of fault that no longer exists."""
 _SYSTEM_FAULT_KINDS = {**FAULT_KINDS, REFERENCE: model_of(SystemReferenceFault, tag="kind")}
-_FAULT, _SYSTEM_FAULT = (Tagged("kind", each, retired=RETIRED_FAULTS) for each in (FAULT_KINDS, _SYSTEM_FAULT_KINDS))
+_FAULT, _SYSTEM_FAULT = (Tagged("kind", kinds, retired=RETIRED_FAULTS) for kinds in (FAULT_KINDS, _SYSTEM_FAULT_KINDS))
 
 
 def is_name(text: str) -> bool:

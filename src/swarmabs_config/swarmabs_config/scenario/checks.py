@@ -81,10 +81,9 @@ def _system(scenario: "SystemScenario") -> Iterator[Finding]:
     later = {agent.id for agent in scenario.agents} - present
     listed, gains, requests = scenario.swarm.agents, scenario.swarm.gains, scenario.requests
     robots = scenario.agents if listed is None else listed
-    for found in problems_of(
+    for where, problem, remedy in problems_of(
         scenario.named, robots, gains, scenario.period, later=later, requests=requests, sensor=scenario.sensor
     ):
-        where, problem, remedy = found
         generated = listed is None and where[:2] == ("swarm", "agents")
         yield Finding.of(("swarm", "generate") if generated else where, problem, remedy)
 
@@ -200,15 +199,17 @@ def _rounded_up(value: float) -> float:
 
 def _constructed(scenario: "PlaneScenario") -> Iterator[Finding]:
     """Construct the controller and any law of an installed package, so that settings they reject fail here."""
-    made: list[tuple[Location, Callable[[], object]]] = []
-    made.append((("controller",), partial(configure.parent_controller, scenario)))
+    constructors: list[tuple[Location, Callable[[], object]]] = []
+    constructors.append((("controller",), partial(configure.parent_controller, scenario)))
     if scenario.swarm.law.type not in LAWS.built_in:
-        made += [(("swarm", "law"), partial(behaviours.Agent, config)) for config in configure.agent_configs(scenario)]
-    for location, make in made:
+        constructors += [
+            (("swarm", "law"), partial(behaviours.Agent, config)) for config in configure.agent_configs(scenario)
+        ]
+    for location, construct in constructors:
         try:
-            make()
+            construct()
         except SettingError as error:
-            parts = (int(each) if each.isdigit() else each for each in error.name.split("."))
+            parts = (int(part) if part.isdigit() else part for part in error.name.split("."))
             yield Finding.of((*location, *parts), error.problem, error.remedy)
             return
         except InputError as error:

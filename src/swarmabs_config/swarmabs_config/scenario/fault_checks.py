@@ -115,7 +115,7 @@ def _second(span: _Span, others: list[_Span], ids: set[int]) -> Iterator[Finding
         both = span.robots & other.robots
         if isinstance(span.fault, SettingFault):
             # One without an end holds until the next; one with an end must be over by then.
-            earlier, later = sorted((span, other), key=lambda each: each.first)
+            earlier, later = sorted((span, other), key=lambda fault_span: fault_span.first)
             if earlier.first == later.first or later.first < earlier.end < math.inf:
                 problem, remedy = f"a second {kind} at the same time", "end one before the other begins"
                 yield Finding.of(span.here, problem, remedy, see=other.here)
@@ -171,5 +171,5 @@ def _unknown_robot(where: Location, agent: int, ids: Iterable[int]) -> Finding:
     return Finding.of(where, f"there is no robot {agent}", f"name an existing one, e.g. {near}")
 
 
-def _distance(wanted: int, known: int) -> tuple[int, int]:
-    return abs(known - wanted), known
+def _distance(wanted: int, agent_id: int) -> tuple[int, int]:
+    return abs(agent_id - wanted), agent_id

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from swarmabs_config.model.scenario import Scenario
 
-_SETTINGS = {kind: each for kind, each in FAULTS.items() if issubclass(each, SettingFault)}
-_ENDING = {kind: each for kind, each in FAULTS.items() if issubclass(each, MembershipFault)}
+_SETTINGS = {kind: fault for kind, fault in FAULTS.items() if issubclass(fault, SettingFault)}
+_ENDING = {kind: fault for kind, fault in FAULTS.items() if issubclass(fault, MembershipFault)}
 _ENDS = {
     EventCode.KILLED: ChangeKind.KILL,
     EventCode.FROZEN: ChangeKind.FREEZE,

@@ -111,10 +111,10 @@ class Node:
     def override(self) -> Mark | None:
         """Return the position of the last override in this value; overrides have no line."""
         parts = self.value if isinstance(self.value, tuple) else [entry.node for entry in self.entries.values()]
-        found = self.mark if self.mark.line is None else None
+        last = self.mark if self.mark.line is None else None
         for part in parts:
-            found = part.override() or found
-        return found
+            last = part.override() or last
+        return last
 
 
 @dataclass(frozen=True, slots=True)
