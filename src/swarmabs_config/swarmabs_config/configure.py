@@ -165,10 +165,10 @@ class _PlaneNodes:
     def observer(self) -> ObserverConfig:
         return gathered(ObserverConfig, *declared(self._scenario), type=self._scenario.observer.type)
 
-    def parent(self, **own: Any) -> PlaneConfig:
+    def parent(self, **own: object) -> PlaneConfig:
         return gathered(PlaneConfig, *declared(self._scenario), **own)
 
-    def controller(self, **own: Any) -> ControllerConfig:
+    def controller(self, **own: object) -> ControllerConfig:
         return gathered(ControllerConfig, *declared(self._scenario), **own)
 
     def agents(self) -> Iterator[AgentConfig]:
@@ -182,7 +182,7 @@ class _SystemNodes:
     def __init__(self, scenario: SystemScenario) -> None:
         self._scenario = scenario
         self._named = scenario.named
-        self._selected: dict[str, Any] = {"system": self._named.type, "system_settings": self._named.settings}
+        self._selected: dict[str, object] = {"system": self._named.type, "system_settings": self._named.settings}
 
     @property
     def plugins(self) -> Plugins:
@@ -205,11 +205,11 @@ class _SystemNodes:
         curvature = forces and scenario.swarm.force_law == "second_order"
         return gathered(SystemObserverConfig, _run(scenario), **self._selected, curvature=curvature)
 
-    def parent(self, **own: Any) -> SystemParentConfig:
+    def parent(self, **own: object) -> SystemParentConfig:
         scenario = self._scenario
         return gathered(SystemParentConfig, _run(scenario), scenario.sensor, **self._selected, **own)
 
-    def controller(self, **own: Any) -> SystemControllerConfig:
+    def controller(self, **own: object) -> SystemControllerConfig:
         scenario = self._scenario
         swarm = scenario.swarm.gains, scenario.requests
         return gathered(SystemControllerConfig, _run(scenario), *swarm, **self._selected, **own)
@@ -329,7 +329,7 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig | SystemAgentConfig, 
     )
 
 
-def swarm_law(scenario: PlaneScenario) -> dict[str, Any]:
+def swarm_law(scenario: PlaneScenario) -> dict[str, object]:
     """Return the fields of a robot's configuration that select its control law."""
     return {"law": scenario.swarm.law.type, "law_settings": settings_of(scenario.swarm.law)}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from datetime import datetime, timedelta, timezone
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
@@ -52,7 +52,7 @@ class UncheckedFleet(Model):
         default=DEFAULT,
         description="built-in scenario, or a file relative to this one: plane, controller, gains, real-time limits",
     )
-    settings: dict[DottedPath, Any] = Field(
+    settings: dict[DottedPath, object] = Field(
         default={}, alias="set", description="overrides of the scenario's values, by dotted path"
     )
     hosts: Annotated[tuple[Host, ...], AsTuple] = Field(description="computers of the fleet")

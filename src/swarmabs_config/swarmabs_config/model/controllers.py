@@ -198,7 +198,7 @@ ModelT = TypeVar("ModelT", bound=Model)
 def derived(part: Part[Any, Any], base: type[ModelT]) -> type[ModelT]:
     """Return the model of a part's settings: dotted names become nested mappings, `TRAJECTORY` a trajectory."""
     settings = part.settings
-    last: dict[str, Any] = {}
+    last: dict[str, object] = {}
     if base is ControllerConfig and set(TRAJECTORY) <= set(settings):
         settings = tuple(setting for setting in settings if setting not in TRAJECTORY)
         if part.name in CONTROLLERS.built_in:  # the canonical text ends with the trajectory

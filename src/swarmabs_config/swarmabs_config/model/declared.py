@@ -11,7 +11,7 @@ from inspect import cleandoc
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, Field, GetCoreSchemaHandler, create_model
+from pydantic import AfterValidator, BeforeValidator, Field, GetCoreSchemaHandler, JsonValue, create_model
 from pydantic_core import CoreSchema, core_schema
 
 from swarmabs_core.declaration import LONGEST_TIME, Part, Setting, attribute_of, entries_of, setting_of, tree_of
@@ -122,11 +122,11 @@ def measured(default: object, description: str, unit: str) -> Any:
     return described_field(Parameter("", "", description, unit=unit), default=default)
 
 
-def _with_unit(unit: str) -> Any:
+def _with_unit(unit: str) -> dict[str, JsonValue] | None:
     return {_UNIT: unit} if unit else None
 
 
-def unit_at(content: Any, path: str) -> str:
+def unit_at(content: object, path: str) -> str:
     """Return the unit of the number at a dotted path of a scenario; empty if it has none, several, or is missing."""
     unit = ""
     for name in path.split("."):

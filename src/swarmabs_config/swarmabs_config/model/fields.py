@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
 from difflib import get_close_matches
 from fractions import Fraction
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 from pydantic import (
     AfterValidator,
@@ -211,7 +211,7 @@ Name: TypeAlias = Annotated[
 ]
 """A fleet or a host."""
 
-TEXTS: dict[str, Any] = {"name": Name, "topic": TopicName, "frame": FrameName}
+TEXTS: dict[str, object] = {"name": Name, "topic": TopicName, "frame": FrameName}
 """Type of a setting by what its text names."""
 
 SCHEMA_VERSION = 1

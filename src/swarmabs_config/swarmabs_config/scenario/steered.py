@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import yaml
 
@@ -87,7 +87,7 @@ def as_planned(
 
 def _planned(
     scenario: Scenario, settings: dict[str, dict[int, float]], joined: dict[int, int], ended: dict[int, Change]
-) -> list[dict[str, Any]] | None:
+) -> list[dict[str, object]] | None:
     """Return the faults of the scenario and of the steering; None if nothing was steered."""
 
     def at(step: int) -> float:
