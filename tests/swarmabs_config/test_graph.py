@@ -1,6 +1,6 @@
 """The graph agrees with what nodes know of each other."""
 
-from swarmabs_config.graph import CONTROLLER, GRAPH, LOCKSTEP, OBSERVER, PLANE_DRIVER
+from swarmabs_config.graph import CONTROLLER, GRAPH, LOCKSTEP, OBSERVER, PLANE_DRIVER, Option, services
 from swarmabs_core.messages import FAMILIES
 from swarmabs_core.nodes import NodeKind
 from swarmabs_core.publishers import PUBLISHER
@@ -16,3 +16,12 @@ def test_each_topic_with_one_publisher_has_it_in_the_graph() -> None:
         if topic in PUBLISHER
     }
     assert found == {topic: {node.kind} for topic, node in PUBLISHER.items()}
+
+
+def test_a_standby_offers_services_under_names_that_its_primary_does_not_have() -> None:
+    assert services(CONTROLLER) == ("swarm/stop", "swarm/reset", "~/release")
+    assert services(CONTROLLER, frozenset({Option.STANDBY})) == (
+        "standby/swarm/stop",
+        "standby/swarm/reset",
+        "~/release",
+    )

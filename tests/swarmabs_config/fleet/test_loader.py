@@ -145,6 +145,7 @@ FIELDS = [
     (SINGLE, TOPICS + "topic: 'a b'}", "robots.0.drive.topic: 'a b' is"),
     (SINGLE, TOPICS + "command_topic: 5}", "robots.0.drive.command_topic:"),
     (SINGLE, TOPICS + "command_topic: agent_002/state}", "robots.0.drive.command_topic: agent_002/state is a topic of"),
+    (SINGLE, TOPICS + "topic: standby/swarm/standing}", "robots.0.drive.topic: standby/swarm/standing is a topic"),
     (DOUBLE, TOPICS + "topic: /swarm/removals}", "robots.1.drive.topic: /swarm/removals is a topic of the swarm"),
     ("plane: {host", "plane: {type: driver, topic: plane/state, host", "coordinators.plane.topic: plane/state is a"),
     (DOUBLE, TOPICS + "gravity: imu, imu: {topic: /a-b}}", "robots.1.drive.imu.topic: '/a-b'"),
@@ -250,6 +251,11 @@ IDLE = "  - {name: idle, address: 192.168.10.99, interface: eth0}\nrobots:"
 def test_what_is_doubtful_is_said(fleet: str, change: tuple[str, str], warnings: list[str], tmp_path: Path) -> None:
     found = load_fleet(edited(tmp_path / "fleet.yaml", fleet, change)).fleet.warnings()
     assert [words in text for text, words in zip(found, warnings, strict=True)] == [True] * len(warnings)
+
+
+def test_the_mass_of_a_swarm_may_be_that_of_its_robots(tmp_path: Path) -> None:
+    loaded = load_fleet(edited(tmp_path / "f.yaml", ONE_HOST, ("robots:", "swarm_mass: 0.9\nrobots:")))
+    assert loaded.fleet.swarm_mass == sum(robot.mass for robot in loaded.fleet.robots) == 0.9
 
 
 def test_certificates_exclude_a_discovery_server(tmp_path: Path) -> None:

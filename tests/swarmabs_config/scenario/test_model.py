@@ -70,7 +70,7 @@ def test_time_is_exact_and_the_step_of_a_fault_the_nearest_and_the_even_one_of_t
         scenario = PlaneScenario(schema=1, swarm=Swarm(agents=PAPER), duration=duration, step=step)
         assert (scenario.duration_ns, scenario.step_ns, scenario.steps) == (duration_ns, step_ns, steps)
         assert scenario.period == step_ns / 1e9
-    of_faults = {0.0: 0, 0.005: 0, 0.015: 2, 0.025: 2, 0.0150000001: 2, 0.0149999999: 1, 5.0: 500}
+    of_faults = {0.0: 0, 0.005: 0, 0.015: 2, 0.025: 2, 0.0150000001: 2, 0.0149999999: 1, 1.015: 102, 5.0: 500}
     scenario = PlaneScenario(schema=1, swarm=Swarm(agents=PAPER))
     assert {at: scenario.fault_step(at) for at in of_faults} == of_faults
 

@@ -47,6 +47,7 @@ def parse(*overrides: str, text: str = TEXT) -> Scenario:
         (["plane.angle=0.2", "plane={}"], "plane.angle", 0.1),
         (["plane.disturbance.amplitude=0.2"], "plane.disturbance.amplitude", 0.2),
         (["limits={force: 3}", "limits.velocity=2"], "limits.velocity", 2.0),
+        (["plane.angle=0.2", "plane.end_stop=0.2"], "plane.end_stop", 0.2),
         (["plane.friction.5=2"], "plane.friction", (0.01, 1000.0, 700.0, 0.02, 1000.0, 2.0)),
         (["swarm.gains.kd.1=9"], "swarm.gains.kd", (5.0, 9.0)),
         # Another controller drops the keys of the file's; those that overrides have set stay.
@@ -121,6 +122,7 @@ def test_errors_name_the_override(override: str, expected: str) -> None:
 
 
 SET = "--set controller."
+AT_ONE_POINT = ["swarm.agents.0.position=0.3", "swarm.agents.1.position=0.3"]
 
 
 @pytest.mark.parametrize(
@@ -128,6 +130,7 @@ SET = "--set controller."
     [
         (TEXT, ["name=a\nb: c"], r"--set name=a\nb: c: not valid YAML: mapping values are not allowed"),
         (GENERATED, ["swarm.agents.0.mass=1"], "--set swarm.agents.0.mass=1: swarm.agents: the robots are generated"),
+        (TEXT, AT_ONE_POINT, f"--set {AT_ONE_POINT[-1]}: swarm.agents: all robots are at one point"),
         (TEXT, ["controller.type=x", "controller.q.0=1"], f"{SET}q.0=1: controller.q: it is not a list; set"),
         (GENERATED + "controller: pd\n", ["controller.type=lqr"], f"{SET}type=lqr: controller: it is the t"),
         (TEXT.replace("gains:", "gain:"), ["controller.type=pd", "plane.angle=1"], "f:5: controller.gain: unknown key"),
