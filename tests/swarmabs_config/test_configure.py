@@ -128,6 +128,11 @@ def test_a_large_swarm_is_fewer_steps_ahead_of_its_recorder() -> None:
         assert configure.recording_window(builtin("arise_het_200", *halves)) == window
 
 
+@pytest.mark.parametrize(("step", "steps"), [(0.01, 200), (0.03, 67)])
+def test_the_observer_divides_the_state_until_a_change_has_settled(step: float, steps: int) -> None:
+    assert configure.division(builtin("pd_het_4", f"step={step}")) == steps
+
+
 def test_the_theory_is_given_the_largest_delay_and_the_bound_of_the_angle() -> None:
     plain, late = (
         builtin("pd_het_4", f"faults=[{faults}]", "step=0.02")

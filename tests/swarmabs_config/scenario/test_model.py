@@ -103,6 +103,10 @@ def test_generated_robots_are_frozen_for_all_time() -> None:
     )
 
 
+def test_as_many_robots_as_there_are_ids_can_be_generated() -> None:
+    assert Generate(single_integrator=65535).single_integrator == 65535
+
+
 def test_generated_robots_have_the_inertia_of_the_papers_four_and_depend_on_the_seed_only() -> None:
     generate = Generate(single_integrator=100, double_integrator=100, seed=3)
     agents, state = generate.agents(), random.getstate()
