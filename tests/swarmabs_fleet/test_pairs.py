@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from math import inf, isfinite
 
 import pytest
 from tests.swarmabs_fleet.fleets import EXAMPLES
@@ -30,9 +31,11 @@ class Nodes(OperatorClient):
     takes_over: bool = True
     left: dict[str, str] = field(default_factory=dict)
     called: list[str] = field(default_factory=list)
+    repeats: bool = False
 
-    def call_each(self, services: Sequence[str], patience: float) -> dict[str, str]:
+    def call_each(self, services: Sequence[str], patience: float, *, interval: float = inf) -> dict[str, str]:
         self.called += services
+        self.repeats = isfinite(interval)
         return {name: "" if self.doing[SERVICES[name]] else f"{name} was not found" for name in services}
 
     def call(self, service: str, patience: float) -> None:
@@ -73,6 +76,7 @@ def test_a_stop_needs_either_controller_and_a_reset_the_one_that_leads(primary: 
                 with pytest.raises(RunError, match=f"{dead[0]}{name} was not found"):
                     command(swarm, nodes, 0.0)
             assert nodes.called == [f"swarm/{name}", f"standby/swarm/{name}"]
+            assert nodes.repeats == (name == "stop"), "a repeated reset could undo a later stop"
     with target(EXAMPLES["lan"]) as swarm:
         nodes = Nodes({PRIMARY: "alone"})
         assert pairs.stop(swarm, nodes, 0.0) == []

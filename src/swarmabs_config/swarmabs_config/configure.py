@@ -10,7 +10,7 @@ from swarmabs_config import graph
 from swarmabs_config.graph import Option
 from swarmabs_config.model.controllers import settings_of
 from swarmabs_config.model.fields import LARGEST
-from swarmabs_config.model.scenario import PlaneScenario, Scenario, SystemScenario
+from swarmabs_config.model.scenario import PlaneScenario, SystemScenario
 from swarmabs_core.controllers import CONTROLLERS, OffsetController, ParentLaw
 from swarmabs_core.declaration import gathered
 from swarmabs_core.faults import (
