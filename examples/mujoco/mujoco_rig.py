@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from math import atan2, cos, pi, sin, tanh
+from math import atan2, cos, pi, sin
 from random import Random
+from typing import NamedTuple
 
 import mujoco
-import numpy as np
-from interface import WATCHDOG, Reading, Readings
-from mujoco_world import Chassis, Physics, Plank, build
+from mujoco_world import WHEEL_RADIUS, Chassis, Friction, Physics, Plank, build, drag
 
+WATCHDOG = 0.2
+"""Time without a command after which a base stops by itself, s."""
 _BRAKING_TIME = 0.1
 """Time in which the brake of a base that is driven by force stops it, s."""
 _HEADING_GAIN, _LANE_GAIN = 6.0, 40.0
 """Gains with which a base keeps its lane: of the heading, 1/s, and of the distance from the lane's middle, rad/m^2."""
-
-Friction = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -39,6 +38,34 @@ class Faults:
     tilt_noise: float = 0.0
     tilt_offset: float = 0.0
     delay: float = 0.0
+
+
+class Reading(NamedTuple):
+    """Measurement of a robot: position (m) and velocity (m/s) along its lane."""
+
+    position: float
+    velocity: float
+
+
+class Readings(NamedTuple):
+    """Measurements of all sensors.
+
+    Attributes
+    ----------
+    age : float
+        Time since they were measured, s.
+    encoder : float
+        Angle by the encoder on the plane's axis, rad.
+    tilt : tuple of float
+        Angle, rad, and angular velocity, rad/s, by the robots' IMUs.
+    robots : dict
+        Measurements of the robots by id.
+    """
+
+    age: float
+    encoder: float
+    tilt: tuple[float, float]
+    robots: dict[int, Reading]
 
 
 class MujocoRig:
@@ -129,7 +156,6 @@ class MujocoRig:
             robots[robot] = Reading(
                 position + draw(0.0, faults.position_noise),
                 velocity + draw(0.0, faults.velocity_noise),
-                body.turned(self.data),
             )
         encoder = self.angle + faults.tilt_offset + draw(0.0, faults.tilt_noise)
         return Readings(0.0, encoder, (self.angle + draw(0.0, faults.tilt_noise), self.rate), robots)
@@ -144,14 +170,10 @@ class MujocoRig:
             for body in self._bodies.values():
                 body.drive(self.data, self.angle, self.rate)
             place, velocity = self._tilt
-            self.data.qfrc_applied[velocity] = -self._drag(self.rate)
+            self.data.qfrc_applied[velocity] = -drag(self._friction, self.rate)
             mujoco.mj_step(self.model, self.data)
             if self.held:
                 self.data.qpos[place], self.data.qvel[velocity] = self._start, 0.0
-
-    def _drag(self, rate: float) -> float:
-        g1, g2, g3, g4, g5, g6 = self._friction
-        return g1 * (tanh(g2 * rate) - tanh(g3 * rate)) + g4 * tanh(g5 * rate) + g6 * rate
 
 
 class _Body:
@@ -167,7 +189,6 @@ class _Body:
         motors = [model.actuator(n) for n in range(model.nu)]
         mine = [motor for motor in motors if motor.name.startswith(f"motor_{robot.id}_")]
         self._motors = [(motor.id, sides[motor.name.split("_")[2]]) for motor in mine]
-        self._axles = [model.joint(motor.name.replace("motor", "axle")).qposadr[0] for motor in mine]
         self._gravity = -float(model.opt.gravity[2])
         self._half_track = abs(float(model.body(f"wheel_{mine[0].name.removeprefix('motor_')}").pos[1]))
         self.commanded = -WATCHDOG, 0.0
@@ -178,10 +199,6 @@ class _Body:
         x, _, z = data.qpos[self._place : self._place + 3]
         vx, _, vz = data.qvel[self._velocity : self._velocity + 3]
         return float(c * x + s * z), float(c * vx + s * vz + rate * (-s * x + c * z))
-
-    def turned(self, data: mujoco.MjData) -> float:
-        """Return the mean turn of the wheels, rad."""
-        return float(np.mean([data.qpos[axle] for axle in self._axles]))
 
     def drive(self, data: mujoco.MjData, angle: float, rate: float) -> None:
         """Set the motors for the present command, and keep to the lane."""
@@ -196,9 +213,9 @@ class _Body:
             if robot.forced:
                 # Damping belongs to the robot of the paper: m v' = u - c v.
                 force = command - robot.damping * robot.facing * speed
-                data.ctrl[motor] = robot.wheel_radius * force / len(self._motors) + side * _STEERING * turning
+                data.ctrl[motor] = WHEEL_RADIUS * force / len(self._motors) + side * _STEERING * turning
             else:
-                data.ctrl[motor] = (command + side * self._half_track * turning) / robot.wheel_radius
+                data.ctrl[motor] = (command + side * self._half_track * turning) / WHEEL_RADIUS
 
     def _turning(self, data: mujoco.MjData, forward_speed: float) -> float:
         """Return the rate of turning, rad/s, that leads back to the middle of the lane."""

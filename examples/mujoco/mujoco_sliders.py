@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from math import tanh
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from mujoco_world import Chassis, Physics, Plank, build
+from mujoco_world import Chassis, Friction, Physics, Plank, build, drag
 
 if TYPE_CHECKING:
-    from mujoco_rig import Friction
     from numpy.typing import NDArray
 
 Cubic = tuple[float, float, float, float]
@@ -75,9 +73,9 @@ class Sliders:
             t = data.time - self._begin
             acceleration = 2.0 * self._paths[2] + 6.0 * t * self._paths[3]
             mass, bias = self._mass(data), data.qfrc_bias
-            drag = self._drag(float(data.qvel[0]))
-            turning = (-drag - bias[0] - mass[0, 1:] @ acceleration) / mass[0, 0]
-            data.qfrc_applied[0] = -drag
+            friction = drag(self._friction, float(data.qvel[0]))
+            turning = (-friction - bias[0] - mass[0, 1:] @ acceleration) / mass[0, 0]
+            data.qfrc_applied[0] = -friction
             data.qfrc_applied[1:] = mass[1:, 0] * turning + mass[1:, 1:] @ acceleration + bias[1:]
 
         mujoco.set_mjcb_control(control)
@@ -85,7 +83,3 @@ class Sliders:
             yield
         finally:
             mujoco.set_mjcb_control(None)
-
-    def _drag(self, rate: float) -> float:
-        g1, g2, g3, g4, g5, g6 = self._friction
-        return g1 * (tanh(g2 * rate) - tanh(g3 * rate)) + g4 * tanh(g5 * rate) + g6 * rate

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from random import Random
 from typing import NamedTuple, get_args
 
-from interface import Robot
 from mujoco_rig import Faults, MujocoRig
-from mujoco_world import Base, Chassis, Physics, Plank
+from mujoco_world import Base, Chassis, Physics, Plank, Robot
 from virtual_swarm import State, Swarm
 
 from swarmabs_config import configure
@@ -85,9 +84,8 @@ def prepare(scenario: PlaneScenario, setup: Setup, seed: int) -> tuple[Swarm, Mu
     bodies = []
     for agent in scenario.agents:
         facing = -1.0 if agent.id % 3 == 0 else 1.0
-        robot = Robot(
-            agent.id, agent.kind, agent.mass, agent.damping, agent.position, facing, "localisation", WHEEL_RADIUS
-        )
+        forced = agent.kind == "double_integrator"
+        robot = Robot(agent.id, forced, agent.mass, agent.damping, agent.position, facing)
         true_mass = agent.mass * (1.0 + draw(-setup.mass_error, setup.mass_error))
         bodies.append(Chassis(robot, true_mass, setup.height, setup.base))
     plane = scenario.plane
@@ -102,10 +100,6 @@ def prepare(scenario: PlaneScenario, setup: Setup, seed: int) -> tuple[Swarm, Mu
         seed,
     )
     return Swarm(scenario, rig), rig
-
-
-WHEEL_RADIUS = 0.02
-"""Of all robots, m."""
 
 
 def run(scenario: PlaneScenario, setup: Setup, seed: int) -> Result:

@@ -7,17 +7,16 @@ hinge is positive where the side of positive x is up, as in swarmabs.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, pi, sin
+from math import cos, pi, sin, tanh
 from typing import Any, Literal
 
 import mujoco
 import numpy as np
-from interface import Robot
 
 Base = Literal["slider", "differential", "rover"]
 
-WHEEL_WIDTH, WHEEL_MASS = 0.012, 0.01
-"""Width, m, and mass, kg, of a wheel."""
+WHEEL_RADIUS, WHEEL_WIDTH, WHEEL_MASS = 0.02, 0.012, 0.01
+"""Radius and width, m, and mass, kg, of a wheel."""
 AXLES, TRACK = 0.035, 0.036
 """Half of the distances of a rover's axles and of the wheels of an axle, m."""
 AXLE, BALL = 0.015, -0.04
@@ -28,6 +27,36 @@ LANE, THICKNESS, OVERHANG = 0.12, 0.01, 0.1
 """Width of a lane, thickness of the plank, and its length beyond the lanes' ends, m."""
 _BEARING = 1e-5
 """Damping (N m s/rad) and reflected inertia (kg m^2) of a wheel's motor."""
+
+
+Friction = tuple[float, float, float, float, float, float]
+"""g1 to g6 of the bearing."""
+
+
+@dataclass(frozen=True)
+class Robot:
+    """What the swarm, and the robot's own electronics, know of a robot.
+
+    Attributes
+    ----------
+    id : int
+        Its number in the swarm.
+    forced : bool
+        Whether its command is a force (double integrator), not a velocity.
+    mass, damping : float
+        Mass, kg, and viscous damping of its motion, N s/m.
+    position : float
+        Where it is put down on its lane, m.
+    facing : float
+        1 along the lane, -1 against it.
+    """
+
+    id: int
+    forced: bool
+    mass: float
+    damping: float
+    position: float
+    facing: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -94,6 +123,12 @@ def build(robots: tuple[Chassis, ...], plank: Plank, physics: Physics, angle: fl
         else:
             _wheeled(spec, chassis, across, physics, angle)
     return spec.compile()
+
+
+def drag(friction: Friction, rate: float) -> float:
+    """Return the friction torque of the bearing, N m, at an angular velocity, rad/s."""
+    g1, g2, g3, g4, g5, g6 = friction
+    return g1 * (tanh(g2 * rate) - tanh(g3 * rate)) + g4 * tanh(g5 * rate) + g6 * rate
 
 
 def _scenery(spec: Any, lanes: int) -> None:
@@ -172,20 +207,20 @@ def _slider(plank: Any, chassis: Chassis, across: float) -> None:
 
 
 def _wheeled(spec: Any, chassis: Chassis, across: float, physics: Physics, angle: float) -> None:
-    robot, radius = chassis.robot, chassis.robot.wheel_radius
+    robot = chassis.robot
     yaw = 0.0 if robot.facing > 0.0 else pi
     tilted = np.array([cos(angle / 2.0), 0.0, -sin(angle / 2.0), 0.0])
     turned = np.zeros(4)
     mujoco.mju_mulQuat(turned, tilted, np.array([cos(yaw / 2.0), 0.0, 0.0, sin(yaw / 2.0)]))
     place = np.zeros(3)
-    mujoco.mju_rotVecQuat(place, np.array([robot.position, across, radius]), tilted)
+    mujoco.mju_rotVecQuat(place, np.array([robot.position, across, WHEEL_RADIUS]), tilted)
     body = spec.worldbody.add_body(name=f"robot_{robot.id}", pos=place, quat=turned, explicitinertial=True)
     body.add_freejoint()
     ends = (-AXLES, AXLES) if chassis.base == "rover" else (AXLE,)
     wheels = 2 * len(ends)
     a, b, c = CHASSIS
     body.mass = chassis.mass - wheels * WHEEL_MASS
-    above = (chassis.height - radius) * chassis.mass / body.mass  # chassis above the axles
+    above = (chassis.height - WHEEL_RADIUS) * chassis.mass / body.mass  # chassis above the axles
     body.ipos = [0.0, 0.0, above]
     body.inertia = [body.mass / 12.0 * (x * x + y * y) for x, y in ((b, c), (a, c), (a, b))]
     box = mujoco.mjtGeom.mjGEOM_BOX
@@ -195,8 +230,8 @@ def _wheeled(spec: Any, chassis: Chassis, across: float, physics: Physics, angle
     if chassis.base == "differential":
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[radius / 2.0, 0.0, 0.0],
-            pos=[BALL, 0.0, -radius / 2.0],
+            size=[WHEEL_RADIUS / 2.0, 0.0, 0.0],
+            pos=[BALL, 0.0, -WHEEL_RADIUS / 2.0],
             friction=[0.01, 0.005, 0.0001],
             priority=1,
             **contact,
@@ -214,7 +249,7 @@ def _wheeled(spec: Any, chassis: Chassis, across: float, physics: Physics, angle
             )
             wheel.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-                size=[radius, WHEEL_WIDTH / 2.0, 0.0],
+                size=[WHEEL_RADIUS, WHEEL_WIDTH / 2.0, 0.0],
                 quat=[cos(pi / 4.0), sin(pi / 4.0), 0.0, 0.0],
                 mass=WHEEL_MASS,
                 friction=[physics.grip, 0.005, 0.0001],

@@ -16,8 +16,7 @@ from swarmabs_core.realtime.drives import Measurement
 from swarmabs_core.realtime.observer import RealtimeObserver
 
 if TYPE_CHECKING:
-    from interface import Readings
-    from mujoco_rig import MujocoRig
+    from mujoco_rig import MujocoRig, Readings
 
     from swarmabs_config.scenario import PlaneScenario
 

@@ -12,7 +12,7 @@ from tests.swarmabs_core.helpers import builtin
 from swarmabs_run.simulation import simulate
 
 FOLDER = ROOT / "examples" / "mujoco"
-NAMES = ("interface", "mujoco_world", "mujoco_rig", "mujoco_sliders", "virtual_swarm", "mujoco_trial")
+NAMES = ("mujoco_world", "mujoco_rig", "mujoco_sliders", "virtual_swarm", "mujoco_trial")
 
 
 @pytest.fixture
@@ -26,9 +26,8 @@ def example(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
 
 
 def robot_of(example: dict[str, Any], agent: Any) -> Any:
-    return example["interface"].Robot(
-        agent.id, agent.kind, agent.mass, agent.damping, agent.position, 1.0, "localisation", 0.02
-    )
+    forced = agent.kind == "double_integrator"
+    return example["mujoco_world"].Robot(agent.id, forced, agent.mass, agent.damping, agent.position)
 
 
 def test_sliders_move_the_plank_as_the_robots_of_the_paper_move_the_plane(example: dict[str, Any]) -> None:

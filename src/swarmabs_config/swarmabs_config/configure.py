@@ -239,7 +239,7 @@ class _SystemNodes:
 
 
 def _nodes(scenario: Scenario) -> _PlaneNodes | _SystemNodes:
-    """Return what configures the nodes of a scenario: the only place that asks for its parent system."""
+    """Return what configures the nodes of a scenario, by its parent system."""
     if isinstance(scenario, PlaneScenario):
         return _PlaneNodes(scenario)
     assert isinstance(scenario, SystemScenario)  # noqa: S101 - there are two kinds
