@@ -125,8 +125,7 @@ def scenario_of(named: str, overrides: Sequence[str] = ()) -> Scenario:
     """
     if names_bag(named):
         return attached_scenario(open_bag(Path(named), several=True), overrides)
-    scenario: Scenario = find_scenario(named, overrides)
-    return scenario
+    return find_scenario(named, overrides)
 
 
 def supply_scenario(bag: BagReader, named: str | None) -> None:

@@ -99,8 +99,7 @@ class Recorded:
     @property
     def scenario(self) -> Scenario:
         """The scenario of the run."""
-        scenario: Scenario = self.swarm.scenario
-        return scenario
+        return self.swarm.scenario
 
     @property
     def arrays(self) -> RunArrays | SystemArrays:

@@ -29,7 +29,7 @@ _DROPPED = "the proof treats the errors of both parts as independent and omits t
 _IMPLIED = {"ks, all terms at rest", "initial state"}
 """Conditions that cannot hold if the one on ks by friction alone does not."""
 _SAID_BY_THE_SCENARIO = {"inertia swing", "k1"}
-"""Conditions that `Scenario.warnings` already reports."""
+"""Conditions that `warnings_of` of a scenario already reports."""
 
 
 def check(setting: Setting) -> Report:
