@@ -156,7 +156,7 @@ class _Frames:
         """Return how long nothing needs to be done, s."""
         return max(self._waiting[0][0] - now, 0.0) if self._waiting else None
 
-    def read(self, number: int, now: float) -> None:
+    def read(self, number: int) -> None:
         """Take what has come by one cable."""
         for _ in range(_AT_ONCE):
             try:
@@ -165,7 +165,8 @@ class _Frames:
                 return
             self._dds_messages += b"RTPS" in frame
             self._learnt[frame[6:12]] = number
-            self._enter(number, "from", frame, now)
+            # Each frame has its own time: one that comes while others are taken is not delayed too little.
+            self._enter(number, "from", frame, time.monotonic())
 
     def release(self, now: float) -> None:
         """Move on all frames whose time has come."""
@@ -218,11 +219,10 @@ def main() -> None:
     while True:
         sockets = switch.sockets()
         ready, _, _ = select.select([0, *sockets], [], [], switch.patience(time.monotonic()))
-        now = time.monotonic()
         for descriptor in ready:
             if descriptor:
-                switch.read(sockets[descriptor], now)
-        switch.release(now)
+                switch.read(sockets[descriptor])
+        switch.release(time.monotonic())
         if 0 in ready:
             received = os.read(0, 65536)
             if not received:
