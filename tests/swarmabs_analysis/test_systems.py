@@ -7,7 +7,7 @@ import math
 import re
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,10 +43,11 @@ from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import TOPICS
+from swarmabs_core.messages import TOPICS, Kind
 from swarmabs_core.nodes import NodeName
 from swarmabs_core.systems.components import derived
 from swarmabs_core.systems.interface import SYSTEMS
+from swarmabs_core.systems.kinds import KINDS, RobotKind
 from swarmabs_run.simulated_run import simulate_run
 from swarmabs_run.simulation import simulate
 
@@ -528,6 +529,27 @@ def test_commands_are_shown_by_kind_with_their_units(beam: Path) -> None:
     (line,) = drawn(by_key["robots-command-position-2"])["u₃"]
     np.testing.assert_array_equal(line[:, 1], Read(beam).column("/swarm/robot_state", "command", 3)[:, 0])
     assert "commands of 1 double integrator: " in by_key["robots-command-position-2"].about
+
+
+def test_each_number_of_a_command_has_the_unit_that_its_kind_gives_it(
+    sheet: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Steered(RobotKind):
+        def command_units(self, units: Sequence[str]) -> tuple[str, ...]:
+            along, _ = units
+            return f"{along}/s", "rad/s"
+
+    monkeypatch.setitem(KINDS, Kind.SINGLE_INTEGRATOR, Steered())
+    labels = {}
+    for panel in panels(read_recorded(sheet)):
+        if panel.key.startswith("robots-command") and panel.key.endswith("-1"):
+            figure = Figure()
+            panel.draw(figure)
+            labels[panel.key] = figure.axes[0].get_ylabel()
+    assert labels == {
+        "robots-command-x-1": "command u along x, m/s",
+        "robots-command-y-1": "command u along y, rad/s",
+    }
 
 
 def test_a_limited_robot_and_a_dead_one_are_shown(beam: Path, tmp_path: Path) -> None:

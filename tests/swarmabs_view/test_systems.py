@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from io import StringIO
 from itertools import count
 from math import cos, nan, sin
@@ -39,6 +39,7 @@ from swarmabs_core.messages import (
     SystemDescription,
 )
 from swarmabs_core.systems.interface import SYSTEMS, NamedSystem, SystemTables
+from swarmabs_core.systems.kinds import KINDS, RobotKind
 from swarmabs_ros.endpoints import advertise
 from swarmabs_ros.start import SwarmNode, initialise
 from swarmabs_run.run import Progress
@@ -137,6 +138,26 @@ def test_kinds_of_robots_have_words_a_symbol_and_the_units_of_their_commands() -
         ("first_order_lag", "lag", "with lag", "diamond"),
     ]
     assert [kind.commands for kind in presenter.system.kinds] == [["m/s"] * 2, ["N"] * 2, ["m"] * 2]
+
+
+@pytest.mark.usefixtures("systems")
+def test_a_kind_of_robot_has_a_unit_for_each_number_of_its_command_on_systems_that_it_fits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Steered(RobotKind):
+        coordinates = ("m", "m")
+
+        def command_units(self, units: Sequence[str]) -> tuple[str, ...]:
+            along, _ = units
+            return f"{along}/s", "rad/s"
+
+    monkeypatch.setitem(KINDS, Kind.FIRST_ORDER_LAG, Steered())
+    units = {name: Presenter(SystemTables.read(NamedSystem(name).description)).system.kinds for name in SIZES}
+    assert {name: kinds[2].commands for name, kinds in units.items()} == {
+        "beam": [],
+        "sheet": ["m/s", "rad/s"],
+        "lift": [],
+    }
 
 
 def test_the_page_speaks_of_no_plane_before_it_knows_the_parent() -> None:

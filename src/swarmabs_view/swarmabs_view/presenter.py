@@ -208,13 +208,14 @@ def _rows(role: Literal["parent", "reference", "abstract", "desired", "robot"], 
 
 
 def _kind(kind: kinds.RobotKind, coordinates: Iterable[Quantity]) -> RobotKind:
+    units = [row.unit for row in coordinates]
     return RobotKind(
         name=word(kind.kind),
         words=kind.words,
         legend=kind.legend,
         colour=kind.colour,
         shape=kind.shape,
-        commands=[kind.command_unit(row.unit) for row in coordinates],
+        commands=[*kind.command_units(units)] if kind.fits(units) else [],
     )
 
 

@@ -55,7 +55,9 @@ class RobotKind(Part):
     legend: str
     colour: str = Field(description="red, green and blue as #rrggbb, on light ground")
     shape: Literal["circle", "square", "diamond"]
-    commands: list[str] = Field(description="units of a command, in the order of a robot's coordinates")
+    commands: list[str] = Field(
+        description="units of a command, in the order of a robot's coordinates; empty if the kind does not fit them"
+    )
 
 
 class System(Part):

@@ -13,6 +13,7 @@ from swarmabs_core.parameters import SettingError
 from swarmabs_core.registry import PluginError
 from swarmabs_core.systems.check import Problem, problems_of
 from swarmabs_core.systems.interface import NamedSystem
+from swarmabs_core.systems.kinds import KINDS, RobotKind
 from swarmabs_core.systems.law import RobotLaw, SystemGains
 
 pytestmark = pytest.mark.usefixtures("systems")
@@ -227,6 +228,29 @@ def test_a_kind_of_robot_needs_its_constant_and_the_gains_fit_the_rows() -> None
     assert "has no constant 'mass'" in problem[1]
     (problem,) = found("beam", LINE, SystemGains(kd=(1.0, 2.0, 3.0)))
     assert problem == (("swarm", "gains", "kd"), "3 gains for 2 rows", "give one or 2")
+
+
+def test_a_kind_of_robot_is_refused_where_coordinates_are_others_than_it_moves_along(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Unicycle(RobotKind):
+        coordinates = ("m", "m", "rad")
+
+    class Planar(RobotKind):
+        coordinates = ("m", "m")
+
+    monkeypatch.setitem(KINDS, Kind.SINGLE_INTEGRATOR, Planar())
+    assert found("sheet", RING) == []
+    monkeypatch.setitem(KINDS, Kind.SINGLE_INTEGRATOR, Unicycle())
+    problem, *others = found("sheet", RING)
+    assert problem == (
+        ("swarm", "agents", 0, "kind"),
+        "robots of kind single_integrator need coordinates in m, m, rad; those of sheet are in m, m",
+        "choose another kind, or a system whose robots have these coordinates",
+    )
+    assert [where for where, *_ in others] == [("swarm", "agents", n, "kind") for n in (1, 2, 3)]
+    with pytest.raises(ScenarioError, match=r"swarm\.agents\.0\.kind: .* those of beam are in m; choose another kind"):
+        parse_scenario(BEAM_SCENARIO)
 
 
 @pytest.mark.parametrize(

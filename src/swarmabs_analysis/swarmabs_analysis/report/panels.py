@@ -271,15 +271,16 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
 
 def _commands(recorded: Recorded, place: int, along: str, note: str) -> Iterator[Panel]:
     """Yield a panel with the commands along a coordinate for each kind of robot, whose units differ."""
-    row, command = recorded.tables.robot[place], recorded.arrays.vector("agents", "command")[..., place]
+    rows, command = recorded.tables.robot, recorded.arrays.vector("agents", "command")[..., place]
+    name, units = rows[place].name, [row.unit for row in rows]
     for kind in Kind:
         of_kind = (recorded.arrays.agents.kind == kind).any(axis=0)
         if of_kind.any():
-            values, own = np.where(of_kind, command, np.nan), KINDS[kind].command_unit(row.unit)
+            values, own = np.where(of_kind, command, np.nan), KINDS[kind].command_units(units)[place]
             draw = of_all_robots(recorded, values, "u", f"command u{along}, {own}".removesuffix(", "))
             about = span(f"commands of {counted(int(of_kind.sum()), said(kind))}", values, own, over_time=False)
             heading = f"Commands of the {said(kind)}s{along}"
-            yield Panel(f"robots-command-{row.name}-{kind.value}", "robots", heading, draw, about, note)
+            yield Panel(f"robots-command-{name}-{kind.value}", "robots", heading, draw, about, note)
 
 
 def _abstract(recorded: Recorded) -> Iterator[Panel]:

@@ -262,11 +262,12 @@ def _of_lists(instance: ParentSystem, requests: Requests, sensor: ParentSensor) 
 def _of_robot(system: NamedSystem, index: int, robot: StartingRobot) -> Iterator[Problem]:
     """Yield what is wrong with a robot of the scenario."""
     instance, where, kind = system.instance, ("swarm", "agents", index), robot.kind
-    names, size, needed = (
-        [row.name for row in instance.constants],
-        len(instance.robot),
-        KINDS[Kind.of(robot.kind)].constant,
-    )
+    names, size, model = [row.name for row in instance.constants], len(instance.robot), KINDS[Kind.of(kind)]
+    needed, units = model.constant, [row.unit for row in instance.robot]
+    if not model.fits(units):
+        wanted, given = (", ".join(unit or "no unit" for unit in listed) for listed in (model.coordinates, units))
+        text = f"robots of kind {kind} need coordinates in {wanted}; those of {system.type} are in {given}"
+        yield (*where, "kind"), text, "choose another kind, or a system whose robots have these coordinates"
     for name in robot.constants.keys() - set(names):
         near = get_close_matches(name, names, n=1)
         remedy = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"

@@ -13,6 +13,8 @@ from swarmabs_core.messages import Kind
 from swarmabs_core.systems.components import derived
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from swarmabs_core.drive import IdealDrive
     from swarmabs_core.messages import RobotState
     from swarmabs_core.systems.interface import NamedSystem, Vector
@@ -60,6 +62,8 @@ class RobotKind:
         Colour and shape of its symbol: circle, square or diamond.
     constant : str
         The constant of a robot that must be positive; empty if there is none.
+    coordinates : tuple of str
+        The unit of each coordinate that it needs, in order, such as m, m, rad; empty if it moves along any.
     """
 
     kind: ClassVar[Kind] = Kind.SINGLE_INTEGRATOR
@@ -69,6 +73,11 @@ class RobotKind:
     colour: ClassVar[str] = "#56b4e9"
     shape: ClassVar[Literal["circle", "square", "diamond"]] = "circle"
     constant: ClassVar[str] = ""
+    coordinates: ClassVar[tuple[str, ...]] = ()
+
+    def fits(self, units: Sequence[str]) -> bool:
+        """Return whether it can move along coordinates in these units."""
+        return not self.coordinates or self.coordinates == tuple(units)
 
     def drive(self, period: float, mass: float, damping: float) -> IdealDrive:
         """Return the motion on the plane that the law expects; period in s, mass in kg, damping in N s/m."""
@@ -103,9 +112,9 @@ class RobotKind:
         moved = tuple(b - a for a, b in zip(start.coordinates, end.coordinates, strict=True))
         return moved, moved
 
-    def command_unit(self, unit: str) -> str:
-        """Return the unit of a command along a coordinate in `unit`."""
-        return derived(unit)
+    def command_units(self, units: Sequence[str]) -> tuple[str, ...]:
+        """Return the unit of each number of a command, (d,), by the units of the coordinates, (d,)."""
+        return tuple(derived(unit) for unit in units)
 
 
 class DoubleIntegrator(RobotKind):
@@ -150,9 +159,9 @@ class DoubleIntegrator(RobotKind):
         del system
         return tuple(v * period for v in start.velocities), tuple(v * period for v in end.velocities)
 
-    def command_unit(self, unit: str) -> str:
-        """Return the unit of a force along a coordinate in `unit`."""
-        return "N" if unit == "m" else f"kg {derived(unit, 2)}"
+    def command_units(self, units: Sequence[str]) -> tuple[str, ...]:
+        """Return the unit of the force along each coordinate, (d,), by the units of the coordinates, (d,)."""
+        return tuple("N" if unit == "m" else f"kg {derived(unit, 2)}" for unit in units)
 
 
 class FirstOrderLag(RobotKind):
@@ -196,9 +205,9 @@ class FirstOrderLag(RobotKind):
         )
         return first, last
 
-    def command_unit(self, unit: str) -> str:
-        """Return the unit of the value that a coordinate in `unit` approaches."""
-        return unit
+    def command_units(self, units: Sequence[str]) -> tuple[str, ...]:
+        """Return the units of the coordinates, (d,), which approach the command."""
+        return tuple(units)
 
 
 SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR, FIRST_ORDER_LAG = RobotKind(), DoubleIntegrator(), FirstOrderLag()
