@@ -19,7 +19,7 @@ from tests.frozen.digests import CASES
 from tests.portability.machines import SERIES, interpreter, variables
 from tests.processes import ROOT
 
-from swarmabs_bag.run.channels import READABLE
+from swarmabs_bag.run.channels import RECORDED_TYPES
 from swarmabs_config.installation import EXTRAS
 from swarmabs_config.scenarios import builtin_scenarios
 
@@ -73,7 +73,7 @@ def test_it_holds_the_sources_and_their_data_and_nothing_of_ros(wheel: Path) -> 
         assert {path.relative_to(sources).as_posix() for path in files} <= names
     share = "swarmabs_config/wheel/share"
     assert {f"{share}/swarmabs_bringup/scenarios/{name}.yaml" for name in builtin_scenarios()} <= names
-    for name in READABLE:
+    for name in RECORDED_TYPES:
         assert {f"{share}/{name}.msg", f"{share}/{name}.json"} <= names
     assert "swarmabs_view/third_party/uplot/LICENSE" in names
 

@@ -13,18 +13,37 @@ from swarmabs_bag.attached import attached_provenance, attached_scenario, events
 from swarmabs_bag.errors import UnknownTypeError
 from swarmabs_bag.info import bag_info
 from swarmabs_bag.reader import open_bag
-from swarmabs_bag.run.channels import READABLE
+from swarmabs_bag.run import channels
+from swarmabs_bag.run.channels import FORMER_HASHES, RECORDED_TYPES, current_hash
 from swarmabs_bag.run.digest import Digest
-from swarmabs_bag.run.schemas import message_schema
 from swarmabs_cli import main
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.arithmetic import FORMER
 from swarmabs_core.events import code_of
-from swarmabs_core.messages import BASIS, STANDING, SYSTEM_FAMILY
+from swarmabs_core.messages import BASIS
 from swarmabs_run.simulation import Simulation
 
 DATA = Path(__file__).parents[1] / "data" / "schema_1"
 REALTIME = Path(__file__).parents[1] / "data" / "realtime_1"
+RELEASED = {
+    "swarmabs_msgs/msg/AgentState": ("RIHS01_920c20b49337933ad2a2a54073afa24dac7f0bf85b89c0d8dd1b57ebfc9011bc",),
+    "swarmabs_msgs/msg/PlaneState": ("RIHS01_eb50ea2ec4166fc2bcb82d6d93a165895a6769696f9119a68ef5631216479631",),
+    "swarmabs_msgs/msg/AbstractState": ("RIHS01_d95f247c2589dc4f0829654e4f27b3962f02586fe75af371aa28dd2eabbaa7fd",),
+    "swarmabs_msgs/msg/AuxiliaryState": ("RIHS01_52d6abf330048f23e1dfe0c338ba3a94672fa727da8cc3a240be1862e5e4e14d",),
+    "swarmabs_msgs/msg/DesiredAbstractState": (
+        "RIHS01_8d0ba0d2bda583bda9b0e7c060dfa8a7a61a5c5f1136fef6732eaf73845a4374",
+    ),
+    "swarmabs_msgs/msg/SwarmEvent": ("RIHS01_fed027d673123455049e51599995fd5dc6fefa15802f457c22ec5640bc24a2ae",),
+    "swarmabs_msgs/msg/Basis": ("RIHS01_1251f0667986052e75e8fc930c843c888e9779334f8dbb913468a7921d9366b7",),
+    "swarmabs_msgs/msg/RobotState": ("RIHS01_9a85044d40a2697251219c25b4b462ba33c5f507241274debae8e840be33170e",),
+    "swarmabs_msgs/msg/ParentState": ("RIHS01_bac92cfe9f90d7848e4e8a720037fb9f95740f5e51e1ec1746ea217b120ec9c3",),
+    "swarmabs_msgs/msg/SwarmAbstract": ("RIHS01_87004a96dcc261a8d4e62518df2b55f181ea05a7064370e042667518dc5069aa",),
+    "swarmabs_msgs/msg/SwarmAuxiliary": ("RIHS01_363d152a03bdafcf03ef68aef9f060871e0a9e4de0bae31cebf5f86e7fd6f6c5",),
+    "swarmabs_msgs/msg/SwarmDesired": ("RIHS01_14d4547108eaf7c9e58e558e9472aa0e2e82784160f1a0cf59ee18e36f6a445f",),
+    "swarmabs_msgs/msg/StandingState": ("RIHS01_7cf46f19732db063247dd0137cbcc1c54ea43f8097f71c408d008b4d3eb62501",),
+    "swarmabs_msgs/msg/SystemDescription": ("RIHS01_f2899023e8687bf5f9b1a866527ee09a370eb818ec831ed10a4d4e4217d2804c",),
+}
+"""Hashes of all definitions of recorded types; when one changes, its new hash is added to the others."""
 BAG_DIGEST = "5d18682d320a574cd86cec5b660a2f38928ffe5bada4d51dea71a6cdc6786934"
 SCENARIO_DIGEST = "ba94d716d10be258b27811a0e9f57a15e2ae8e2401a7c5cf41c83f661f180866"
 KILLED = 15
@@ -44,22 +63,24 @@ def test_everything_in_it_is_still_read() -> None:
     assert found.a.figures["max_abs_position"] == 0.1353662543782129 > abs(arrays.agents.position[:16]).max()
 
 
-def test_definitions_of_today_can_be_read_and_one_that_is_not_known_is_refused_but_described(
+def test_each_definition_is_read_and_one_that_is_not_known_is_refused_but_described(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert {name: hashes[-1] for name, hashes in READABLE.items()} == {
-        name: message_schema(name).type_hash for name in READABLE
+    assert {name: {current_hash(name), *FORMER_HASHES.get(name, ())} for name in RECORDED_TYPES} == {
+        name: {*hashes} for name, hashes in RELEASED.items()
     }
-    newer = {topic.ros_type for topic in (*SYSTEM_FAMILY.main, *SYSTEM_FAMILY.once, STANDING)}
-    in_real_time = {BASIS.ros_type}  # the old bag is of a run in lockstep
-    assert {channel.ros_type for channel in open_bag(DATA).channels} | newer == READABLE.keys() - in_real_time
-    (known,) = READABLE["swarmabs_msgs/msg/PlaneState"]
-    monkeypatch.setitem(READABLE, "swarmabs_msgs/msg/PlaneState", ("RIHS01_of_another_version",))
+    (known,) = RELEASED["swarmabs_msgs/msg/PlaneState"]
+    other = "RIHS01_of_another_version"
+    monkeypatch.setattr(
+        channels, "current_hash", lambda name: other if name.endswith("PlaneState") else current_hash(name)
+    )
     refusal = f"bag_0.mcap: /plane/state has a definition of .* that this version does not know .*{known}.*; use the"
     with pytest.raises(UnknownTypeError, match=refusal):
         load_arrays(DATA)
     assert main(["compare", str(DATA), str(DATA)]) == 2
     assert known in {topic.type_hash for topic in bag_info(DATA).topics}
+    monkeypatch.setitem(FORMER_HASHES, "swarmabs_msgs/msg/PlaneState", (known,))
+    assert load_arrays(DATA).angle[0] == 0.1
 
 
 @pytest.mark.parametrize(

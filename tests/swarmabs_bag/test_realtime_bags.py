@@ -35,7 +35,7 @@ from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import AGENT_STATE, MAIN_TOPICS, STANDING, Message, PlaneState
-from swarmabs_core.publishers import CONTROLLER
+from swarmabs_core.nodes import CONTROLLER
 from swarmabs_core.record import Record
 
 MakeBag: TypeAlias = Callable[..., Path]

@@ -1,21 +1,32 @@
 """The graph agrees with what nodes know of each other."""
 
-from swarmabs_config.graph import CONTROLLER, GRAPH, LOCKSTEP, OBSERVER, PLANE_DRIVER, Option, services
-from swarmabs_core.messages import FAMILIES
+import pytest
+
+from swarmabs_config.graph import CONTROLLER, LOCKSTEP, RECORDER, Option, endpoints, services
+from swarmabs_config.publishers import PUBLISHER
+from swarmabs_core.messages import EVENTS, PLANE_FAMILY, STANDING, SYSTEM, SYSTEM_FAMILY, Family
 from swarmabs_core.nodes import NodeKind
-from swarmabs_core.publishers import PUBLISHER
 
 
-def test_each_topic_with_one_publisher_has_it_in_the_graph() -> None:
-    kinds = dict.fromkeys((PLANE_DRIVER, *(family.node for family in FAMILIES)), NodeKind.PARENT)
-    kinds |= {OBSERVER: NodeKind.OBSERVER, CONTROLLER: NodeKind.CONTROLLER}
-    found = {
-        topic: {kinds.get(end.node) for end in link.writers if end.driver in {None, LOCKSTEP}}
-        for link in GRAPH
-        for topic in link.topics
-        if topic in PUBLISHER
+@pytest.mark.parametrize(("family", "option"), [(PLANE_FAMILY, set()), (SYSTEM_FAMILY, {Option.SYSTEM})])
+def test_the_recorder_reads_what_a_bag_in_lockstep_holds(family: Family, option: set[Option]) -> None:
+    read = endpoints(RECORDER, LOCKSTEP, frozenset({Option.CHANGING, *option})).subscriptions
+    assert {*family.recorded, EVENTS} == {*read}
+
+
+@pytest.mark.parametrize("family", [PLANE_FAMILY, SYSTEM_FAMILY])
+def test_each_recorded_topic_but_that_of_robots_has_one_publisher(family: Family) -> None:
+    main = {
+        family.parent: NodeKind.PARENT,
+        family.abstract: NodeKind.OBSERVER,
+        family.auxiliary: NodeKind.OBSERVER,
+        STANDING: NodeKind.OBSERVER,
+        family.desired: NodeKind.CONTROLLER,
     }
-    assert found == {topic: {node.kind} for topic, node in PUBLISHER.items()}
+    expected = main | dict.fromkeys({SYSTEM} & {*family.once}, NodeKind.PARENT)
+    published = {topic: PUBLISHER[topic].kind for topic in family.recorded if topic is not family.robot}
+    assert published.items() >= expected.items()
+    assert published.keys() - expected.keys() == {*family.further}
 
 
 def test_a_standby_offers_services_under_names_that_its_primary_does_not_have() -> None:

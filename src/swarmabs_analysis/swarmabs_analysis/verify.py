@@ -29,7 +29,7 @@ from swarmabs_bag.realtime_world import realtime_world
 from swarmabs_bag.run.realtime_gatherer import RECORDED
 from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
-from swarmabs_config.graph import REALTIME
+from swarmabs_config.graph import REALTIME, usual_topic
 from swarmabs_config.model.errors import show
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.arithmetic import ARITHMETIC, FORMER, FORMER_INTEGRATOR, FORMER_TOLERANCE, VERIFIED_FORMER
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from swarmabs_analysis.verification.base import Verification
     from swarmabs_bag.reader import BagReader
     from swarmabs_config.scenario import Scenario
+    from swarmabs_core.messages import Topic
     from swarmabs_core.nodes import NodeName
 
 DRIVERS = ("lockstep", "simulate", REALTIME.value)
@@ -129,6 +130,7 @@ class BagToVerify:
                 tolerance=tolerance,
                 of_plane=of_plane,
                 division=None if STANDING in self._bag.topics() else 0,
+                absent=self._absent(),
                 earlier=are_earlier(events_in(self._bag), self.scenario),
                 trial=trial,
             )
@@ -156,11 +158,30 @@ class BagToVerify:
             result.difference = _other_digest(self._bag, result.digest)
         if self._former:
             result.notes = (*result.notes, _FORMER_NOTE)
-        result.notes = (*result.notes, *self._notes(differs=result.difference is not None))
+        if trial is None:
+            result.not_read = self._not_read()
+        result.notes = (*result.notes, *self._notes(result))
         return result
 
-    def _notes(self, *, differs: bool) -> Iterator[str]:
+    def _absent(self) -> list[Topic]:
+        """Return the further topics that the bag lacks."""
+        return [topic for topic in self._bag.family.further if topic not in self._bag.topics()]
+
+    def _not_read(self) -> tuple[str, ...]:
+        """Return the names of the swarm's topics with messages that are not compared with anything."""
+        further = self._bag.family.further
+        read: set[Topic | None] = (
+            {*self._bag.family.recorded, EVENTS}
+            if self._realtime is None
+            else {topic for topic in RECORDED if usual_topic(topic) not in further}
+        )
+        return tuple(
+            channel.name for channel in self._bag.of_swarm() if channel.message_count and channel.topic not in read
+        )
+
+    def _notes(self, result: VerificationResult) -> Iterator[str]:
         """Yield what was not verified, what the bag does not say and, if it differs, what may explain this."""
+        yield from (f"not checked: {name}" for name in result.not_read)
         if self._realtime is not None:
             yield NOT_VERIFIED
             if measured := sorted(set(configure.members(self.scenario)) - set(self._realtime.robots)):
@@ -169,10 +190,11 @@ class BagToVerify:
                 yield "not checked: the motion of the plane, which was measured"
         else:
             yield from self._from_outside
+            yield from (f"not checked: {topic.name}, which the bag does not have" for topic in self._absent())
             if not self._provenance:
                 yield f"the bag has no readable {PROVENANCE_FILE}: its versions are unknown, and lockstep is assumed"
         then = self._provenance.get("versions")
-        if differs and isinstance(then, dict):
+        if result.difference is not None and isinstance(then, dict):
             now = versions(self.scenario)
             changed = [
                 f"{name} {then[name]}, here {now.get(name, 'none')}" for name in then if then[name] != now.get(name)
@@ -184,7 +206,7 @@ class BagToVerify:
         """Feed the bag's messages to the verification until it is decided; return the damage of the file, if any."""
         try:
             family = self.scenario.family
-            topics = RECORDED if self._realtime else (*family.once, *family.main, STANDING, EVENTS)
+            topics = RECORDED if self._realtime else (*family.recorded, EVENTS)
             for part in self._bag.published(topics) if self._realtime else self._bag.whole_steps(topics):
                 if isinstance(part, Step):
                     verification.add_steps(part)

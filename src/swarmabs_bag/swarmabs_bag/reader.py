@@ -21,7 +21,7 @@ from swarmabs_bag.run.step import Step
 from swarmabs_bag.run_folder import SUFFIX, find_bag, missing_files, split_files
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import FAMILIES, PLANE_FAMILY
+from swarmabs_core.messages import FAMILIES, PLANE_FAMILY, TYPES
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
@@ -94,6 +94,19 @@ class BagReader:
     def topics(self) -> tuple[Topic, ...]:
         """Return the topics of the swarm in the bag."""
         return tuple(channel.topic for channel in self.channels if channel.topic is not None)
+
+    def of_swarm(self) -> tuple[BagChannel, ...]:
+        """Return the channels of the swarm, and those of its messages on topics that this version does not know."""
+        return tuple(
+            channel
+            for channel in self.channels
+            if channel.topic is not None
+            or (channel.ros_type.startswith(TYPES) and self._swarm_of(channel.name) == self.namespace is not None)
+        )
+
+    def _swarm_of(self, name: str) -> str | None:
+        """Return the namespace of the swarm to which the name of a topic belongs."""
+        return max((swarm for swarm in self.swarms if name.startswith(swarm)), key=len, default=None)
 
     @property
     def family(self) -> Family:

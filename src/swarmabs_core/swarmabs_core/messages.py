@@ -480,8 +480,12 @@ def fields_of(message: type[Message]) -> dict[str, Field | type[Message]]:
     return {name: getattr(hint, "__metadata__", (hint,))[0] for name, hint in hints.items()}
 
 
+TYPES = "swarmabs_msgs/msg/"
+"""What the names of the types of the swarm's messages begin with in ROS."""
+
+
 def _topic(name: str, message: type[Message]) -> Topic:
-    return Topic(name, message, f"swarmabs_msgs/msg/{message.__name__}")
+    return Topic(name, message, f"{TYPES}{message.__name__}")
 
 
 PLANE_STATE = _topic("plane/state", PlaneState)
@@ -515,7 +519,8 @@ class Family:
     """The topics by which a swarm controls the plane, or any other parent system.
 
     `node` names the process of the simulated parent; `kinds` are those that robots may have. Topics in `once` have one
-    message per run, in step 0, which a bag holds before the others.
+    message per run, in step 0, which a bag holds before the others. Topics in `further` have one message of a
+    coordinator in each step, as the main ones have; they are recorded, but are no part of the digest.
     """
 
     node: str
@@ -526,12 +531,23 @@ class Family:
     desired: Topic
     packed: Topic
     once: tuple[Topic, ...] = ()
+    further: tuple[Topic, ...] = ()
     kinds: tuple[Kind, ...] = tuple(Kind)
 
     @property
     def main(self) -> tuple[Topic, ...]:
         """The five topics that make up a run, in the order in which a bag holds them within a step."""
         return (self.robot, self.parent, *self.broadcasts)
+
+    @property
+    def stepwise(self) -> tuple[Topic, ...]:
+        """The topics with messages in every step, in the order in which a bag holds them within a step."""
+        return (*self.main[:-1], *self.further, self.desired)
+
+    @property
+    def recorded(self) -> tuple[Topic, ...]:
+        """The topics of a bag in lockstep but events, in its order within a step; `STANDING` is not in every step."""
+        return (*self.once, *self.main[:-1], STANDING, *self.further, self.desired)
 
     @property
     def broadcasts(self) -> tuple[Topic, ...]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BeforeValidator, PlainSerializer, ValidationError
 
-from swarmabs_bag.run.channels import READABLE
+from swarmabs_bag.run.channels import RECORDED_TYPES, current_hash
 from swarmabs_config.fleet.loader import FLEET_FILE, SCENARIO_FILE
 from swarmabs_config.fleet.participants import ports
 from swarmabs_config.fleet.parts import Account, Address, FolderPath, Interface
@@ -119,7 +119,7 @@ def manifest_of(host: HostPlan, files: Mapping[str, BundleFile]) -> Manifest:
 def versions() -> dict[str, str]:
     """Return what must be the same on all hosts of a fleet: the version and the message definitions."""
     own = own_version() or "unknown"
-    return {"swarmabs": own} | {name.rpartition("/")[2]: hashes[-1] for name, hashes in READABLE.items()}
+    return {"swarmabs": own} | {name.rpartition("/")[2]: current_hash(name) for name in RECORDED_TYPES}
 
 
 def read_manifest(folder: Path) -> Manifest:

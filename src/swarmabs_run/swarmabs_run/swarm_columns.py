@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmabs_config.publishers import PUBLISHER
 from swarmabs_core.abstraction import summed
 from swarmabs_core.arrays import LAYOUT
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, SECOND
 from swarmabs_core.drive import DoubleIntegratorDrive, SingleIntegratorDrive
 from swarmabs_core.messages import AGENT_STATE, Status
+from swarmabs_core.nodes import CONTROLLER
 from swarmabs_core.parent_response import SumObserver
 from swarmabs_core.plant import column_load
 from swarmabs_core.robot_controller import Limits
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_config.scenario import PlaneScenario
-    from swarmabs_core.messages import AbstractState, AuxiliaryState
+    from swarmabs_core.messages import AbstractState, AuxiliaryState, Family
     from swarmabs_core.models import AgentConfig
     from swarmabs_core.plant import SwarmLoad
     from swarmabs_core.summation import Reduction, Sums, Terms
@@ -47,8 +49,13 @@ def on_columns(scenario: PlaneScenario) -> bool:
     plane, swarm = scenario.plane, scenario.swarm
     perfect = plane.sensor.perfect and swarm.sensor.perfect
     individual = scenario.limits != Limits() or plane.robot_gravity or swarm.actuator_lag
-    special = plane.end_stop < inf or scenario.observer.type != SumObserver.type
+    special = plane.end_stop < inf or scenario.observer.type != SumObserver.type or not only_controlled(scenario.family)
     return perfect and swarm.law.type == PAPER.name and not (individual or special)
+
+
+def only_controlled(family: Family) -> bool:
+    """Return whether only the controller, a state machine also beside arrays, publishes on further topics."""
+    return all(PUBLISHER[topic] == CONTROLLER for topic in family.further)
 
 
 def step_total(*columns: Floats) -> Floats:

@@ -18,7 +18,7 @@ from swarmabs_core.models import SystemAgentConfig
 from swarmabs_core.summation import column_total
 from swarmabs_core.systems.columns import SystemOnColumns, column, columns, dynamics_of
 from swarmabs_core.systems.swarm import observed
-from swarmabs_run.swarm_columns import NotVectorisableError, rows_of_steps
+from swarmabs_run.swarm_columns import NotVectorisableError, only_controlled, rows_of_steps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -43,7 +43,7 @@ ReturnT = TypeVar("ReturnT")
 
 def system_on_columns(scenario: SystemScenario) -> bool:
     """Return whether the robots of a scenario, apart from faults, behave alike on a system that supports columns."""
-    return bool(getattr(scenario.named.instance, "columns", False))
+    return bool(getattr(scenario.named.instance, "columns", False)) and only_controlled(scenario.family)
 
 
 def _add(terms: Iterable[Any]) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from swarmabs_core.membership import ALWAYS
 from swarmabs_core.messages import (
     AGENT_STATE,
     PLANE_FAMILY,
-    Message,
+    TOPIC_OF,
     PlaneState,
     SwarmEvent,
 )
@@ -48,15 +48,14 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-Coordinated: TypeAlias = tuple[Message, Message, Message, Message]
-"""The messages of the coordinators in a step, in the order of a bag."""
 MotionT = TypeVar("MotionT")
 
 
 def vectorisable(scenario: Scenario) -> bool:
     """Return whether all robots of a scenario always behave alike and use laws that support arrays.
 
-    If robots may be dropped, each step has a message of the observer more, which arrays do not provide.
+    If robots may be dropped, each step has a message of the observer more, which arrays do not provide; nor do they
+    provide further topics that are not the controller's.
     """
     if scenario.faults or configure.division(scenario) >= ALWAYS:
         return False
@@ -207,8 +206,8 @@ class _Gathered(Generic[MotionT]):
         """Whether the steps are as many, or as old, as a `Step` may be."""
         return len(self._motions) >= self._most or time.monotonic() - self._begun >= STEP_SECONDS
 
-    def add(self, messages: Coordinated) -> None:
-        """Add the messages of a step and the state of the robots."""
+    def add(self, messages: Messages) -> None:
+        """Add the messages of the coordinators in a step, in the order of a bag, and the state of the robots."""
         payloads = tuple(map(encode, messages))
         if not self._motions:
             self._begun = time.monotonic()
@@ -222,7 +221,7 @@ class _Gathered(Generic[MotionT]):
         if not self._motions:
             return
         family = self._swarm.family
-        columns = zip(family.main[1:], zip(*self._payloads, strict=True), strict=True)
+        columns = zip(family.stepwise[1:], zip(*self._payloads, strict=True), strict=True)
         tables = {topic: table(topic, b"".join(payloads)) for topic, payloads in columns}
         stamps, steps = zip(*self._messages, strict=True)
         tables[family.robot] = self._swarm.states(np.array(steps, dtype=np.uint64), np.array(stamps), self._motions)
@@ -261,19 +260,25 @@ class VectorSimulation:
             raise
         yield from gathered.take()
 
-    def _messages(self) -> Iterator[tuple[Coordinated, Messages]]:
-        """Yield the messages of the coordinators and the events of every step, while the robots are at that step."""
+    def _messages(self) -> Iterator[tuple[Messages, Messages]]:
+        """Yield the messages of the coordinators, in the order of a bag, and the events of every step.
+
+        The robots are at that step then.
+        """
         scenario, swarm = self._scenario, self._swarm
-        packed = cast("Callable[..., AnyBroadcast]", swarm.family.packed.message)
+        family = swarm.family
+        packed = cast("Callable[..., AnyBroadcast]", family.packed.message)
         for step in range(scenario.steps + 1):
             stamp = step * scenario.step_ns
             observed = swarm.observed(step, stamp)
             parent = swarm.parent(step, stamp)
-            *events, desired = self._controller.handle(parent)
-            yield (parent, *observed, desired), (*self._crossings(step, stamp), *events)
+            answers = self._controller.handle(parent)
+            said = {TOPIC_OF[type(message)]: message for message in (parent, *observed, *answers)}
+            events = (message for message in answers if isinstance(message, SwarmEvent))
+            yield tuple(said[topic] for topic in family.stepwise[1:]), (*self._crossings(step, stamp), *events)
             if step == scenario.steps:
                 return
-            swarm.move(packed(stamp, step, *observed, desired))
+            swarm.move(packed(stamp, step, *(said[topic] for topic in family.broadcasts)))
 
     def _crossings(self, step: int, stamp: int) -> list[SwarmEvent]:
         """Return an event for each robot that has just crossed an end of its range."""

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from swarmabs_bag.reader import BagReader
-    from swarmabs_core.messages import Message
+    from swarmabs_core.messages import Family, Message
     from swarmabs_core.systems import Vector
 
     Cell: TypeAlias = float | int | str | None
@@ -118,16 +118,15 @@ def _column(name: str, field: Field | type[Message]) -> Column:
 
 
 def _tables(
-    topics: Sequence[Topic], parent: str, parts_of: Callable[[type[Message]], Mapping[str, Sequence[Quantity]]]
+    family: Family, parent: str, parts_of: Callable[[type[Message]], Mapping[str, Sequence[Quantity]]]
 ) -> tuple[BagTable, ...]:
-    names = ("agents", parent, "abstract", "auxiliary", "desired", "events")
-    return tuple(
-        _table(name, topic, parts_of(topic.message)) for name, topic in zip(names, (*topics, EVENTS), strict=True)
-    )
+    topics = dict(zip(("agents", parent, "abstract", "auxiliary", "desired"), family.main, strict=True))
+    topics |= {topic.name.replace("/", "_"): topic for topic in family.further} | {"events": EVENTS}
+    return tuple(_table(name, topic, parts_of(topic.message)) for name, topic in topics.items())
 
 
 TABLES = _tables(
-    PLANE_FAMILY.main, "plane", lambda message: {REFERENCE: (Quantity("", "rad"),)} if message is PlaneState else {}
+    PLANE_FAMILY, "plane", lambda message: {REFERENCE: (Quantity("", "rad"),)} if message is PlaneState else {}
 )
 """All tables of a swarm on the plane, in the order of a bag."""
 
@@ -140,7 +139,7 @@ def tables_of(bag: BagReader) -> tuple[BagTable, ...]:
     """
     if bag.family is PLANE_FAMILY:
         return TABLES
-    return _tables(SYSTEM_FAMILY.main, "parent", partial(components, description_of(bag)))
+    return _tables(SYSTEM_FAMILY, "parent", partial(components, description_of(bag)))
 
 
 def _row_of(

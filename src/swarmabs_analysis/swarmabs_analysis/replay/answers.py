@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.comparison.messages import MessageComparison
 from swarmabs_bag.attached import is_realtime
+from swarmabs_config.publishers import PUBLISHER, publisher_of
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import EVENTS, STANDING, TOPIC_OF
+from swarmabs_core.messages import EVENTS, TOPIC_OF
 from swarmabs_core.nodes import NodeKind
-from swarmabs_core.publishers import PUBLISHER, publisher_of
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Answers:
         family = bag.family
         self._nodes = tuple(nodes)
         robots = any(node.kind is NodeKind.AGENT for node in nodes)
-        causes_first = (EVENTS, *family.once, *family.main[:-1], STANDING, family.desired)
+        causes_first = (EVENTS, *family.recorded)
         self._order = {topic: place for place, topic in enumerate(causes_first)}
         self.topics = tuple(
             topic

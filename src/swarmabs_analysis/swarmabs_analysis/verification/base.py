@@ -48,6 +48,8 @@ class VerificationResult:
         Digest of the verified messages; None in real time, where received messages differ from run to run.
     tolerance : float
         A recorded number may differ from the recomputed b by ``tolerance * (1 + |b|)``; with 0 every bit counts.
+    not_read : tuple of str
+        Topics of the swarm in the bag whose messages are not compared with anything, in `notes`, too.
     notes : tuple of str
         Further remarks for the user.
     not_checkable : Counter of str
@@ -70,6 +72,7 @@ class VerificationResult:
     ended_early: str | None = None
     digest: str | None = None
     tolerance: float = 0.0
+    not_read: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     not_checkable: Counter[str] = field(default_factory=Counter)
     lost: str | None = None
@@ -84,6 +87,8 @@ class VerificationResult:
     @property
     def complete(self) -> bool:
         """Whether the whole run is present and correct; in real time the bag itself records an early end and losses."""
+        if self.not_read:
+            return False
         if self.expected_steps is None:
             return self.ok and self.ended_early is None and self.lost is None
         return self.ok and self.steps == self.expected_steps

@@ -28,7 +28,6 @@ from swarmabs_core.messages import (
     EVENTS,
     PLANE_STATE,
     ROBOT_STATES,
-    STANDING,
     TOPIC_OF,
     AgentState,
     EventKind,
@@ -41,7 +40,7 @@ from swarmabs_run.simulation import behaviour_of, nodes_in_process
 from swarmabs_run.swarm_columns import on_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
+    from collections.abc import Callable, Collection, Generator, Iterator
 
     from swarmabs_analysis.verification.base import Finding
     from swarmabs_analysis.verification.trial import Trial
@@ -139,9 +138,10 @@ class LockstepVerification(Verification):
 
     The state of the plane may differ by the tolerance `of_plane`, if that is larger than the other. With it, the state
     is checked only until a robot is off the plane.
-    The `division` is that of the recorded nodes, by default that of the scenario. `earlier` tells whether its events
-    are those of a version before the ranges of coordinates; see `are_earlier`. With a `trial` its nodes are compared
-    with the recording to the end, and all other messages are taken as they are.
+    The `division` is that of the recorded nodes, by default that of the scenario. On the `absent` topics, which the bag
+    of an earlier version lacks, nothing is expected. `earlier` tells whether its events are those of a version before
+    the ranges of coordinates; see `are_earlier`. With a `trial` its nodes are compared with the recording to the end,
+    and all other messages are taken as they are.
     """
 
     def __init__(
@@ -151,6 +151,7 @@ class LockstepVerification(Verification):
         tolerance: float = 0.0,
         of_plane: float = 0.0,
         division: int | None = None,
+        absent: Collection[Topic] = (),
         earlier: bool = False,
         trial: Trial | None = None,
     ) -> None:
@@ -162,8 +163,9 @@ class LockstepVerification(Verification):
         self.result.expected_steps = scenario.steps + 1
         self._scenario = scenario
         family = scenario.family
-        self._robots, self._coordinators = family.robot, family.main[1:]
-        self._topics = (*family.once, *family.main[:-1], STANDING, family.desired)
+        self._robots = family.robot
+        self._coordinators = tuple(topic for topic in family.stepwise[1:] if topic not in absent)
+        self._topics = tuple(topic for topic in family.recorded if topic not in absent)
         self._window = Window(scenario.step_ns, len(scenario.agents) + len(self._topics))
         self._digest = Digest()
         self._membership = Membership(configure.members(scenario), configure.schedule(scenario))

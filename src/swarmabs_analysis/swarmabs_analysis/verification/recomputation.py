@@ -19,6 +19,7 @@ import numpy as np
 
 from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
+from swarmabs_config.publishers import PUBLISHER
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.arrays import LAYOUT, raw
 from swarmabs_core.behaviours import Agent, Observer, Parent
@@ -31,7 +32,9 @@ from swarmabs_core.messages import (
     AGENT_STATE,
     AUXILIARY_STATE,
     DESIRED_ABSTRACT_STATE,
+    EVENTS,
     PLANE_STATE,
+    TOPIC_OF,
 )
 from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.plant import PlaneDynamics
@@ -161,13 +164,13 @@ class Recomputation:
         Its answer in the first other step is kept for `control`.
         """
         controller = self._nodes[CONTROLLER].behaviour
-        answers, size = steps.tables[DESIRED_ABSTRACT_STATE].tobytes(), steps.tables[DESIRED_ABSTRACT_STATE].itemsize
+        answers = {topic: table for topic, table in steps.tables.items() if PUBLISHER.get(topic) == CONTROLLER}
         for place, parent in enumerate(steps.parents):
             try:
                 answer: Messages | RunError = controller.handle(parent)
             except RunError as error:
                 answer = error
-            if isinstance(answer, RunError) or len(answer) > 1 or encode(answer[0]) != answers[place * size :][:size]:
+            if isinstance(answer, RunError) or not _is_recorded(answer, answers, place):
                 self._ahead = (parent.step, answer)
                 return place
         return len(steps)
@@ -188,6 +191,12 @@ class Recomputation:
         behaviour_of(self._nodes, PARENT, Parent).resume(states, last.parents[0])
         for state in states:
             behaviour_of(self._nodes, NodeName(NodeKind.AGENT, state.agent_id), Agent).resume(state)
+
+
+def _is_recorded(answer: Messages, tables: Mapping[Topic, NDArray[np.void]], place: int) -> bool:
+    """Return whether an answer without events has the messages at a place of these tables."""
+    given = {TOPIC_OF[type(message)]: encode(message) for message in answer}
+    return EVENTS not in given and all(given.get(topic) == table[place].tobytes() for topic, table in tables.items())
 
 
 def zones_of(values: Floats, borders: Sequence[float]) -> NDArray[np.int64]:

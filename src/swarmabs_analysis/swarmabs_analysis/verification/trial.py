@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_analysis.comparison.messages import MessageComparison
 from swarmabs_config import configure
+from swarmabs_config.publishers import publisher_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import SystemDescription
 from swarmabs_core.nodes import NodeKind
-from swarmabs_core.publishers import publisher_of
 from swarmabs_core.record import Record
 from swarmabs_core.systems import SystemTables
 from swarmabs_run.simulation import nodes_in_process

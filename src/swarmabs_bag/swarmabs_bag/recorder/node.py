@@ -164,7 +164,7 @@ class Recorder:
         broadcast = (family.packed,) if packed else ()
         self._topics = (
             *((STEERING,) if steered else ()),
-            *(EVENTS, *broadcast, states, *family.main[1:], *family.once),
+            *(EVENTS, *broadcast, states, *family.stepwise[1:], *family.once),
             *((STANDING,) if configure.may_change(scenario, steered=steered) else ()),
         )
         window = configure.recording_window(scenario)

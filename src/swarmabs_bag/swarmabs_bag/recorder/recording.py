@@ -118,7 +118,7 @@ class Recording(_Recording[RunFigures]):
         stated = provenance(scenario, driver=driver, packed=packed, steered=steered)
         figures, family = RunFigures(self._reference, tracking_of(scenario)), scenario.family
         divides = (STANDING,) if configure.may_change(scenario, steered=steered) else ()
-        topics = (*family.once, *family.main, *divides, EVENTS)
+        topics = (*family.once, *family.main, *family.further, *divides, EVENTS)
         super().__init__(
             scenario, folder, figures, stated, topics=topics, qos=OFFERED[LOCKSTEP], namespace=namespace, split=split
         )

@@ -58,7 +58,7 @@ class TopicRepair:
     """Repair of a topic: numbers of messages kept, and known to be lost.
 
     The number lost at the end of a file without summary section is unknown. `last_complete_step` is the last step up to
-    which no message is missing; None if it is not a main topic of a swarm.
+    which no message is missing; None if not every step of a swarm has messages on it.
     """
 
     name: str

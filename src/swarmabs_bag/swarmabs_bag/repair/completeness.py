@@ -98,6 +98,12 @@ class LockstepCompleteness:
         if agent and agent in self._membership and getattr(message, "status", None) == Status.LEFT:
             self._membership.end(agent, message.step, stays=False, reason="left")
 
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """The topics with messages in every step; a bag of an earlier version may lack further ones."""
+        family = self._family
+        return tuple(topic for topic in family.stepwise if topic not in family.further or (topic, 0) in self._found)
+
     def _spans(self, topic: Topic, agent: int) -> Spans:
         return self._found.setdefault((topic, agent), Spans())
 
@@ -133,13 +139,13 @@ class LockstepCompleteness:
     def gaps(self, last: int) -> list[Gap]:
         """Return the messages that are missing up to a step."""
         once = ((topic, 0, gap) for topic in self._family.once for gap in self._spans(topic, 0).missing(0, 0))
-        main = (
+        stepwise = (
             (topic, agent, gap)
-            for topic in self._family.main
+            for topic in self.topics
             for agent, begin, end in self._expected(topic)
             for gap in self._spans(topic, agent).missing(begin, min(end, last))
         )
-        return _gaps((*once, *main))
+        return _gaps((*once, *stepwise))
 
 
 class RealtimeCompleteness:
@@ -234,7 +240,8 @@ class CompleteSteps:
     first : int
         First complete step; not 0 in a later file of a split bag, or if the beginning is lost.
     last_complete, by_topic
-        Last step of the range from the first one without a missing message on any main topic, and on each.
+        Last step of the range from the first one without a missing message on any topic that has messages in every
+        step, and on each.
     """
 
     last_planned: int
@@ -250,14 +257,13 @@ def complete_steps(path: Path | str) -> CompleteSteps | None:
         if is_realtime(bag):  # steps may lack messages
             return None
         scenario = attached_scenario(bag, steered=False)
-        family = bag.family
-        recorded = LockstepCompleteness(scenario, family)
+        recorded = LockstepCompleteness(scenario, bag.family)
         for topic, _, message in bag.decoded():
             recorded.add(topic, message)
     except (DamagedBagError, InputError):
         return None
     first = recorded.first
-    last = {topic: recorded.first_missing(topic, first) - 1 for topic in family.main}
+    last = {topic: recorded.first_missing(topic, first) - 1 for topic in recorded.topics}
     names = {channel.topic: channel.name for channel in bag.channels if channel.topic is not None}
     by_topic = {names[topic]: step for topic, step in last.items() if topic in names}
     return CompleteSteps(scenario.steps, first, min(last.values()), by_topic)

@@ -62,7 +62,9 @@ class _Table:
 
 
 class Arrivals:
-    """The messages of the main topics of a run, from a number of past steps on until `KEPT_STEPS` steps later.
+    """The messages on the topics of a run that have some in every step.
+
+    They are kept from a number of past steps on until `KEPT_STEPS` steps later.
 
     Parameters
     ----------
@@ -86,7 +88,7 @@ class Arrivals:
     def __init__(
         self, family: Family, membership: Membership, members: Iterable[int], memory: int, system: int | None
     ) -> None:
-        self._family, self._coordinated = family, family.main[1:]
+        self._family, self._coordinated = family, family.stepwise[1:]
         self._membership = membership
         self._members = np.array(sorted(members))
         self._capacity = memory + KEPT_STEPS

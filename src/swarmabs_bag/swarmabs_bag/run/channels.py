@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 from swarmabs_bag.errors import NotABagError, UnknownTypeError
 from swarmabs_bag.run.metadata import BagChannel
+from swarmabs_bag.run.realtime_gatherer import RECORDED
+from swarmabs_bag.run.schemas import message_schema
 from swarmabs_config.graph import STANDBY_TOPICS, USUAL_TOPICS
 from swarmabs_config.model.errors import printable, shorten
-from swarmabs_core.messages import TOPICS, Topic
+from swarmabs_core.messages import FAMILIES, TOPICS, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -21,25 +24,18 @@ if TYPE_CHECKING:
 
 _MOST_NAMED = 5
 
-READABLE = {
-    "swarmabs_msgs/msg/AgentState": ("RIHS01_920c20b49337933ad2a2a54073afa24dac7f0bf85b89c0d8dd1b57ebfc9011bc",),
-    "swarmabs_msgs/msg/PlaneState": ("RIHS01_eb50ea2ec4166fc2bcb82d6d93a165895a6769696f9119a68ef5631216479631",),
-    "swarmabs_msgs/msg/AbstractState": ("RIHS01_d95f247c2589dc4f0829654e4f27b3962f02586fe75af371aa28dd2eabbaa7fd",),
-    "swarmabs_msgs/msg/AuxiliaryState": ("RIHS01_52d6abf330048f23e1dfe0c338ba3a94672fa727da8cc3a240be1862e5e4e14d",),
-    "swarmabs_msgs/msg/DesiredAbstractState": (
-        "RIHS01_8d0ba0d2bda583bda9b0e7c060dfa8a7a61a5c5f1136fef6732eaf73845a4374",
-    ),
-    "swarmabs_msgs/msg/SwarmEvent": ("RIHS01_fed027d673123455049e51599995fd5dc6fefa15802f457c22ec5640bc24a2ae",),
-    "swarmabs_msgs/msg/Basis": ("RIHS01_1251f0667986052e75e8fc930c843c888e9779334f8dbb913468a7921d9366b7",),
-    "swarmabs_msgs/msg/RobotState": ("RIHS01_9a85044d40a2697251219c25b4b462ba33c5f507241274debae8e840be33170e",),
-    "swarmabs_msgs/msg/ParentState": ("RIHS01_bac92cfe9f90d7848e4e8a720037fb9f95740f5e51e1ec1746ea217b120ec9c3",),
-    "swarmabs_msgs/msg/SwarmAbstract": ("RIHS01_87004a96dcc261a8d4e62518df2b55f181ea05a7064370e042667518dc5069aa",),
-    "swarmabs_msgs/msg/SwarmAuxiliary": ("RIHS01_363d152a03bdafcf03ef68aef9f060871e0a9e4de0bae31cebf5f86e7fd6f6c5",),
-    "swarmabs_msgs/msg/SwarmDesired": ("RIHS01_14d4547108eaf7c9e58e558e9472aa0e2e82784160f1a0cf59ee18e36f6a445f",),
-    "swarmabs_msgs/msg/StandingState": ("RIHS01_7cf46f19732db063247dd0137cbcc1c54ea43f8097f71c408d008b4d3eb62501",),
-    "swarmabs_msgs/msg/SystemDescription": ("RIHS01_f2899023e8687bf5f9b1a866527ee09a370eb818ec831ed10a4d4e4217d2804c",),
-}
-"""Hashes of the recorded types, the current one last. None is ever removed (docs/reference/compatibility.md)."""
+RECORDED_TYPES = tuple(
+    dict.fromkeys(topic.ros_type for topic in (*(topic for family in FAMILIES for topic in family.recorded), *RECORDED))
+)
+"""The types of recorded messages."""
+FORMER_HASHES: dict[str, tuple[str, ...]] = {}
+"""Hashes of former definitions that are still read, by type. None is ever removed (docs/reference/compatibility.md)."""
+
+
+@cache
+def current_hash(ros_type: str) -> str:
+    """Return the hash of the definition of a type in this version; errors as for `message_schema`."""
+    return message_schema(ros_type).type_hash
 
 
 def bag_channel(channel: Channel, index: FileIndex, topic: Topic | None = None) -> BagChannel:
@@ -112,15 +108,14 @@ def _swarm_topic(channel: Channel, index: FileIndex, names: Collection[str]) -> 
 
 
 def check_definitions(path: object, channels: Iterable[BagChannel]) -> None:
-    """Raise `UnknownTypeError` for a bag with unknown message definitions.
+    """Raise `UnknownTypeError` for a bag with message definitions that are neither current nor in `FORMER_HASHES`.
 
     A channel without a hash passes: its messages are read with the current definition, and their sizes checked.
     """
     for channel in channels:
-        readable = READABLE.get(channel.ros_type)
-        if channel.topic is None or not channel.type_hash or readable is None:
+        if channel.topic is None or not channel.type_hash:
             continue
-        if channel.type_hash not in readable:
+        if channel.type_hash not in (current_hash(channel.ros_type), *FORMER_HASHES.get(channel.ros_type, ())):
             raise UnknownTypeError(
                 f"{path}: {printable(shorten(channel.name))} has a definition of {channel.ros_type} that this version "
                 f"does not know ({channel.type_hash[:80]!r}); use the version that wrote it (see the command info), "

@@ -1,7 +1,7 @@
 """Collection of a run from its messages, in whatever order they arrive.
 
-A run is complete when every message of the five main topics of its family is present exactly once. Identical repeats
-are dropped; different ones are errors.
+A run is complete when every message of the topics of its family is present exactly once. Identical repeats are dropped;
+different ones are errors.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from swarmabs_bag.run.arrivals import Arrivals
 from swarmabs_bag.run.step import Step, rows_of
 from swarmabs_config.graph import KEPT_STEPS
+from swarmabs_config.publishers import publisher_of
 from swarmabs_core.behaviours.base import ConflictError, NegativeTimeError, UnknownAgentError, refuse_other_system
 from swarmabs_core.behaviours.steering import Orders
 from swarmabs_core.cdr import decode, split
@@ -37,7 +38,6 @@ from swarmabs_core.messages import (
     said,
 )
 from swarmabs_core.nodes import NodeKind
-from swarmabs_core.publishers import publisher_of
 from swarmabs_core.record import Record
 from swarmabs_core.steering import STEERER, change_of
 
@@ -66,8 +66,8 @@ class UnplannedChangeError(ProtocolError):
 class RunCollector:
     """Orders the messages of a run, which may arrive at any time and repeatedly.
 
-    They are added one by one, or in batches of a topic. Messages on main topics are held as arrays, the few others of a
-    step as bytes.
+    They are added one by one, or in batches of a topic. Messages on topics that have some in every step are held as
+    arrays, the few others of a step as bytes.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class RunCollector:
         family: Family = PLANE_FAMILY,
         system: int | None = None,
     ) -> None:
-        self._family, self._main = family, family.main
+        self._family, self._stepwise = family, family.stepwise
         self._system = system
         ids = sorted(members)
         changes = tuple(schedule)
@@ -182,7 +182,7 @@ class RunCollector:
             apart = [state for data in payloads for state in split(topic.message, data)] if joined else payloads
         try:
             for payload in apart:
-                if topic in self._main or topic is EVENTS:  # what is complete before this message has come
+                if topic in self._stepwise or topic is EVENTS:  # what is complete before this message has come
                     yield from self.ready()
                 yield from self._add(Record.heard(topic, payload))
         except (ProtocolError, MalformedMessageError):
@@ -192,7 +192,7 @@ class RunCollector:
 
     def _arrange(self, topic: Topic, payloads: Sequence[bytes], *, joined: bool) -> Sequence[bytes] | None:
         """Hold ordinary messages; return those of steps far ahead, None if all must be added singly."""
-        if topic not in self._main or not payloads:
+        if topic not in self._stepwise or not payloads:
             return None
         messages = self._arrivals.read(topic, payloads, joined=joined)
         if messages is None:
@@ -209,7 +209,7 @@ class RunCollector:
         topic, message = record.topic, record.message
         if isinstance(message, ROBOT_STATES):
             self._hold_state(record, message)
-        elif topic in self._main:
+        elif topic in self._stepwise:
             if not self._arrivals.put(topic, 0, message.step, record.payload):
                 raise ConflictError(topic.name, message.step)
         elif self._others.setdefault(message.step, {}).setdefault(topic, record.payload) != record.payload:
@@ -274,16 +274,16 @@ class RunCollector:
         return divided - step
 
     def _others_there(self, step: int) -> bool:
-        """Return whether the messages of a step on other than the main topics have arrived."""
+        """Return whether the messages of a step on topics that have none in other steps have arrived."""
         others = self._others.get(step, {})
-        return all(topic in others for topic in self._coordinated(step) if topic not in self._main)
+        return all(topic in others for topic in self._coordinated(step) if topic not in self._stepwise)
 
     def _take(self, count: int) -> Step:
         """Return so many complete steps, and go on to the next one."""
         step = self._step
         tables = self._arrivals.tables(step, count)
         for topic in self._coordinated(step):
-            if topic not in self._main:
+            if topic not in self._stepwise:
                 payloads = [self._others[number][topic] for number in range(step, step + count)]
                 tables[topic] = rows_of(topic, payloads)
         events = self._events.get(step + count - 1, {})
@@ -348,8 +348,10 @@ class RunCollector:
     def _coordinated(self, step: int) -> tuple[Topic, ...]:
         """Return the topics with one message in a step, in the order of a bag after the robots' states."""
         family = self._family
-        divided = self._membership.divides(step, self._division)
-        return (*(() if step else family.once), *self._main[1:-1], *((STANDING,) if divided else ()), family.desired)
+        absent = {family.robot, *(family.once if step else ())}
+        if not self._membership.divides(step, self._division):
+            absent.add(STANDING)
+        return tuple(topic for topic in family.recorded if topic not in absent)
 
     def missing_agents(self) -> tuple[int, ...]:
         """Return the robots whose state is missing in the current step."""

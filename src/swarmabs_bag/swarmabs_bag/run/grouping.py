@@ -115,10 +115,12 @@ def whole_steps(tables: Iterable[TopicMessages], family: Family) -> Iterator[Ste
 def _parts(messages: TopicMessages, family: Family) -> Iterator[tuple[TopicMessages, int]]:
     """Split messages up to the end of the last step; with the number of robots, 0 if they are not whole steps.
 
-    Messages on other topics than the main ones, such as events, may precede a step, in a part of their own.
+    Messages on other topics than those with messages in every step, such as events, may precede a step, in a part of
+    their own.
     """
-    order = _order(messages, family)
-    is_last = order == len(family.main) - 1  # the message that ends its step
+    topics = _stepwise(messages, family)
+    order = _order(messages, topics)
+    is_last = order == len(topics) - 1  # the message that ends its step
     count = int(np.count_nonzero(is_last))
     if not count:
         return
@@ -132,7 +134,7 @@ def _parts(messages: TopicMessages, family: Family) -> Iterator[tuple[TopicMessa
     # A step is whole with robots before each coordinator once, in the order of the topics.
     before_earlier = np.append(np.diff(order) < 0, False) & ~is_last
     whole = (per_step(before_earlier) == 0) & (robots > 0)
-    for coordinator in range(1, len(family.main)):
+    for coordinator in range(1, len(topics)):
         whole &= per_step(order == coordinator) == 1
     robots[~whole] = 0
     # A part begins where the number of robots changes, and at everything that is not a whole step.
@@ -147,10 +149,15 @@ def _parts(messages: TopicMessages, family: Family) -> Iterator[tuple[TopicMessa
         yield messages[begin:end], int(robots[first])
 
 
-def _order(messages: TopicMessages, family: Family) -> Integers:
-    """Return the place of each message's topic among the main topics, -1 for other topics."""
+def _stepwise(messages: TopicMessages, family: Family) -> tuple[Topic, ...]:
+    """Return the topics with messages in every step; a bag of an earlier version may lack further ones."""
+    return tuple(topic for topic in family.stepwise if topic not in family.further or topic in messages.topics)
+
+
+def _order(messages: TopicMessages, topics: tuple[Topic, ...]) -> Integers:
+    """Return the place of each message's topic among these topics, -1 for others."""
     place_of = np.full(len(messages.topics), -1)
-    for number, topic in enumerate(family.main):
+    for number, topic in enumerate(topics):
         if topic in messages.topics:
             place_of[messages.topics.index(topic)] = number
     places: Integers = place_of[messages.places]
@@ -159,14 +166,14 @@ def _order(messages: TopicMessages, family: Family) -> Integers:
 
 def _whole(messages: TopicMessages, robots: int, family: Family) -> Step | None:
     """Return the steps of messages with so many robots, None if they are not whole, or have other times."""
-    stored = messages.stored
-    count = robots + len(family.main) - 1
+    stored, topics = messages.stored, _stepwise(messages, family)
+    count = robots + len(topics) - 1
     times = stored.heads["log_time"].reshape(-1, count)
     if (times != times[:, :1]).any() or (stored.heads["publish_time"].reshape(-1, count) != times).any():
         return None
     sizes, begins = stored.sizes.reshape(-1, count), stored.begins.reshape(-1, count)
     payloads = {}
-    columns = {topic: slice(place, place + 1) for place, topic in enumerate(family.main[1:], start=robots)}
+    columns = {topic: slice(place, place + 1) for place, topic in enumerate(topics[1:], start=robots)}
     for topic, of_topic in {family.robot: slice(robots), **columns}.items():
         size = sizes[:, of_topic]
         if (size != size[0, 0]).any() or not size[0, 0]:

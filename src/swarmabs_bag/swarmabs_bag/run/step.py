@@ -11,7 +11,7 @@ from swarmabs_bag.run.digest import digest_head
 from swarmabs_core.arrays import canonical_table, layout_of, raw
 from swarmabs_core.cdr import SECOND, decode
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import EVENTS, FAMILIES, MAIN_TOPICS, STANDING, SYSTEM_FAMILY, Topic
+from swarmabs_core.messages import EVENTS, FAMILIES, SYSTEM_FAMILY, Topic
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
@@ -28,13 +28,11 @@ STEP_BYTES = 2**18
 STEP_SECONDS = 0.05
 """Time for which a producer may hold back steps to join them, s: with the age of a chunk, it stays below 1 s."""
 
-ORDER = {
-    topic: number
-    for family in FAMILIES
-    for number, topic in enumerate((*family.once, *family.main[:-1], STANDING, family.desired), -len(family.once))
-} | {EVENTS: len(MAIN_TOPICS) + 1}
+ORDER = {topic: number for family in FAMILIES for number, topic in enumerate(family.recorded, -len(family.once))}
+ORDER[EVENTS] = 1 + max(ORDER.values())
 """Place of each recorded topic within a step of a bag."""
 _MAIN = {topic for family in FAMILIES for topic in family.main}
+_STEPWISE = {topic for family in FAMILIES for topic in family.stepwise}
 _ROBOTS = {family.robot for family in FAMILIES}
 _PARENTS = [family.parent for family in FAMILIES]
 
@@ -52,8 +50,8 @@ class Step:
         Number of the first step.
     tables : mapping of Topic to ndarray
         For each topic but events its messages in canonical CDR with the encapsulation header, contiguous: those of the
-        robots have shape (K, N), with ascending ids, the others (K,). On main topics they have a layout of
-        `swarmabs_core.arrays`; on others they are plain bytes.
+        robots have shape (K, N), with ascending ids, the others (K,). On topics with messages in every step they have a
+        layout of `swarmabs_core.arrays`; on others they are plain bytes.
     told : tuple of bytes
         The events in canonical CDR.
     time : int, optional
@@ -114,7 +112,7 @@ class Step:
 
     @classmethod
     def whole(cls, payloads: Mapping[Topic, bytes | bytearray | memoryview]) -> Step | None:
-        """Return the steps of joined payloads: for each main topic by step, for the robots by step and id.
+        """Return the steps of joined payloads: for each topic by step, for the robots by step and id.
 
         Returns None if they are not whole steps that follow each other: if a payload is not canonical, lists change
         their lengths, robots join or leave, a step is missing, or a time of the parent is negative.
@@ -128,7 +126,7 @@ class Step:
         family = next(family for family in FAMILIES if family.robot in tables)
         steps = len(tables[family.parent])
         robots, rest = divmod(len(tables[family.robot]), steps)
-        if rest or any(len(tables[topic]) != steps for topic in family.main[1:]):
+        if rest or any(len(table) != steps for topic, table in tables.items() if topic is not family.robot):
             return None
         tables[family.robot] = tables[family.robot].reshape(steps, robots)
         first = int(tables[family.parent]["step"][0])
@@ -281,7 +279,7 @@ def rows_of(topic: Topic, payloads: Sequence[bytes]) -> Rows:
     """
     if len(set(map(len, payloads))) > 1:
         raise MalformedMessageError(topic.message.__name__, "lists of different lengths in one step")
-    layout = layout_of(topic, payloads[0]) if topic in _MAIN else np.dtype((np.void, len(payloads[0])))
+    layout = layout_of(topic, payloads[0]) if topic in _STEPWISE else np.dtype((np.void, len(payloads[0])))
     return np.frombuffer(b"".join(payloads), layout)
 
 

@@ -1,0 +1,133 @@
+"""A program in which the parent controller publishes on a further recorded topic, declared as a contributor would.
+
+It stands for a change of three files: the topic and its message, the graph, and the behaviour. Everything else must
+follow from these. What it does with runs, bags and tables is printed as JSON.
+"""
+
+import csv
+import json
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+from swarmabs_core import messages as msg
+
+
+class Effort(NamedTuple):
+    """Power of the desired torque; its layout is that of an installed definition, `PlaneState`."""
+
+    stamp: msg.Stamp
+    step: msg.StepNumber
+    power: Annotated[float, msg.Field("float64", "W")]
+    work: Annotated[float, msg.Field("float64", "J", "since the start")]
+
+
+EFFORT = msg.Topic("parent/effort", Effort, msg.PLANE_STATE.ros_type)  # type: ignore[arg-type]
+msg.TOPICS = (*msg.TOPICS, EFFORT)
+msg.TOPIC_OF[Effort] = EFFORT  # type: ignore[index]
+for family in msg.FAMILIES:
+    object.__setattr__(family, "further", (EFFORT,))
+
+from swarmabs_config import graph  # noqa: E402 - what is imported from here on knows the topic
+
+LINK = graph.Link(
+    EFFORT,
+    {graph.LOCKSTEP: graph.Qos("reliable", 100)},
+    (graph.End(graph.CONTROLLER),),
+    (graph.End(graph.RECORDER, 1000),),
+    system=EFFORT,
+)
+graph.GRAPH = (*graph.GRAPH, LINK)
+graph.OFFERED[graph.LOCKSTEP][EFFORT] = LINK.offered[graph.LOCKSTEP]
+
+from swarmabs_core.behaviours import Controller  # noqa: E402
+
+_finish = Controller._finish  # noqa: SLF001 - the change of the behaviour
+
+
+def _finish_with_effort(controller: Controller) -> msg.Messages:
+    *events, desired = _finish(controller)
+    effort = Effort(desired.stamp, desired.step, 0.5 * msg.vector_of(desired, "value")[0], desired.step + 0.25)
+    return (*events, effort, desired)  # type: ignore[return-value]
+
+
+Controller._finish = _finish_with_effort  # type: ignore[method-assign]  # noqa: SLF001
+
+from swarmabs_analysis.export import export_tables  # noqa: E402
+from swarmabs_analysis.verify import BagToVerify  # noqa: E402
+from swarmabs_bag.attached import attachments, provenance  # noqa: E402
+from swarmabs_bag.reader import open_bag  # noqa: E402
+from swarmabs_bag.recorder.recording import Recording  # noqa: E402
+from swarmabs_bag.repair.completeness import complete_steps  # noqa: E402
+from swarmabs_bag.run.step import Step  # noqa: E402
+from swarmabs_bag.run.writer import BagWriter  # noqa: E402
+from swarmabs_config.scenario import Scenario  # noqa: E402
+from swarmabs_config.scenarios import find_scenario  # noqa: E402
+from swarmabs_core.cdr import encode  # noqa: E402
+from swarmabs_run.simulation import Simulation, simulated_steps  # noqa: E402
+from swarmabs_run.vector_simulation import vectorisable  # noqa: E402
+
+OUT = Path(sys.argv[1])
+FEW = find_scenario("pd_het_4", ["duration=1", "faults=[{at: 0.3, agent: 2, kind: kill}]"])
+MANY = find_scenario(
+    "arise_het_200", ["duration=1", "swarm.generate.single_integrator=22", "swarm.generate.double_integrator=22"]
+)
+
+
+def recorded(scenario: Scenario, name: str, steps: Iterable[Step]) -> Path:
+    """Record steps in a bag."""
+    recording = Recording(scenario, OUT / name, driver="simulate")
+    for step in steps:
+        recording.add(step)
+    recording.close()
+    return OUT / name
+
+
+def stored(bag: Path) -> list[tuple[str, int, bytes]]:
+    """Return the messages of a bag."""
+    return [(topic.name, time, payload) for topic, time, payload in open_bag(bag).messages()]
+
+
+def copied(bag: Path, name: str, *, step: int | None) -> Path:
+    """Copy the bag of `FEW` with a changed effort in a step, or with no step without the topic."""
+    topics = [topic for topic in open_bag(bag).topics() if step is not None or topic is not EFFORT]
+    attached = attachments(FEW, provenance(FEW, driver="simulate"))
+    with BagWriter(OUT / name, topics=topics, attachments=attached) as writer:
+        for topic, time, message in open_bag(bag).decoded(topics):
+            changed = topic is EFFORT and message.step == step
+            writer.write(topic, time, encode(message._replace(work=0.0) if changed else message))  # type: ignore[union-attr]
+    return OUT / name
+
+
+def verified(bag: Path) -> dict[str, object]:
+    """Verify a bag."""
+    result = BagToVerify(bag).verify()
+    difference = result.difference and (result.difference.topic, result.difference.step, result.difference.field)
+    wanted = ("ok", "complete", "messages", "digest", "notes")
+    return {"difference": difference, **{name: value for name, value in result.to_dict().items() if name in wanted}}
+
+
+def main() -> dict[str, object]:
+    """Simulate, record, verify and export."""
+    few = recorded(FEW, "few", simulated_steps(FEW))
+    many = recorded(MANY, "many", simulated_steps(MANY))
+    nodes = recorded(MANY, "nodes", Simulation(MANY).steps())
+    export_tables(few, OUT / "tables", "csv")
+    rows = list(csv.DictReader((OUT / "tables" / "parent_effort.csv").open(encoding="utf-8")))
+    steps = complete_steps(few)
+    return {
+        "on_arrays": vectorisable(MANY),
+        "same": stored(many) == stored(nodes),
+        "counts": [sum(name == EFFORT.name for name, *_ in stored(bag)) for bag in (few, many)],
+        "few": verified(few),
+        "many": verified(many),
+        "changed": verified(copied(few, "changed", step=40)),
+        "without": verified(copied(few, "without", step=None)),
+        "order": [name for name, time, _ in stored(few) if time == 500_000_000],
+        "rows": [rows[0], rows[-1]],
+        "complete": steps and steps.by_topic,
+    }
+
+
+sys.stdout.write(json.dumps(main()))
