@@ -10,7 +10,8 @@ from pathlib import Path
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 import mujoco
-from mujoco_trial import Setup, prepare
+from mujoco_setup import Setup
+from mujoco_trial import prepare
 from PIL import Image
 
 from swarmabs_config.scenario import PlaneScenario, on_plane
@@ -34,7 +35,7 @@ def frames(scenario: PlaneScenario, duration: float) -> list[Image.Image]:
     """Return the pictures of a trial of a duration, s."""
     swarm, rig = prepare(scenario, Setup(), seed=1)
     view = camera()
-    pictures = []
+    pictures: list[Image.Image] = []
     with mujoco.Renderer(rig.model, SIZE[1], SIZE[0]) as renderer:
         while rig.time < duration:
             if rig.time >= len(pictures) / RATE:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import atan2, cos, pi, sin
 from random import Random
 from typing import NamedTuple
 
 import mujoco
-from mujoco_world import WHEEL_RADIUS, Chassis, Friction, Physics, Plank, build, drag
+from mujoco_world import WHEEL_RADIUS, Chassis, Friction, Physics, Plank, Robot, build, drag
 
 WATCHDOG = 0.2
 """Time without a command after which a base stops by itself, s."""
 _BRAKING_TIME = 0.1
 """Time in which the brake of a base that is driven by force stops it, s."""
+_DRIVES_OFF = 0.5
+"""Acceleration by which a force sets a robot in motion, more than noise makes of its brake and its weight, m/s^2."""
 _HEADING_GAIN, _LANE_GAIN = 6.0, 40.0
 """Gains with which a base keeps its lane: of the heading, 1/s, and of the distance from the lane's middle, rad/m^2."""
 
@@ -41,10 +44,19 @@ class Faults:
 
 
 class Reading(NamedTuple):
-    """Measurement of a robot: position (m) and velocity (m/s) along its lane."""
+    """Measurement of a robot.
+
+    Attributes
+    ----------
+    position, velocity : float
+        Position, m, and velocity, m/s, along its lane.
+    wheels : tuple
+        Angle, rad, and angular velocity, rad/s, of its wheels, forwards; their names are `MujocoRig.joints`.
+    """
 
     position: float
     velocity: float
+    wheels: tuple[tuple[float, float], ...]
 
 
 class Readings(NamedTuple):
@@ -52,8 +64,8 @@ class Readings(NamedTuple):
 
     Attributes
     ----------
-    age : float
-        Time since they were measured, s.
+    time : float
+        Simulated time at which they were measured, s.
     encoder : float
         Angle by the encoder on the plane's axis, rad.
     tilt : tuple of float
@@ -62,7 +74,7 @@ class Readings(NamedTuple):
         Measurements of the robots by id.
     """
 
-    age: float
+    time: float
     encoder: float
     tilt: tuple[float, float]
     robots: dict[int, Reading]
@@ -80,11 +92,13 @@ class MujocoRig:
     friction : tuple of float
         g1 to g6 of the bearing.
     angle : float
-        Angle at which the plank is held until a robot is commanded to move, rad.
+        Angle at which the plank is held until a robot is commanded to drive off, rad.
     faults : Faults
         Faults of sensors and motors.
     seed : int
         Of the noise.
+    disturbance : callable, optional
+        Returns the torque against the plank, N m, at a time since its release, s.
     """
 
     def __init__(
@@ -96,6 +110,7 @@ class MujocoRig:
         angle: float,
         faults: Faults | None = None,
         seed: int = 1,
+        disturbance: Callable[[float], float] | None = None,
     ) -> None:
         self.model = build(chassis, plank, physics, angle)
         self.data = mujoco.MjData(self.model)
@@ -103,12 +118,15 @@ class MujocoRig:
         self.held = True
         self._faults = faults or Faults()
         self._friction = friction
+        self._disturbance = disturbance or (lambda _: 0.0)
+        self._released = 0.0
         self._random = Random(seed)  # noqa: S311 - repeatable, not secret
         self._start = angle
         self._bodies = {body.robot.id: _Body(self.model, body) for body in chassis}
+        self.joints = {robot: body.joints for robot, body in self._bodies.items()}
         self._tilt = self.model.joint("tilt").qposadr[0], self.model.joint("tilt").dofadr[0]
         self._commands: deque[tuple[float, int, float]] = deque()
-        self._measured: deque[tuple[float, Readings]] = deque()
+        self._measured: deque[Readings] = deque()
         self.data.qpos[self._tilt[0]] = angle
         mujoco.mj_forward(self.model, self.data)
 
@@ -142,11 +160,10 @@ class MujocoRig:
 
     def read(self) -> Readings:
         """Let all sensors measure, and return the newest measurements that have arrived."""
-        self._measured.append((self.time, self._readings()))
-        while len(self._measured) > 1 and self._measured[1][0] <= self.time - self._faults.delay + 1e-9:
+        self._measured.append(self._readings())
+        while len(self._measured) > 1 and self._measured[1].time <= self.time - self._faults.delay + 1e-9:
             self._measured.popleft()
-        time, readings = self._measured[0]
-        return readings._replace(age=self.time - time)
+        return self._measured[0]
 
     def _readings(self) -> Readings:
         faults, draw = self._faults, self._random.gauss
@@ -156,9 +173,10 @@ class MujocoRig:
             robots[robot] = Reading(
                 position + draw(0.0, faults.position_noise),
                 velocity + draw(0.0, faults.velocity_noise),
+                body.wheels(self.data),
             )
         encoder = self.angle + faults.tilt_offset + draw(0.0, faults.tilt_noise)
-        return Readings(0.0, encoder, (self.angle + draw(0.0, faults.tilt_noise), self.rate), robots)
+        return Readings(self.time, encoder, (self.angle + draw(0.0, faults.tilt_noise), self.rate), robots)
 
     def advance(self, time: float) -> None:
         """Step the world up to a time, s."""
@@ -166,14 +184,23 @@ class MujocoRig:
             while self._commands and self._commands[0][0] <= self.time:
                 _, robot, command = self._commands.popleft()
                 self._bodies[robot].commanded = self.time, command
-                self.held = self.held and not command
+                self.held = self.held and not self._drives_off(self.robots[robot], command)
             for body in self._bodies.values():
                 body.drive(self.data, self.angle, self.rate)
             place, velocity = self._tilt
-            self.data.qfrc_applied[velocity] = -drag(self._friction, self.rate)
+            torque = drag(self._friction, self.rate) + self._disturbance(self.time - self._released)
+            self.data.qfrc_applied[velocity] = -torque
             mujoco.mj_step(self.model, self.data)
             if self.held:
+                self._released = self.time
                 self.data.qpos[place], self.data.qvel[velocity] = self._start, 0.0
+
+    def _drives_off(self, robot: Robot, command: float) -> bool:
+        """Return whether a command does more than to keep a robot in its place on the plank while that is held."""
+        if not robot.forced:
+            return command != 0.0
+        holding = robot.facing * robot.mass * self.gravity * sin(self.angle)
+        return abs(command - holding) > robot.mass * _DRIVES_OFF
 
 
 class _Body:
@@ -189,6 +216,9 @@ class _Body:
         motors = [model.actuator(n) for n in range(model.nu)]
         mine = [motor for motor in motors if motor.name.startswith(f"motor_{robot.id}_")]
         self._motors = [(motor.id, sides[motor.name.split("_")[2]]) for motor in mine]
+        axles = [model.joint(motor.name.replace("motor", "axle")) for motor in mine]
+        self._axles = [(int(axle.qposadr[0]), int(axle.dofadr[0])) for axle in axles]
+        self.joints = tuple(_joint(motor.name, axles=len(mine) // 2) for motor in mine)
         self._gravity = -float(model.opt.gravity[2])
         self._half_track = abs(float(model.body(f"wheel_{mine[0].name.removeprefix('motor_')}").pos[1]))
         self.commanded = -WATCHDOG, 0.0
@@ -199,6 +229,10 @@ class _Body:
         x, _, z = data.qpos[self._place : self._place + 3]
         vx, _, vz = data.qvel[self._velocity : self._velocity + 3]
         return float(c * x + s * z), float(c * vx + s * vz + rate * (-s * x + c * z))
+
+    def wheels(self, data: mujoco.MjData) -> tuple[tuple[float, float], ...]:
+        """Return angle (rad) and angular velocity (rad/s) of the wheels, as their encoders count."""
+        return tuple((float(data.qpos[place]), float(data.qvel[speed])) for place, speed in self._axles)
 
     def drive(self, data: mujoco.MjData, angle: float, rate: float) -> None:
         """Set the motors for the present command, and keep to the lane."""
@@ -225,6 +259,13 @@ class _Body:
             heading -= pi if heading > 0.0 else -pi
         off = self._robot.facing * (data.qpos[self._place + 1] - self._across)
         return float(-_HEADING_GAIN * heading - _LANE_GAIN * off * forward_speed)
+
+
+def _joint(motor: str, *, axles: int) -> str:
+    """Return the name of the joint of a motor such as ``motor_1_left_0``, as bases of ros2_control have it."""
+    *_, side, axle = motor.split("_")
+    end = "" if axles == 1 else ("rear_", "front_")[int(axle)]
+    return f"{end}{side}_wheel_joint"
 
 
 _STEERING = 2e-3

@@ -7,52 +7,25 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass, replace
-from random import Random
-from typing import NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple
 
-from mujoco_rig import Faults, MujocoRig
-from mujoco_world import Base, Chassis, Physics, Plank, Robot
+from mujoco_setup import BASES, Setup, rig_of
 from virtual_swarm import State, Swarm
 
 from swarmabs_config import configure
-from swarmabs_config.scenario import PlaneScenario, on_plane
+from swarmabs_config.scenario import on_plane
 from swarmabs_config.scenarios import find_scenario
 from swarmabs_core.errors import InputError
+
+if TYPE_CHECKING:
+    from mujoco_rig import MujocoRig
+
+    from swarmabs_config.scenario import PlaneScenario
 
 LAST = 2.0
 """Time at the end of a trial over which its error is taken, s."""
 SETTLED = 0.02
 """Largest error in that time of a trial that has settled, rad."""
-
-_NOISY_AND_LATE = Faults(position_noise=0.001, velocity_noise=0.01, tilt_noise=0.001, delay=0.02)
-_SLIPPERY = Physics(grip=0.6)
-
-
-@dataclass(frozen=True)
-class Setup:
-    """The rig of a trial, as it differs from the scenario.
-
-    Attributes
-    ----------
-    base : str
-        Base of all robots.
-    height : float
-        Height of the centres of mass, m.
-    mass_error : float
-        Largest relative error of the masses that the robots know.
-    tilt_offset : float
-        Largest offset of the plane's encoder, rad.
-    faults, physics : Faults, Physics
-        Sensors and motors; wheels and engine.
-    """
-
-    base: Base = "rover"
-    height: float = 0.03
-    mass_error: float = 0.15
-    tilt_offset: float = 0.005
-    faults: Faults = _NOISY_AND_LATE
-    physics: Physics = _SLIPPERY
 
 
 class Result(NamedTuple):
@@ -80,25 +53,7 @@ class Result(NamedTuple):
 
 def prepare(scenario: PlaneScenario, setup: Setup, seed: int) -> tuple[Swarm, MujocoRig]:
     """Return a swarm and its rig; masses and the offset of the encoder are drawn by the seed."""
-    draw = Random(seed).uniform  # noqa: S311 - repeatable, not secret
-    bodies = []
-    for agent in scenario.agents:
-        facing = -1.0 if agent.id % 3 == 0 else 1.0
-        forced = agent.kind == "double_integrator"
-        robot = Robot(agent.id, forced, agent.mass, agent.damping, agent.position, facing)
-        true_mass = agent.mass * (1.0 + draw(-setup.mass_error, setup.mass_error))
-        bodies.append(Chassis(robot, true_mass, setup.height, setup.base))
-    plane = scenario.plane
-    faults = replace(setup.faults, tilt_offset=draw(-setup.tilt_offset, setup.tilt_offset))
-    rig = MujocoRig(
-        tuple(bodies),
-        Plank(plane.inertia, plane.length),
-        replace(setup.physics, gravity=plane.gravity),
-        plane.friction,
-        plane.angle,
-        faults,
-        seed,
-    )
+    rig = rig_of(scenario, setup, seed)
     return Swarm(scenario, rig), rig
 
 
@@ -126,7 +81,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--seeds", type=int, default=4, metavar="N", help="number of trials")
     parser.add_argument("--height", type=float, default=0.03, metavar="M", help="of the centres of mass, m")
     parser.add_argument("--mass-error", type=float, default=0.15, metavar="SHARE", help="largest error of the masses")
-    parser.add_argument("--base", choices=get_args(Base)[1:], default="rover", help="base of the robots")
+    parser.add_argument("--base", choices=BASES, default="rover", help="base of the robots")
     parser.add_argument("--duration", type=float, default=10.0, help="of a trial, s")
     asked = parser.parse_args(arguments)
     setup = Setup(base=asked.base, height=asked.height, mass_error=asked.mass_error)

@@ -125,6 +125,11 @@ def build(robots: tuple[Chassis, ...], plank: Plank, physics: Physics, angle: fl
     return spec.compile()
 
 
+def wheels_of(base: Base) -> int:
+    """Return the number of wheels of a base."""
+    return {"slider": 0, "differential": 2, "rover": 4}[base]
+
+
 def drag(friction: Friction, rate: float) -> float:
     """Return the friction torque of the bearing, N m, at an angular velocity, rad/s."""
     g1, g2, g3, g4, g5, g6 = friction
@@ -217,9 +222,8 @@ def _wheeled(spec: Any, chassis: Chassis, across: float, physics: Physics, angle
     body = spec.worldbody.add_body(name=f"robot_{robot.id}", pos=place, quat=turned, explicitinertial=True)
     body.add_freejoint()
     ends = (-AXLES, AXLES) if chassis.base == "rover" else (AXLE,)
-    wheels = 2 * len(ends)
     a, b, c = CHASSIS
-    body.mass = chassis.mass - wheels * WHEEL_MASS
+    body.mass = chassis.mass - wheels_of(chassis.base) * WHEEL_MASS
     above = (chassis.height - WHEEL_RADIUS) * chassis.mass / body.mass  # chassis above the axles
     body.ipos = [0.0, 0.0, above]
     body.inertia = [body.mass / 12.0 * (x * x + y * y) for x, y in ((b, c), (a, c), (a, b))]

@@ -86,7 +86,8 @@ class Swarm:
             RealtimeAgent(config, RigDrive(rig, config.agent_id, lambda: self._newest))
             for config in realtime.agent_configs(scenario, clock)
         ]
-        roles = [(OBSERVER, observer), (CONTROLLER, controller), *((ROBOT, agent) for agent in self._agents)]
+        roles: list[tuple[str, RealtimeBehaviour]] = [(OBSERVER, observer), (CONTROLLER, controller)]
+        roles += [(ROBOT, agent) for agent in self._agents]
         robots = len(self._agents)
         self._hears = [
             (node, frozenset(topic.name for topic in endpoints(role, REALTIME, robots=robots).subscriptions))
@@ -114,9 +115,9 @@ class Swarm:
         """Simulate up to a phase of the period, and let all sensors measure; return the time, ns."""
         time = (self._step + phase) * self._period
         self._rig.advance(time)
-        now, readings = EPOCH + round(time * 1e9), self._rig.read()
-        self._newest = now - round(readings.age * 1e9), readings
-        return now
+        readings = self._rig.read()
+        self._newest = EPOCH + round(readings.time * 1e9), readings
+        return EPOCH + round(time * 1e9)
 
     def _send(self, messages: Iterable[Message], now: int) -> None:
         waiting = list(messages)

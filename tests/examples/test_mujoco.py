@@ -1,28 +1,19 @@
 """The rig in MuJoCo: its plank is that of the paper, its sensors are late, and the swarm levels it."""
 
-import importlib
-import sys
-from collections.abc import Iterator
+from math import sin
 from typing import Any
 
 import pytest
-from tests.docs.pages import ROOT
 from tests.swarmabs_core.helpers import builtin
 
+from swarmabs_core.errors import InputError
 from swarmabs_run.simulation import simulate
-
-FOLDER = ROOT / "examples" / "mujoco"
-NAMES = ("mujoco_world", "mujoco_rig", "mujoco_sliders", "virtual_swarm", "mujoco_trial")
 
 
 @pytest.fixture
-def example(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
-    """Import the modules of the example; they are forgotten after the test."""
-    pytest.importorskip("mujoco", reason="MuJoCo is not installed: examples/mujoco/README.md says how")
-    monkeypatch.syspath_prepend(FOLDER)
-    yield {name: importlib.import_module(name) for name in NAMES}
-    for name in NAMES:
-        del sys.modules[name]
+def example(mujoco_example: dict[str, Any]) -> dict[str, Any]:
+    """Return the modules of the example by name."""
+    return mujoco_example
 
 
 def robot_of(example: dict[str, Any], agent: Any) -> Any:
@@ -58,12 +49,12 @@ def test_sliders_move_the_plank_as_the_robots_of_the_paper_move_the_plane(exampl
 
 def test_readings_and_commands_are_as_late_as_the_rig_says(example: dict[str, Any]) -> None:
     rigs, trial = example["mujoco_rig"], example["mujoco_trial"]
-    late = trial.Setup(mass_error=0.0, tilt_offset=0.0, faults=rigs.Faults(delay=0.02))
+    late = example["mujoco_setup"].Setup(mass_error=0.0, tilt_offset=0.0, faults=rigs.Faults(delay=0.02))
     _, rig = trial.prepare(builtin("pd_si_4"), late, 1)
     rig.drive(1, 0.2)
     for step in range(6):
         rig.advance(0.01 * step)
-        assert rig.read().age == pytest.approx(min(step, 2) * 0.01)
+        assert rig.read().time == pytest.approx(max(step - 2, 0) * 0.01)
         moved = rig.place(1) - 0.125
         assert (abs(moved) < 1e-4) == (step <= 2)
         assert rig.held == (step <= 2)
@@ -72,9 +63,68 @@ def test_readings_and_commands_are_as_late_as_the_rig_says(example: dict[str, An
 @pytest.mark.parametrize("base", ["rover", "differential"])
 def test_the_swarm_follows_its_reference_with_wheels_that_it_does_not_know(example: dict[str, Any], base: str) -> None:
     trial = example["mujoco_trial"]
-    result = trial.run(builtin("arise_het_4", "duration=6"), trial.Setup(base=base), 1)
+    result = trial.run(builtin("arise_het_4", "duration=6"), example["mujoco_setup"].Setup(base=base), 1)
     assert result.settled
     assert result.error > 1e-5 and result.farthest < 0.45 and result.steepest < 0.3
+
+
+def test_holding_its_weight_does_not_release_the_plank(example: dict[str, Any]) -> None:
+    _, rig = example["mujoco_trial"].prepare(builtin("pd_di_4"), example["mujoco_setup"].Setup(), 1)
+    for robot in rig.robots.values():
+        rig.drive(robot.id, robot.facing * robot.mass * rig.gravity * sin(rig.angle))
+    rig.advance(0.1)
+    assert rig.held and rig.angle == pytest.approx(0.1)
+    robot = rig.robots[3]  # it faces against its lane
+    rig.drive(3, robot.facing * robot.mass * (rig.gravity * sin(rig.angle) + 0.7))
+    rig.advance(0.2)
+    assert not rig.held
+
+
+def test_a_disturbance_turns_the_plank_from_its_release_on(example: dict[str, Any]) -> None:
+    world, rigs, torque = example["mujoco_world"], example["mujoco_rig"], 0.2
+    body = world.Chassis(world.Robot(1, False, 0.5, 0.0, 0.1), 0.5)
+    rates = []
+    for disturbance in (lambda _: 0.0, lambda time: torque if time < 0.1 else 0.0):
+        rig = rigs.MujocoRig((body,), world.Plank(), world.Physics(), (0.0,) * 6, 0.1, disturbance=disturbance)
+        rig.advance(0.5)  # it is held
+        rig.drive(1, 1e-6)
+        rig.advance(0.6)
+        rates.append(rig.rate)
+    inertia = 0.5 + 0.5 * (0.1**2 + 0.03**2)
+    assert rates[1] - rates[0] == pytest.approx(-torque * 0.1 / inertia, rel=0.02)
+
+
+@pytest.mark.parametrize("base", ["rover", "differential"])
+def test_wheels_count_the_way_forwards(example: dict[str, Any], base: str) -> None:
+    setup = example["mujoco_setup"].Setup(base=base, physics=example["mujoco_world"].Physics())
+    rig = example["mujoco_setup"].rig_of(builtin("pd_si_4"), setup, 1)
+    for step in range(50):
+        for robot in rig.robots:
+            rig.drive(robot, 0.1)
+        rig.advance(0.02 * step)
+    for robot in rig.robots.values():
+        driven = robot.facing * (rig.place(robot.id) - robot.position)
+        angles = [angle for angle, _ in rig.read().robots[robot.id].wheels]
+        assert len(angles) == len(rig.joints[robot.id]) == (4 if base == "rover" else 2)
+        assert driven > 0.05
+        for angle in angles:  # wheels slip a little, also sideways
+            assert 0.02 * angle == pytest.approx(driven, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["plane.angle=0.6"], "plane.angle: 0.6 rad is beyond the rig's end stops at 0.5 rad; set plane.end_stop"),
+        (["plane.angular_velocity=0.1"], "plane.angular_velocity: the rig begins at rest; set it to 0"),
+        (["swarm.agents.2.mass=0.045"], "robot 3: the wheels of a rover weigh 0.04 kg, so a mass of 0.045 kg is too"),
+    ],
+)
+def test_a_scenario_that_the_rig_cannot_be_is_refused(
+    example: dict[str, Any], overrides: list[str], message: str
+) -> None:
+    scenario = builtin("pd_si_4", *overrides)
+    with pytest.raises(InputError, match=message.replace(".", r"\.")):
+        example["mujoco_setup"].rig_of(scenario, example["mujoco_setup"].Setup(), 1)
 
 
 def test_a_scenario_that_is_none_is_refused(example: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:

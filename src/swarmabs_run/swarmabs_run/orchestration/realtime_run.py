@@ -16,6 +16,7 @@ from swarmabs_run.run import DEFAULTS, RunOptions
 if TYPE_CHECKING:
     from swarmabs_bag.run_folder import RunFolder
     from swarmabs_config.scenario import PlaneScenario
+    from swarmabs_run.orchestration.plan import Arrange
     from swarmabs_run.run import Figures
 
 LEAD, LEAD_PER_PROCESS = 1.0, 0.02
@@ -43,9 +44,11 @@ class RealtimeRun(ProcessRun):
 
     _driver = REALTIME
 
-    def __init__(self, scenario: PlaneScenario, folder: RunFolder, options: RunOptions = DEFAULTS) -> None:
+    def __init__(
+        self, scenario: PlaneScenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
+    ) -> None:
         check_realtime(scenario)
-        super().__init__(scenario, folder, options)
+        super().__init__(scenario, folder, options, arrange)
         self._limits = scenario.realtime
         self._died: dict[str, str] = {}
         self._failed_at: float | None = None
