@@ -28,6 +28,17 @@ def test_a_second_order_system_agrees_with_control_and_textbook(damping: float, 
     assert response.steady_state_error == pytest.approx(0.0, abs=2e-3)
 
 
+def test_metrics_are_those_of_the_samples_by_hand() -> None:
+    """From 10 % in the sample at 3 s to 90 % at 5 s; the last sample outside the band of 2 % is at 8 s."""
+    value = np.array([0.0, 0.0, 0.05, 0.1, 0.5, 0.92, 1.2, 1.01, 0.95, 0.99, 1.0, 1.0])
+    reference = np.where(np.arange(len(value)) < 1, 0.0, 1.05)
+    response = step_response(np.arange(len(value), dtype=float), value, reference)
+    assert response is not None
+    assert (response.at, response.rise_time, response.settling_time) == (1.0, 2.0, 8.0)
+    assert response.overshoot == pytest.approx(20.0)
+    assert response.steady_state_error == pytest.approx(0.05)
+
+
 def test_the_last_step_counts_and_an_error_that_remains_is_reported() -> None:
     reference = np.where(TIME < 10.0, 1.0, 3.0)
     value = np.where(TIME < 10.0, 1.0, 1.0 + 1.5 * (1.0 - np.exp(-(TIME - 10.0))))

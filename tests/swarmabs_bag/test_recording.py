@@ -480,7 +480,7 @@ def test_a_state_of_the_plane_waits_for_its_answer_while_a_hundred_others_come()
 
 def test_a_position_that_is_no_number_is_not_passed_over() -> None:
     metrics = RunFigures(lambda _: 0.0)
-    for distance, largest in ((0.5, 0.5), (0.7, 0.7), (0.6, 0.7), (nan, None)):
+    for distance, largest in ((0.5, 0.5), (0.7, 0.7), (0.6, 0.7), (nan, None), (0.3, None), (0.9, None)):
         metrics.reach(distance)
         assert metrics.figures()["max_abs_position"] == largest
 

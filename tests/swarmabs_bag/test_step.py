@@ -135,12 +135,12 @@ def joined(steps: list[Step]) -> dict[msg.Topic, bytearray]:
     return found
 
 
-def test_the_largest_of_numbers_that_are_none_is_that_of_their_messages() -> None:
+def test_the_largest_position_is_not_known_if_one_is_no_number() -> None:
     coordinators = run("pd_si_4")[1][0].records[-4:]
-    places = [(nan, 1.0), (1.0, nan), (-2.0, 1.0), (nan, nan), (inf, -inf), (-0.0, 0.0)]
-    for place in places:
+    largest = {(nan, 1.0): nan, (1.0, nan): nan, (-2.0, 1.0): 2.0, (nan, nan): nan, (inf, -inf): inf, (-0.0, 0.0): 0.0}
+    for place, expected in largest.items():
         robots = [Record.of(agent_state(i, position=x)) for i, x in enumerate(place, start=1)]
-        assert repr(Step.of(0, (*robots, *coordinators)).max_abs_positions) == repr((max(map(abs, place)),))
+        assert repr(Step.of(0, (*robots, *coordinators)).max_abs_positions) == repr((expected,))
 
 
 def test_a_step_has_robots_in_order_whose_lists_are_equally_long() -> None:

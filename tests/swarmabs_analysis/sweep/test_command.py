@@ -6,6 +6,7 @@ import signal
 from collections.abc import Callable, Iterator
 from csv import DictReader
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -24,7 +25,13 @@ from swarmabs_core.errors import InputError, RunError
 FIRST, SECOND = '{"case": 4, "outcome": "settled"}', '{"case": 1, "outcome": "failed"}'
 
 
-@pytest.mark.parametrize("torn", [b"", b'{"case": 2', b'{"case": 2}', b"\0\0\0\n", b"[]\n", b'{"x": 1}\n{"case": 9}\n'])
+@pytest.mark.parametrize(
+    "torn",
+    [
+        *(b"", b'{"case": 2', b'{"case": 2}', b"\0\0\0\n", b"[]\n", b'{"x": 1}\n{"case": 9}\n'),
+        b'{"case": 2, "outcome": "failed"}',  # all but the end of the line
+    ],
+)
 def test_what_a_crash_has_torn_is_cut_off(tmp_path: Path, torn: bytes) -> None:
     with SweepFolder(tmp_path) as folder:
         folder.add(FIRST)
@@ -58,6 +65,17 @@ def test_another_writer_is_refused_and_a_full_disk_is_named(tmp_path: Path, monk
     assert [path.name for path in tmp_path.iterdir()] == ["cases.jsonl"]
     with SweepFolder(tmp_path) as folder:
         assert list(folder.rows) == [4]
+
+
+def test_a_row_of_which_the_system_writes_a_part_at_a_time_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = os.write
+    with SweepFolder(tmp_path) as folder, monkeypatch.context() as patch:
+        patch.setattr(os, "write", lambda descriptor, content: write(descriptor, content[:7]))
+        folder.add(FIRST)
+        folder.add(SECOND)
+    assert folder.journal.read_text() == f"{FIRST}\n{SECOND}\n"
 
 
 def test_new_folder_holds_the_sweep_and_no_other(study: Study, small: Path, tmp_path: Path) -> None:
@@ -102,6 +120,7 @@ class Here(Executor):
 
     limit = CASES
     end: type[BaseException] = KeyboardInterrupt
+    given: ClassVar[list[int]] = []
 
     def __init__(self, jobs: int | None = None) -> None:
         super().__init__(f"{jobs} local processes")
@@ -111,6 +130,7 @@ class Here(Executor):
             if number == self.limit:
                 raise self.end("no worker is left")
             idle()
+            self.given.append(task.case)
             yield evaluate(task)
 
 
@@ -213,8 +233,10 @@ def test_a_sweep_that_was_stopped_goes_on_and_ends_as_if_it_had_not_been(
     assert (summary(folder), finished(folder)) == (found, 5)
 
     small.write_text(text)
+    here.given.clear()
     assert sweep(small, "-o", folder, "--resume", cwd=tmp_path).code == 0
     assert summary(folder)["computed"] == CASES - 5
+    assert here.given == [*range(5, CASES)]
     assert names(folder) == FILES
     assert sweep(small, "-o", "whole", cwd=tmp_path).code == 0
     kept = contents(folder)

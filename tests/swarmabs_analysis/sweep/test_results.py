@@ -4,7 +4,7 @@ import io
 import json
 import math
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from matplotlib import colormaps
-from matplotlib.colors import to_hex
+from matplotlib.colors import Normalize, to_hex
+from matplotlib.contour import ContourSet
+from matplotlib.figure import Figure
+from scipy.optimize import brentq
 from tests.swarmabs_core.helpers import digest
 
 from swarmabs_analysis.sweep import evaluate as module
@@ -24,6 +27,7 @@ from swarmabs_analysis.sweep.study import Study, Sweep, load_sweep
 from swarmabs_analysis.sweep.table import parquet, results_table
 from swarmabs_config.scenario import parse_scenario
 from swarmabs_config.scenarios import builtin_scenarios
+from swarmabs_config.theory import attraction
 from swarmabs_run.simulation import Simulation, simulate
 
 TEXT = builtin_scenarios()["pd_het_4"].read_text()
@@ -93,6 +97,25 @@ def test_row_of_what_is_no_scenario_of_a_case_that_kills_its_workers_and_of_a_bu
     found = row()
     assert (found["status"], found["digest"], len(found["reason"])) == ("failed", None, LONGEST_REASON)
     assert found["reason"].startswith("ZeroDivisionError: xxx")
+
+
+@pytest.mark.parametrize(
+    ("name", "share", "inside"),
+    [
+        ("printed", 0.99, (True, True)),
+        ("printed", 1.01, (False, True)),
+        ("corrected", 0.99, (False, True)),
+        ("corrected", 1.01, (False, False)),
+    ],
+)
+def test_a_start_is_in_each_estimate_up_to_its_own_level(name: str, share: float, inside: tuple[bool, bool]) -> None:
+    region = attraction(parse_scenario(TEXT), 0.2)
+    assert region is not None
+    level = share * float(getattr(region, name))
+    angle = brentq(lambda angle: region.error_squared(angle, 0.0) - level, 0.09, 0.5)
+    found = row("duration=0.05", f"plane.angle={angle!r}")
+    assert found["initial_error_squared"] == pytest.approx(level)
+    assert (found["in_printed_estimate"], found["in_corrected_estimate"]) == inside
 
 
 HEAD = "schema: 1\nscenario: pd_het_4\nset: {duration: 0.05}\n"
@@ -186,6 +209,50 @@ def test_region_has_the_colours_of_the_outcomes_and_is_the_same_each_time(tmp_pa
         assert share(colour, files["region.png"]) > 0.0
         assert label in files["region.svg"].decode()
     assert "estimate as printed in the paper" in files["region.svg"].decode()
+
+
+@pytest.mark.parametrize("picture", ["", "picture: {x: plane.angular_velocity, y: plane.angle}\n"])
+def test_outlines_are_where_starts_cease_to_be_in_the_estimates(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, picture: str
+) -> None:
+    """The estimate of the paper is dotted, the corrected one solid; the rows of cases on both sides tell."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    draw(tmp_path, REGION + picture)
+    outlines = [one for one in drawn[0].axes[1].collections if isinstance(one, ContourSet)]
+    names = {":": "in_printed_estimate", "-": "in_corrected_estimate"}
+    assert sorted(one.linestyles[0] for one in outlines) == ["-", ":"]
+    for outline in outlines:
+        places = np.concatenate([path.vertices for path in outline.get_paths()])
+        middle = (places.max(axis=0) + places.min(axis=0)) / 2.0
+        for place in places[:: len(places) // 5]:
+            inside = []
+            for share in (0.97, 1.03):
+                start = (middle + share * (place - middle)).tolist()
+                angle, rate = reversed(start) if picture else start
+                found = row("duration=0.01", f"plane.angle={angle!r}", f"plane.angular_velocity={rate!r}")
+                inside.append(found[names[outline.linestyles[0]]])
+            assert inside == [True, False]
+
+
+def test_a_field_has_the_colour_of_the_median_of_its_results_in_its_place(tmp_path: Path) -> None:
+    study = loaded(tmp_path, "grid: {plane.angle: [0, 0.1, 0.2], swarm.agents.2.mass: [0.4, 0.6]}\nsamples: 3\n")
+    middles = {place: 2.0 + 1.5 * number for number, place in enumerate(product((0, 0.1, 0.2), (0.4, 0.6)))}
+    rows: dict[int, dict[str, Any]] = {}
+    for case in study.cases():
+        middle = middles[case.values["plane.angle"], case.values["swarm.agents.2.mass"]]
+        result = (middle - 1.0, middle, middle + 5.0)[case.index % 3]
+        rows[case.index] = {"outcome": "settled", "settled_at": result}
+    image = matplotlib.image.imread(io.BytesIO(pictures(study, rows)["region.png"]))[:, :, :3]
+    colour = Normalize(min(middles.values()) - 1.0, max(middles.values()) + 5.0)
+    centres = {}
+    for place, middle in middles.items():
+        shown = np.array(colormaps["viridis"](colour(middle))[:3])
+        centres[place] = np.median(np.argwhere((np.abs(image - shown) < 1.5 / 255).all(axis=2)), axis=0)
+    for place, (down, across) in centres.items():
+        for other, (other_down, other_across) in centres.items():
+            assert (across < other_across - 20) == (place[0] < other[0])
+            assert (down > other_down + 20) == (place[1] < other[1])
 
 
 def test_estimates_hold_for_one_swarm_only_and_a_field_has_the_colour_of_its_worst_case(tmp_path: Path) -> None:

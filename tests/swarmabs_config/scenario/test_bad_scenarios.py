@@ -67,6 +67,11 @@ LISTED = [
     (listed(SI, DI.replace("-0.1", "0.1")), "3: swarm.agents: …at one point (S3 = 0 kg^4 m^2), …; give them different"),
     (listed(SI, DI.replace("-0.1", "0.1000001")), "3: swarm.agents: all robots are at one point (S3 = "),
     (
+        listed(SI, DI.replace("-0.1", "0.1"), "{id: 3, kind: single_integrator, mass: 0.6, position: -0.1}")
+        + "faults: [{kind: join, agent: 3, at: 1.0}]",
+        "3: swarm.agents: …at one point (S3 = 0 kg^4 m^2), …; give them different",
+    ),
+    (
         listed(SI, DI.replace("-0.1", "0.100005")) + "plane: {length: 10}",
         "3: swarm.agents: all robots are at one point (S3 = ",
     ),

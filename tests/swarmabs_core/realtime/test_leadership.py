@@ -192,6 +192,37 @@ def test_a_silent_controller_follows_the_mode_of_the_leader_and_continues_where_
     assert first.inertia_acceleration == pytest.approx(expected.inertia_acceleration, rel=1e-6)
 
 
+class Noted:
+    """A law that notes when it was asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[float] = []
+
+    def torque(self, time: float, plane: msg.PlaneState) -> float:
+        self.asked.append(time)
+        return 0.2
+
+    def reference(self, time: float) -> float:
+        return 0.0
+
+
+@pytest.mark.parametrize(("plane_first", "times"), [(False, [0.05, 0.06]), (True, [0.0, 0.06])])
+def test_a_silent_controller_computes_a_step_of_the_leaders_law_once_or_takes_it_over(
+    *, plane_first: bool, times: list[float]
+) -> None:
+    """The leader's law began in step 5. Who hears of it after the state of step 10 has begun one of its own before."""
+    leader, standby, law = controller(), paired_controller(STANDBY), Noted()
+    standby.tuned(lambda: law)()
+    for step in range(5, 11):
+        basis, asked = leader.hear(plane(step), at(step + 0.5))
+    assert isinstance(asked, msg.DesiredAbstractState)
+    for message in (plane(10), basis, asked) if plane_first else (basis, plane(10), asked):
+        standby.hear(message, at(10.6))
+    assert dict(standby.health(at(10.7)).values)["desired torque, N m"] == f"{asked.torque:.4f}"
+    standby.hear(plane(11), at(11.5))
+    assert law.asked == pytest.approx(times)
+
+
 def test_a_stop_at_the_silent_controller_reaches_the_leader_and_outlives_it() -> None:
     leader, standby = paired_controller(PRIMARY), paired_controller(STANDBY)
     for step in range(10, 150):

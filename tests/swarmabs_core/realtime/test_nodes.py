@@ -253,6 +253,18 @@ def test_the_plane_is_held_until_a_robot_follows_and_then_makes_up_for_being_lat
     assert late.tick(nodes.at(20.5))[1] == expected
 
 
+def test_the_plane_makes_up_for_at_most_a_thousand_periods() -> None:
+    """After a longer pause it is where it was after a thousand periods, and not one period further."""
+    slow = nodes.scenario("plane.friction=[0, 0, 0, 0, 0, 50]")
+    angles = {}
+    for pause in (999, 1000, 1001, 4000):
+        node = RealtimePlane(configure.plane_config(slow, nodes.CLOCK))
+        nodes.hear(node, nodes.states(0, broadcast_step=0, velocity=0.0), 0)
+        _, state = node.tick(nodes.at(pause + 0.5))
+        angles[pause] = state[2]
+    assert angles[999] != angles[1000] == angles[1001] == angles[4000]
+
+
 def test_the_plane_tells_of_robots_beyond_its_end_and_of_their_return() -> None:
     node = RealtimePlane(configure.plane_config(nodes.scenario(), nodes.CLOCK))
     told = []

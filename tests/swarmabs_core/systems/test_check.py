@@ -159,6 +159,9 @@ def test_a_row_that_no_robot_can_change_is_refused_with_its_name() -> None:
     (problem,) = found("lift", rotors(0.0, 0.0, 0.0))
     assert problem[1].startswith("no robot can change row 'torque' of the abstract state: ")
     assert problem[2] == "add a robot that can, or remove the row from the system's table abstract"
+    given = rotors(0.0, 0.0, 0.5)
+    (problem,) = problems_of(NamedSystem("lift"), given, SystemGains(), PERIOD, later=(3,))
+    assert problem[1].startswith("no robot can change row 'torque'"), "the one that can joins later"
     (problem,) = found("beam", robots((0.0,), (0.0,)))
     assert problem[1].startswith("the robots cannot control row 'inertia'")
     assert "spread" in problem[2]

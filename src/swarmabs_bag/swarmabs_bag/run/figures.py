@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from math import isfinite, sqrt
+from math import isfinite, isnan, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmabs_bag.run.digest import Digest
@@ -144,8 +144,9 @@ class Figures:
 
     def reach(self, distance: float) -> None:
         """Record a coordinate of a robot without its sign: on the plane its distance from the axis, m."""
-        if self._max_abs_position is None or not distance <= self._max_abs_position:
-            self._max_abs_position = distance  # even if it is NaN
+        largest = self._max_abs_position
+        if largest is None or isnan(distance) or distance > largest:  # nothing is larger than NaN
+            self._max_abs_position = distance
 
     def follow(self, step: int, time: float, state: Vector) -> None:
         """Compare the parent's state, on the plane its angle (rad), at a step with the reference at a time (s).

@@ -213,16 +213,13 @@ class Step:
     def max_abs_positions(self) -> tuple[float, ...]:
         """Largest absolute coordinate of a robot in each step: on the plane, its distance from the axis, m.
 
-        Empty if there are no robots, or they have no coordinates.
+        NaN if one of them is. Empty if there are no robots, or they have no coordinates.
         """
         robots = self._robots
         name = "coordinates" if SYSTEM_FAMILY.robot in self.tables else "position"
         if robots is None or name not in (robots.dtype.names or ()):
             return ()
-        sizes = np.abs(robots[name]).reshape(len(self), -1)
-        largest = np.where(np.isnan(sizes), -1.0, sizes).max(axis=1)
-        # As `max` of the numbers one after the other: NaN if the first one is, else the largest that is a number.
-        return tuple(np.where(np.isnan(sizes[:, 0]), np.nan, largest).tolist())
+        return tuple(np.abs(robots[name]).reshape(len(self), -1).max(axis=1).tolist())
 
     @property
     def events(self) -> tuple[SwarmEvent, ...]:
