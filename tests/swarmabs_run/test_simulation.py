@@ -167,6 +167,9 @@ def strained() -> Scenario:
         (strained(), True),
         (builtin("pd_het_4", "duration=0.6", "swarm.gains={k: [199, 199], kp: [20000, 20000]}"), True),  # fly off
         (builtin("pd_si_4", "plane.disturbance={amplitude: 500, angular_frequency: 1}"), False),  # turns over
+        (builtin("pd_het_4", SHORT, *(f"swarm.agents.{n}.center_height={0.02 * n}" for n in range(4))), False),
+        (builtin("arise_di_4", SHORT, "plane={mass: 2.0, center_height: -0.1}"), False),
+        (builtin("pd_het_4", SHORT, "swarm={generate: {single_integrator: 8, center_height: 0.03}}"), False),
     ],
 )
 def test_arrays_give_the_bits_and_the_order_of_the_state_machines(scenario: Scenario, events: bool) -> None:  # noqa: FBT001

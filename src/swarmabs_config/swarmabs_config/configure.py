@@ -21,6 +21,7 @@ from swarmabs_core.faults import (
     RobotFault,
     SettingFault,
 )
+from swarmabs_core.heights import CenterHeights
 from swarmabs_core.membership import ALWAYS, SETTLING_NS, Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.models import (
@@ -250,8 +251,14 @@ def declared(scenario: PlaneScenario) -> tuple[object, ...]:
     """Return the declarations of a scenario from which the configurations of the nodes are gathered."""
     run = replace(_run(scenario), actuator_lag=scenario.swarm.actuator_lag)
     swarm = scenario.swarm
-    of_plane = scenario.plane, scenario.manifold, parent_law(scenario), scenario.observer
+    of_plane = scenario.plane, scenario.manifold, parent_law(scenario), scenario.observer, center_heights(scenario)
     return run, *of_plane, swarm.gains, swarm.sensor, scenario.limits, scenario.realtime
+
+
+def center_heights(scenario: PlaneScenario) -> CenterHeights:
+    """Return the heights of the robots' centres of mass, none if all are 0."""
+    heights = tuple(agent.center_height for agent in scenario.agents)
+    return CenterHeights(heights if any(heights) else ())
 
 
 def observer_config(scenario: Scenario) -> ObserverConfig | SystemObserverConfig:
@@ -259,6 +266,10 @@ def observer_config(scenario: Scenario) -> ObserverConfig | SystemObserverConfig
     return _nodes(scenario).observer()
 
 
+@overload
+def parent_config(scenario: PlaneScenario) -> PlaneConfig: ...
+@overload
+def parent_config(scenario: Scenario) -> PlaneConfig | SystemParentConfig: ...
 def parent_config(scenario: Scenario) -> PlaneConfig | SystemParentConfig:
     """Return the configuration of the simulated parent."""
     return _nodes(scenario).parent(falsifications=falsifications(scenario), torques=step_changes(scenario, DISTURBANCE))

@@ -2,6 +2,11 @@ r"""The tilting plane under a moving swarm (eq. newDynamics with eq. frictionMod
 
 .. math:: (J + J_s) \dot w = -\cos(\theta) \tau_s - \dot J_s w - f_f(w) - \tau_d(t), \qquad \dot\theta = w
 
+The paper's masses are at the height of the axis. Robots at heights :math:`h_i` above it, and a plane of mass M whose
+centre is at :math:`h_0`, add :math:`\sum m_i h_i^2` to the inertia and :math:`g H \sin\theta + \sum m_i h_i \dot v_i`
+to the right-hand side, with :math:`H = \sum m_i h_i + M h_0`. Where the velocities of robots jump, the angular momentum
+about the axis, :math:`(J + J_s + \sum m_i h_i^2) w - \sum m_i h_i v_i`, does not.
+
 Within a control period each robot's path is a polynomial in time: a straight line for a single integrator, which holds
 its velocity; the cubic Hermite interpolant of positions and velocities at both ends for a double integrator; a constant
 for a robot at rest. Torque and inertia of the swarm are therefore polynomials of degree 3 and 6, summed once per
@@ -10,7 +15,7 @@ period.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, copysign, inf, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
@@ -71,11 +76,25 @@ def bends(d0: Quantity, d1: Quantity, rise: Quantity) -> tuple[Quantity, Quantit
 
 
 @dataclass(frozen=True, slots=True)
+class HeightLoad:
+    """What the swarm adds over a period because its masses are not at the height of the axis."""
+
+    moment: float  # sum m h, kg m
+    inertia: float  # sum m h^2, kg m^2
+    reaction: tuple[float, float]  # sum m h v', N m: coefficients of s^0 and s^1
+    impulse: float  # sum m h dv by the jumps dv of the velocities at the start, N m s
+
+
+@dataclass(frozen=True, slots=True)
 class SwarmLoad:
-    """Torque (N m) and inertia (kg m^2) of the swarm over a period: coefficients of s in [0, 1], lowest power first."""
+    """Torque (N m) and inertia (kg m^2) of the swarm over a period: coefficients of s in [0, 1], lowest power first.
+
+    Without `height` all masses, also the plane's, are at the height of the axis.
+    """
 
     torque: tuple[float, float, float, float]
     inertia: tuple[float, float, float, float, float, float, float]
+    height: HeightLoad | None = None
 
 
 def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
@@ -86,6 +105,23 @@ def swarm_load(paths: Sequence[RobotPath], gravity: float) -> SwarmLoad:
     return summed_load(linear, term_columns(curved, cubic_terms), gravity)
 
 
+def height_load(
+    paths: Sequence[RobotPath], heights: Sequence[float], jumps: Sequence[float], period: float
+) -> HeightLoad:
+    """Return what the heights (m) of robots add over a period (s), correctly rounded.
+
+    The jumps (m/s) are those of their velocities at the start of the paths.
+    """
+    level = [(path.mass, height, jump) for path, height, jump in zip(paths, heights, jumps, strict=True)]
+    bent = [(path.mass, height, path.c2, path.c3) for path, height in zip(paths, heights, strict=True)]
+    nothing = (0.0, 0.0, 0.0)
+    return summed_height(
+        term_columns(level or [nothing], height_terms),
+        term_columns(bent or [(0.0, *nothing)], reaction_terms),
+        period,
+    )
+
+
 def column_load(
     mass: Floats,
     start: Sequence[Floats],
@@ -93,11 +129,13 @@ def column_load(
     curved: Any,
     constants: tuple[float, float],
     total: Callable[..., Any] = column_total,
+    heights: Floats | None = None,
 ) -> SwarmLoad:
     """Return the load of robots given as columns, with the same bits as `swarm_load` of their paths.
 
-    `curved` selects those on cubics; the others move at constant velocity. The constants are the period (s) and gravity
-    (m/s^2); `total` is that of `summed_load`. All else is as for `hermite`.
+    `curved` selects those on cubics; the others move at constant velocity, to which their velocity jumps. The constants
+    are the period (s) and gravity (m/s^2); `total` is that of `summed_load`. With heights (m), which have the shape of
+    the positions, `height_load` is included. All else is as for `hermite`.
     """
     (p0, v0), (p1, v1), (period, gravity) = start, end, constants
     rise = p1 - p0
@@ -105,7 +143,13 @@ def column_load(
     c2, c3 = bends(d0, v1[curved] * period, rise[curved])
     rise[curved] = d0
     cubics = cubic_terms(mass[curved], p0[curved], d0, c2, c3)
-    return summed_load(linear_terms(mass, p0, rise), cubics, gravity, total)
+    load = summed_load(linear_terms(mass, p0, rise), cubics, gravity, total)
+    if heights is None:
+        return load
+    jump = v1 - v0
+    jump[curved] = 0.0
+    level, bent = height_terms(mass, heights, jump), reaction_terms(mass[curved], heights[curved], c2, c3)
+    return replace(load, height=summed_height(level, bent, period, total))
 
 
 def linear_terms(m: Quantity, a: Quantity, b: Quantity) -> tuple[Quantity, ...]:
@@ -118,6 +162,18 @@ def cubic_terms(m: Quantity, a: Quantity, b: Quantity, c: Quantity, d: Quantity)
     """Return the further contributions of c2 and c3 of a path to torque/g (s^2, s^3) and inertia (s^2 to s^6)."""
     ma, mb, mc, md = m * a, m * b, m * c, m * d
     return mc, md, 2.0 * ma * c, 2.0 * (ma * d + mb * c), mc * c + 2.0 * mb * d, 2.0 * mc * d, md * d
+
+
+def height_terms(m: Quantity, h: Quantity, jump: Quantity) -> tuple[Quantity, ...]:
+    """Return the contributions of mass, height and jump of the velocity to moment, inertia and impulse."""
+    mh = m * h
+    return mh, mh * h, mh * jump
+
+
+def reaction_terms(m: Quantity, h: Quantity, c: Quantity, d: Quantity) -> tuple[Quantity, ...]:
+    """Return the contributions of mass, height, c2 and c3 of a path to the reaction (s^0, s^1), times period^2/2."""
+    mh = m * h
+    return mh * c, 3.0 * (mh * d)
 
 
 def summed_load(
@@ -140,6 +196,15 @@ def summed_load(
     y0, y1, y3, y4, y5, y6 = map(total, (j0, j1, *higher))
     y2 = total(j2, j2_cubic)
     return SwarmLoad((x0, x1, x2, x3), (y0, y1, y2, y3, y4, y5, y6))
+
+
+def summed_height(
+    level: Iterable[Any], bent: Iterable[Any], period: float, total: Callable[..., Any] = exact_total
+) -> HeightLoad:
+    """Sum columns of the `height_terms` and `reaction_terms` of all paths over a period (s); `total` is as above."""
+    moment, inertia, impulse = map(total, level)
+    r0, r1 = [2.0 * total(column) / (period * period) for column in bent]
+    return HeightLoad(moment, inertia, (r0, r1), impulse)
 
 
 class Friction(NamedTuple):
@@ -201,6 +266,10 @@ class Plane:
     """The tilting plane."""
 
     inertia: float = setting(0.5, "moment of inertia J without robots", unit="kg m^2", above=0.0)
+    mass: float = setting(
+        0.0, "mass M without robots, which matters if its centre is not on the axis", unit="kg", minimum=0.0
+    )
+    center_height: float = setting(0.0, "height of the plane's centre of mass above the axis at th = 0", unit="m")
     length: float = setting(1.0, "length L; robots stay within L/2 of the axis", unit="m", above=0.0)
     gravity: float = setting(9.81, "acceleration g of gravity", unit="m/s^2", above=0.0)
     friction: Friction = setting(
@@ -237,6 +306,11 @@ class Plane:
         unset=0.0,
     )
     sensor: PlaneSensor = part(PlaneSensor, "sensor of the plane's motion")
+
+    @property
+    def moment(self) -> float:
+        """First moment M h0 of the plane without robots, kg m."""
+        return self.mass * self.center_height
 
 
 def substeps(period: float, longest: float) -> int:
@@ -277,7 +351,12 @@ class PlaneDynamics:
         """
         motion = acceleration(self._plane, self._period, load, time, extra, (sin_cos, cos, tanh))
         move = self._free if self._plane.end_stop == inf else self._between_stops
-        th, w, met = move(motion, angle, angular_velocity)
+        rate = angular_velocity
+        if load.height is not None:
+            rate = rate + self._kick(load, load.height)
+            if abs(angle) == self._plane.end_stop and rate * angle > 0.0:
+                rate = 0.0  # the stop absorbs the jerk
+        th, w, met = move(motion, angle, rate)
         if not (isfinite(th) and isfinite(w)):
             raise RunError(DIVERGED.format(time))
         self.impact = None if met is None else (time + met[0] * self._period, met[1])
@@ -293,14 +372,24 @@ class PlaneDynamics:
         """
 
         def motion(places: Any) -> Acceleration:
-            torque, inertia = (
-                tuple(number if isinstance(number, float) else number[places] for number in numbers)
-                for numbers in (load.torque, load.inertia)
-            )
-            part = SwarmLoad(torque, inertia)  # type: ignore[arg-type]  # of the same lengths
+            def there(numbers: Sequence[Any]) -> Any:
+                return tuple(number if isinstance(number, float) else number[places] for number in numbers)
+
+            height = load.height
+            if height is not None:
+                moment, inertia = there((height.moment, height.inertia))
+                height = HeightLoad(moment, inertia, there(height.reaction), 0.0)  # the impulse has acted before
+            part = SwarmLoad(there(load.torque), there(load.inertia), height)
             return acceleration(self._plane, self._period, part, times[places], extra, functions)
 
-        return runge_kutta.advance_each(motion, self._period, (angles, angular_velocities), self._longest)
+        rates = angular_velocities
+        if load.height is not None:
+            rates = rates + self._kick(load, load.height)
+        return runge_kutta.advance_each(motion, self._period, (angles, rates), self._longest)
+
+    def _kick(self, load: SwarmLoad, height: HeightLoad) -> Any:
+        """Return the jump of the angular velocity, rad/s, by the jumps of the robots' velocities at the start."""
+        return height.impulse / (self._plane.inertia + load.inertia[0] + height.inertia)
 
     def _free(self, motion: Acceleration, th: float, w: float) -> tuple[float, float, None]:
         return runge_kutta.advance(motion, self._period, (th, w), self._longest)
@@ -406,7 +495,11 @@ def acceleration(
     disturbance = plane.disturbance.torque_from(time, circle) if plane.disturbance.amplitude else None
     t0, t1, t2, t3 = load.torque
     j0, j1, j2, j3, j4, j5, j6 = load.inertia
-    total = plane.inertia + j0
+    total, height = plane.inertia + j0, load.height
+    weight = r0 = r1 = 0.0
+    if height is not None:
+        total, weight = total + height.inertia, plane.gravity * (height.moment + plane.moment)
+        r0, r1 = height.reaction
     k2, k3, k4, k5, k6 = 2.0 * j2, 3.0 * j3, 4.0 * j4, 5.0 * j5, 6.0 * j6
 
     place: Any = None
@@ -424,6 +517,13 @@ def acceleration(
             rate = (j1 + s * (k2 + s * (k3 + s * (k4 + s * (k5 + s * k6))))) / period
             if disturbance is not None:
                 other = extra + disturbance(s * period)
-        return (-cosine(th) * torque - rate * w - friction.torque(w, tangent) - other) / inertia
+            if height is not None:
+                other = (other if disturbance is not None else extra) - (r0 + s * r1)
+        if height is None:
+            tilting = -cosine(th) * torque
+        else:
+            sine_here, cosine_here = circle(th)
+            tilting = weight * sine_here - cosine_here * torque
+        return (tilting - rate * w - friction.torque(w, tangent) - other) / inertia
 
     return accelerated

@@ -9,10 +9,11 @@ of the plane are left to the state machines.
 from __future__ import annotations
 
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from swarmabs_config import configure
 from swarmabs_config.publishers import PUBLISHER
 from swarmabs_core.abstraction import summed
 from swarmabs_core.arrays import LAYOUT
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from swarmabs_core.plant import SwarmLoad
     from swarmabs_core.summation import Reduction, Sums, Terms
 
-    Floats = NDArray[np.float64]
+Floats: TypeAlias = "NDArray[np.float64]"
 
 
 class NotVectorisableError(Exception):
@@ -80,6 +81,14 @@ def rows_of_steps(robots: NDArray[np.void], steps: NDArray[np.uint64], stamps: N
     return rows
 
 
+class Standing(NamedTuple):
+    """Robots that stand on the plane: ids, masses (kg) as a column, and positions (m) as those of the others."""
+
+    ids: list[int]
+    mass: Floats
+    position: Floats
+
+
 class SwarmColumns:
     """The constants of N robots: single integrators first, then double integrators, so that each kind is a slice.
 
@@ -111,6 +120,7 @@ class SwarmColumns:
         self._damping = np.array([config.damping for config in damped]).reshape(shape)
         self._constants = scenario.period, scenario.plane.gravity
         self._gravity = scenario.plane.gravity
+        self._heights = configure.parent_config(scenario).heights
         self._gains = ordered[0].gains
         drives = [DoubleIntegratorDrive.of(scenario.period, config.mass, config.damping) for config in damped]
         factors = np.array(drives).reshape(-1, 4).T.copy()
@@ -137,11 +147,11 @@ class SwarmColumns:
         return rows
 
     def observed(
-        self, step: Any, stamp: Any, p: Floats, v: Floats, standing: tuple[Floats, Floats] | None = None
+        self, step: Any, stamp: Any, p: Floats, v: Floats, standing: Standing | None = None
     ) -> tuple[AbstractState, AuxiliaryState]:
         """Return abstract and auxiliary state, as `swarmabs_core.abstraction` defines them.
 
-        Masses (kg) and positions (m) of robots that stand add to those of the others.
+        Robots that stand add to the others.
         """
         m, di = self.mass, self._di
         weights = (m, p, v) if standing is None else _with((m, p, v), standing)
@@ -166,18 +176,21 @@ class SwarmColumns:
         p1[di], v1[di] = self._di_drive.advance(p[di], v[di], command[di])
         return p1, v1
 
-    def load(
-        self, before: Sequence[Floats], after: Sequence[Floats], standing: tuple[Floats, Floats] | None = None
-    ) -> SwarmLoad:
-        """Return torque and inertia over a period from positions and velocities at both ends; `standing` as above."""
-        mass = self.mass
+    def load(self, before: Sequence[Floats], after: Sequence[Floats], standing: Standing | None = None) -> SwarmLoad:
+        """Return the load over a period from positions and velocities at both ends; `standing` as above."""
+        mass, ids = self.mass, self.ids
         if standing is not None:
             mass, *before = _with((mass, *before), standing)
             _, *after = _with((self.mass, *after), standing)
-        return column_load(mass, before, after, self._di, self._constants, self._total)
+            ids = [*ids, *standing.ids]
+        heights = None
+        if self._heights is not None:
+            column = np.array([self._heights[agent_id] for agent_id in ids]).reshape(mass.shape)
+            heights = np.broadcast_to(column, before[0].shape)
+        return column_load(mass, before, after, self._di, self._constants, self._total, heights)
 
 
-def _with(robots: tuple[Floats, ...], standing: tuple[Floats, Floats]) -> tuple[Floats, ...]:
+def _with(robots: tuple[Floats, ...], standing: Standing) -> tuple[Floats, ...]:
     """Return masses, positions and velocities of robots, followed by those of others that stand."""
-    also = (*standing, np.zeros_like(standing[1]))
+    also = (standing.mass, standing.position, np.zeros_like(standing.position))
     return tuple(np.concatenate(pair) for pair in zip(robots, also, strict=True))

@@ -49,6 +49,8 @@ ENDS = (
     " {at: 0.4, kind: leave, agent: 3}, {at: 0.4, kind: reference, offset: 0.01},"
     " {at: 0.5, kind: disturbance, torque: 0}, {kind: loss, probability: 0.5, from: 0.5, to: 0.52}]"
 )
+HEIGHTS = (*(f"swarm.agents.{n}.center_height={0.02 * n}" for n in range(4)), "plane={mass: 2, center_height: -0.05}")
+DRIVES = "faults=[{kind: drive_failure, agent: 1, from: 0.2}, {at: 0.4, kind: kill, agent: 1}]"
 NOISE = ("swarm.sensor={noise: [1.0e-4, 1.0e-3], resolution: [1.0e-5, 0]}", "plane.sensor={noise: [1.0e-4, 1.0e-3]}")
 WORLDS: dict[str, tuple[str, ...]] = {
     "faults": ("pd_het_4", SHORT, FAULTS),
@@ -65,6 +67,9 @@ WORLDS: dict[str, tuple[str, ...]] = {
     "torque from the plane": ("pd_si_4", SHORT, "observer={type: parent_response}"),
     "robots that fly off": ("pd_het_4", SHORT, "swarm.gains={k: [199, 199], kp: [20000, 20000]}"),
     "robots that touch the end": ("arise_di_4", "duration=0.9", "plane.length=0.28"),
+    "heights": ("pd_het_4", SHORT, *HEIGHTS, "plane.disturbance={amplitude: 0.1}"),
+    "heights and ends": ("pd_het_4", SHORT, *HEIGHTS, ENDS),
+    "heights, lag and failed drives": ("pd_het_4", SHORT, *HEIGHTS, "swarm.actuator_lag=0.03", DRIVES),
     "safe stop": ("pd_het_4", SHORT, "plane.length=115000"),
 }
 

@@ -113,6 +113,7 @@ ADDED = [
     ("lockstep: {on_stall: drpo}", "4: lockstep.on_stall: expected 'fail' or 'drop', found the text 'drpo'; did you"),
     # Several settings together.
     ("plane:\n  angle: 0.3\n  end_stop: 0.2", "5: plane.angle: 0.3 rad is beyond the end stop at 0.2 rad (see line 6)"),
+    ("plane:\n  center_height: 0.8\n  mass: 1\n  inertia: 0.6", "7: plane.inertia: 0.6 kg m^2 is less than mass …0.64"),
     ("plane: {robot_gravity: true, sensor: {noise: [0.1, 0]}}", "4: plane.sensor: robot_gravity …cannot be combined"),
     ("plane: {robot_gravity: true, sensor: {resolution: [0.1, 0]}}", "4: plane.sensor: robot_gravity …cannot"),
     # Time.

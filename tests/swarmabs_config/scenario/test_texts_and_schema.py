@@ -31,16 +31,18 @@ GIVEN = """
      faults: [{agent: 1, at: 1, kind: kill}, {steps: 2, kind: delay}]}"""
 FILLED = """
     {schema: 1, name: "on", duration: 2.0, step: 1.0e-05, seed: 7,
-     plane: {inertia: 0.5, length: 1.0, gravity: 9.81, friction: [0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0],
-             substep: null, angle: 0.1, angular_velocity: 0.0, disturbance: {amplitude: 0.0, angular_frequency: 0.5},
+     plane: {inertia: 0.5, mass: 0.0, center_height: 0.0, length: 1.0, gravity: 9.81,
+             friction: [0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0], substep: null,
+             angle: 0.1, angular_velocity: 0.0, disturbance: {amplitude: 0.0, angular_frequency: 0.5},
              robot_gravity: false, end_stop: null, sensor: {noise: [0.0, 0.0], resolution: [0.0, 0.0]}},
      manifold: {curvature: 0.0125, offset: 0.025, torque_max: 5.0},
      controller: {type: arise, ks: 1.0, alpha1: 1.0, alpha2: 2.0, beta: 0.5, gamma: [10.0, 1.0, 1.0, 10.0],
                   smoothing: 0.03, adaptive_initial: [0.4566, 0.009, 0.01, 0.9],
                   trajectory: {type: constant, angle: 0.0}},
      swarm: {law: {type: paper}, gains: {k: [10.0, 10.0], kp: [10.0, 10.0], kd: [5.0, 5.0], ksd: 1.0},
-             agents: [{id: 1, kind: single_integrator, mass: 1.0, position: 0.1},
-                      {id: 2, kind: double_integrator, mass: 1.0, damping: 0.0, position: 0.0, velocity: 0.0}],
+             agents: [{id: 1, kind: single_integrator, mass: 1.0, position: 0.1, center_height: 0.0},
+                      {id: 2, kind: double_integrator, mass: 1.0, damping: 0.0, position: 0.0, velocity: 0.0,
+                       center_height: 0.0}],
              sensor: {noise: [0.0, 0.0], resolution: [0.0, 0.0]}, actuator_lag: 0.0},
      observer: {type: sum}, limits: {velocity: null, force: 2.0}, lockstep: {on_stall: drop, stall_timeout: 5.0},
      realtime: {broadcast_age_limit: 0.1, state_age_limit: 0.1, plane_age_limit: 0.1, clock_tolerance: 0.02,
@@ -54,6 +56,8 @@ step: 1.0e-05
 seed: 7
 plane:
   inertia: 0.5
+  mass: 0.0
+  center_height: 0.0
   length: 1.0
   gravity: 9.81
   friction: [0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0]
@@ -66,7 +70,9 @@ def test_every_default_is_filled_in_and_names_are_quoted_where_needed() -> None:
     canonical = dump_scenario(parse_scenario(GIVEN))
     assert json.dumps(yaml.safe_load(canonical)) == json.dumps(yaml.safe_load(FILLED)), "in this order"
     assert canonical.startswith(LINES)
-    assert "  agents:\n    - {id: 1, kind: single_integrator, mass: 1.0, position: 0.1}\n" in canonical
+    assert (
+        "  agents:\n    - {id: 1, kind: single_integrator, mass: 1.0, position: 0.1, center_height: 0.0}\n" in canonical
+    )
     assert dump_scenario(parse_scenario(canonical)) == canonical == dump_scenario(parse_scenario(FILLED))
     for name in ("yes", "null", "1e5", "a: b", "ä 'quoted' \"name\"", "x#y", "1.5", "_"):
         text = dump_scenario(parse_scenario(HEAD, default_name=name))

@@ -49,6 +49,7 @@ OVERRIDES = {
     "watched": ("pd_het_4", "observer={type: parent_response}"),
     "beyond the end": ("pd_het_4", "plane.length=0.3", "plane.end_stop=0.11", "swarm.actuator_lag=0.01"),
     "large": ("arise_het_20",),
+    "heights": ("pd_het_4", *(f"swarm.agents.{n}.center_height={0.02 * n}" for n in range(4)), f"faults=[{FAULTS[2]}]"),
 }
 SYSTEMS = {"sheet": SHEET, "beam": BEAM, "lift": LIFT}
 

@@ -41,7 +41,7 @@ from swarmabs_core.plant import PlaneDynamics
 from swarmabs_core.ranges import RangeMonitor, lane
 from swarmabs_core.steering import StepSchedule
 from swarmabs_run.simulation import behaviour_of
-from swarmabs_run.swarm_columns import SwarmColumns
+from swarmabs_run.swarm_columns import Standing, SwarmColumns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -228,12 +228,12 @@ def _named(table: NDArray[np.void]) -> SimpleNamespace:
     return SimpleNamespace(**{name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()})
 
 
-def _standing(states: Sequence[AnyRobotState], steps: int) -> tuple[Floats, Floats] | None:
-    """Return masses (M, 1) and positions (M, K) of robots that stand, None without such."""
+def _standing(states: Sequence[AnyRobotState], steps: int) -> Standing | None:
+    """Return robots that stand, with masses (M, 1) and positions (M, K); None without such."""
     if not states:
         return None
     mass, position = (np.array([[getattr(state, name)] for state in states]) for name in ("mass", "position"))
-    return mass, np.repeat(position, steps, axis=1)
+    return Standing([state.agent_id for state in states], mass, np.repeat(position, steps, axis=1))
 
 
 def _rows(

@@ -18,6 +18,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from swarmabs_core.heights import Body
 from swarmabs_core.messages import Kind, said, word
 from swarmabs_core.models import SystemAgentConfig
 from swarmabs_core.models.plane_robot import RobotConfig
@@ -50,6 +51,7 @@ Mass: TypeAlias = Annotated[float, Like(RobotConfig, "mass")]
 Damping: TypeAlias = Annotated[float, Like(RobotConfig, "damping")]
 Position: TypeAlias = Annotated[float, Like(RobotConfig, "position")]
 Velocity: TypeAlias = Annotated[float, Like(RobotConfig, "velocity")]
+CenterHeight: TypeAlias = Annotated[float, Like(Body, "center_height")]
 
 
 def _offer_velocity(schema: dict[str, JsonValue]) -> None:
@@ -68,6 +70,7 @@ class SingleIntegratorAgent(Model):
     kind: Literal["single_integrator"] = Field(default="single_integrator", description="p' = u")
     mass: Mass = like(RobotConfig, "mass", required=True)
     position: Position = like(RobotConfig, "position", required=True)
+    center_height: CenterHeight = like(Body, "center_height")
 
     damping: ClassVar[float] = 0.0
     velocity: ClassVar[float] = 0.0
@@ -99,6 +102,7 @@ class DoubleIntegratorAgent(Model):
     damping: Damping = like(RobotConfig, "damping", required=True)
     position: Position = like(RobotConfig, "position", required=True)
     velocity: Velocity = like(RobotConfig, "velocity")
+    center_height: CenterHeight = like(Body, "center_height")
 
 
 Agent: TypeAlias = SingleIntegratorAgent | DoubleIntegratorAgent
@@ -235,6 +239,7 @@ class Generate(Model):
         BeforeValidator(_auto_or_number),
         WithJsonSchema({"anyOf": [{"const": "auto"}, {"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST}]}),
     ] = measured("auto", "distance p of every robot from the axis, {unit}; auto: sqrt(0.0288/M), M = total mass", "m")
+    center_height: CenterHeight = like(Body, "center_height")
     seed: int = Field(default=1, ge=0, lt=2**63, description="seed of Python's random.Random")
 
     @model_validator(mode="after")
@@ -269,8 +274,9 @@ class Generate(Model):
         agents: list[Agent] = []
         for number, (mass, damping) in enumerate(bodies, start=1):
             position = distance if number % 2 else -distance
+            body: dict[str, Any] = {"mass": mass, "position": position, "center_height": self.center_height}
             if damping is None:
-                agents.append(SingleIntegratorAgent(id=number, mass=mass, position=position))
+                agents.append(SingleIntegratorAgent(id=number, **body))
             else:
-                agents.append(DoubleIntegratorAgent(id=number, mass=mass, damping=damping, position=position))
+                agents.append(DoubleIntegratorAgent(id=number, damping=damping, **body))
         return tuple(agents)

@@ -137,6 +137,14 @@ def _plane(scenario: "PlaneScenario") -> Iterator[Finding]:
             "start between the end stops, or move them",
             see=("plane", "end_stop"),
         )
+    least = plane.mass * plane.center_height * plane.center_height
+    if plane.inertia < least:
+        yield Finding.of(
+            ("plane", "inertia"),
+            f"{plane.inertia!r} kg m^2 is less than mass center_height^2 = {least:.4g} kg m^2",
+            "give the moment of inertia about the axis, which contains this",
+            see=("plane", "center_height"),
+        )
     if plane.robot_gravity and not plane.sensor.perfect:
         yield Finding.of(
             ("plane", "sensor"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import copysign
 from typing import TYPE_CHECKING, ClassVar, cast
 
@@ -12,6 +12,7 @@ from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.desired_state import DesiredStateGenerator, SwarmOnPlane
 from swarmabs_core.events import EventCode
+from swarmabs_core.heights import CenterHeights
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import (
     PLANE_FAMILY,
@@ -32,6 +33,7 @@ from swarmabs_core.plant import (
     RobotPath,
     SwarmLoad,
     column_load,
+    height_load,
     hermite,
     standing,
     straight,
@@ -45,7 +47,7 @@ from swarmabs_core.swarm_law import SwarmGains
 from swarmabs_core.systems.kinds import KINDS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -109,9 +111,19 @@ class PlaneConfig(model.ParentConfig):
     """Configuration of the simulated plane."""
 
     plane: Plane = part(Plane, name="", without=("robot_gravity",))
+    robots: CenterHeights = part(CenterHeights, name="")
     actuator_lag: float = same(Run, "actuator_lag")
 
     family: ClassVar[Family] = PLANE_FAMILY
+
+    def __post_init__(self) -> None:
+        """Raise `SettingError` if there are heights, but not one for each member."""
+        self.robots.refuse_another_number(self.members)
+
+    @property
+    def heights(self) -> Mapping[int, float] | None:
+        """Heights (m) of the robots' centres of mass by id; None if all masses, also the plane's, are at height 0."""
+        return self.robots.above(self.plane, self.members)
 
     @property
     def coordinates(self) -> tuple[Quantity, ...]:
@@ -191,6 +203,8 @@ class PlaneMotion:
         self._straight = 0 if lagging else int(Kind.SINGLE_INTEGRATOR)
         self._angle = config.plane.angle
         self._angular_velocity = config.plane.angular_velocity
+        self._heights = config.heights
+        self._standing: frozenset[int] = frozenset()  # the robots that stood in the last period
 
     def advance(
         self, step: int, robots: Iterable[tuple[AnyRobotState, AnyRobotState | None]], disturbance: float
@@ -199,9 +213,15 @@ class PlaneMotion:
 
         Robots are given by their states at both ends, None for one that stands; the disturbance is in N m.
         """
-        states = cast("Iterable[tuple[AgentState, AgentState | None]]", robots)
+        states = cast("Sequence[tuple[AgentState, AgentState | None]]", list(robots))
         paths = [self._path(before, after) for before, after in states]
-        return self._carry(step, swarm_load(paths, self._config.plane.gravity), disturbance)
+        load = swarm_load(paths, self._config.plane.gravity)
+        if self._heights is not None:
+            heights = [self._heights[before.agent_id] for before, _ in states]
+            jumps = [self._jump(before, after) for before, after in states]
+            load = replace(load, height=height_load(paths, heights, jumps, self._period))
+            self._standing = frozenset(before.agent_id for before, after in states if after is None)
+        return self._carry(step, load, disturbance)
 
     def advance_all(
         self, step: int, before: NDArray[np.void], after: NDArray[np.void], disturbance: float
@@ -209,7 +229,13 @@ class PlaneMotion:
         """Do what `advance` does for robots that are the rows of two tables, which hold the states at both ends."""
         start, end = ((table["position"], table["velocity"]) for table in (before, after))
         curved = before["kind"] != self._straight
-        load = column_load(before["mass"], start, end, curved, (self._period, self._config.plane.gravity))
+        heights = None
+        if self._heights is not None:
+            heights = before["mass"].copy()
+            heights[:] = [self._heights[agent_id] for agent_id in before["agent_id"].tolist()]
+            self._standing = frozenset()
+        constants = self._period, self._config.plane.gravity
+        load = column_load(before["mass"], start, end, curved, constants, heights=heights)
         return self._carry(step, load, disturbance)
 
     def _carry(self, step: int, load: SwarmLoad, disturbance: float) -> list[SwarmEvent]:
@@ -259,3 +285,9 @@ class PlaneMotion:
             return straight(before.mass, before.position, after.position)
         start, end = (before.position, before.velocity), (after.position, after.velocity)
         return hermite(before.mass, start, end, self._period)
+
+    def _jump(self, before: AgentState, after: AgentState | None) -> float:
+        """Return by how much (m/s) a robot's velocity jumps at the start of the last period."""
+        if after is None:
+            return 0.0 if before.agent_id in self._standing else -before.velocity
+        return after.velocity - before.velocity if before.kind == self._straight else 0.0

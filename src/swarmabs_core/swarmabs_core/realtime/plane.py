@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.declaration import part, same
 from swarmabs_core.events import EventCode
+from swarmabs_core.heights import CenterHeights
 from swarmabs_core.messages import (
     NEVER,
     AgentState,
@@ -25,6 +26,7 @@ from swarmabs_core.plant import (
     Plane,
     PlaneDynamics,
     RobotPath,
+    height_load,
     hermite,
     standing,
     straight,
@@ -52,8 +54,13 @@ class RealtimePlaneConfig:
     members: tuple[int, ...] = same(Run, "members")
     schedule: Schedule = part(Schedule, name="")
     plane: Plane = part(Plane, name="", without=("robot_gravity",))
+    robots: CenterHeights = part(CenterHeights, name="")
     seed: int = same(Run, "seed")
     clock_tolerance: float = same(Realtime, "clock_tolerance")
+
+    def __post_init__(self) -> None:
+        """Raise `SettingError` if there are heights, but not one for each member."""
+        self.robots.refuse_another_number(self.members)
 
     @property
     def bounds(self) -> Bounds:
@@ -79,6 +86,7 @@ class PlaneMotion:
         self._config = config
         self._period = config.schedule.period
         self._dynamics = PlaneDynamics(replace(config.plane, end_stop=config.end_stop), self._period)
+        self._heights = config.robots.above(config.plane, config.members)
         self.impact: float | None = None
 
     def advance(
@@ -106,10 +114,16 @@ class PlaneMotion:
         config, (angle, rate) = self._config, state
         passed = min(passed, MOST_STEPS)
         self.impact = None
+        robots = [(before.get(i, robot), robot) for i, robot in sorted(newest.items())]
         for index in range(passed):
-            paths = [self._path(before.get(i, robot), robot, index, passed) for i, robot in sorted(newest.items())]
+            paths = [self._path(*ends, index, passed) for ends in robots]
             time = max(0, since_release + index) * self._period
-            angle, rate = self._dynamics.advance(angle, rate, time, swarm_load(paths, config.plane.gravity))
+            load = swarm_load(paths, config.plane.gravity)
+            if self._heights is not None:
+                heights = [self._heights[robot.agent_id] for _, robot in robots]
+                jumps = [self._jump(*ends, index, passed) for ends in robots]
+                load = replace(load, height=height_load(paths, heights, jumps, self._period))
+            angle, rate = self._dynamics.advance(angle, rate, time, load)
             if self._dynamics.impact is not None:
                 self.impact = self._dynamics.impact[1]
         return angle, rate
@@ -122,11 +136,20 @@ class PlaneMotion:
         """Return a robot's path over one of the periods that have passed since the last tick."""
         if start.position == end.position:
             return standing(end.mass, end.position)
-        if passed == 1 and end.kind == Kind.DOUBLE_INTEGRATOR:
+        if self._is_cubic(start, end, passed):
             ends = (start.position, start.velocity), (end.position, end.velocity)
             return hermite(end.mass, *ends, self._period)
         way = end.position - start.position
         return straight(end.mass, start.position + way * index / passed, start.position + way * (index + 1) / passed)
+
+    def _jump(self, start: AgentState, end: AgentState, index: int, passed: int) -> float:
+        """Return by how much (m/s) a robot's velocity jumps at the start of one of the periods that have passed."""
+        return 0.0 if index > 0 or self._is_cubic(start, end, passed) else end.velocity - start.velocity
+
+    @staticmethod
+    def _is_cubic(start: AgentState, end: AgentState, passed: int) -> bool:
+        """Return whether a robot's velocity changes within the period, on a cubic."""
+        return passed == 1 and end.kind == Kind.DOUBLE_INTEGRATOR and start.position != end.position
 
 
 class RealtimePlane:
