@@ -11,11 +11,22 @@ from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
 from tests.swarmabs_analysis.figures.conftest import ReadBag
 from tests.swarmabs_analysis.report.conftest import SCENARIO, messages, write
 from tests.swarmabs_bag.sample_run import PERIOD
-from tests.swarmabs_view.conftest import PRESENTER, PageServer, Served, curves, load, number, seek, serving
+from tests.swarmabs_view.conftest import (
+    HELLO,
+    PRESENTER,
+    PageServer,
+    Served,
+    curves,
+    frame_of,
+    load,
+    number,
+    seek,
+    serving,
+)
 
 from swarmabs_core.events import EventCode
 from swarmabs_core.messages import EventKind, SwarmEvent
-from swarmabs_view.protocol import Answer, Event, Events, Phase, State, Steering
+from swarmabs_view.protocol import Answer, Event, Events, Phase, Row, State, Steering
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -423,6 +434,21 @@ def test_parts_have_their_order_and_size_and_tables_tell_what_is_out_of_sight(
         small = """(parts) => parts.filter((part) => part.offsetParent && Math.min(
             part.getBoundingClientRect().height, part.getBoundingClientRect().width) < 44).map((part) => part.id)"""
         assert page.locator("button, select, input, summary").evaluate_all(small) == []
+
+
+def test_numbers_of_further_topics_are_among_those_of_now_and_over_time(page: Page, page_server: PageServer) -> None:
+    system = PRESENTER.system
+    (robot,) = (place for place, row in enumerate(system.rows) if row.role == "robot")
+    rows = [*system.rows[:robot], Row(role="further", name="effort_power", unit="W"), *system.rows[robot:]]
+    frame, over_time = frame_of(4, 0.5, []), curves(0, 50)
+    page_server.open()
+    described = system.model_copy(update={"name": "beam", "rows": rows})
+    page_server.send(HELLO.model_copy(update={"system": described}))
+    page_server.send(over_time.model_copy(update={"values": [*over_time.values, over_time.time]}))
+    page_server.send(frame.model_copy(update={"values": [*frame.values, 2.5]}))
+    expect(page.locator("#numbers")).to_contain_text("effort power, W")
+    expect(page.locator("#further-0")).to_have_text("2.5000")
+    expect(page.locator(".u-title").filter(has_text="effort power, W")).to_be_visible()
 
 
 def test_small_numbers_are_read_off_with_their_digits(page: Page, page_server: PageServer) -> None:

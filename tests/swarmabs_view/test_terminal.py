@@ -54,6 +54,10 @@ def test_numbers_and_what_is_asked_of_the_plane() -> None:
     assert line(lines, "events") == "step 1: robot 2 dead"
     assert "step 3: robot 2 dead" in lines[-2]
     assert line(drawn(progress(400, None)), "angle") == "+0.5000 rad"
+    further = drawn(progress(400, seen=SEEN._replace(further=["effort power +2 W", "effort work +3 J"])))
+    assert line(further, "further") == "effort power +2 W"
+    (row,) = (number for number, text in enumerate(further) if "effort power" in text)
+    assert further[row + 1][10:-2].rstrip() == "effort work +3 J"
 
 
 def test_the_load_of_the_processes_and_those_that_are_gone_are_shown() -> None:

@@ -20,7 +20,7 @@ from swarmabs_bag.reader import BagReader, open_bag
 from swarmabs_bag.run.digest import digest_head
 from swarmabs_core.arrays import LAYOUT, LENGTH, PADDING, RunArrays, Tables, layout_of, run_arrays, run_event
 from swarmabs_core.cdr import ENCAPSULATION, FRAME, lengths_of
-from swarmabs_core.messages import EVENTS, ROBOT_STATES, STANDING, SwarmEvent, Topic
+from swarmabs_core.messages import EVENTS, FAMILIES, ROBOT_STATES, STANDING, SwarmEvent, Topic
 
 try:
     import resource
@@ -77,7 +77,7 @@ def load_arrays(
 
 
 class LoadedMessages(NamedTuple):
-    """Messages of the main topics as rows of structured arrays, and the events, each in the order of the file.
+    """Messages of main and further topics as rows of structured arrays, and the events, in the order of the file.
 
     `description` is that of the parent system, None for the plane; `divided` is the number of messages on how the
     abstract state divides.
@@ -111,18 +111,19 @@ def load_messages(bag: BagReader, *, stride: int = 1) -> LoadedMessages:
 
     A bag without its end may lack topics.
     """
-    family = bag.family
-    missing = [topic.name for topic in (*family.main, *family.once) if topic not in bag.topics()]
+    family, recorded = bag.family, bag.topics()
+    missing = [topic.name for topic in (*family.main, *family.once) if topic not in recorded]
     if missing and not bag.problem:
         raise NotABagError(f"{bag.path} is not the bag of a swarm: it lacks {', '.join(missing)}")
-    firsts = {topic: _first(bag, topic) for topic in family.main}
+    topics = (*family.main, *(topic for topic in family.further if topic in recorded))
+    firsts = {topic: _first(bag, topic) for topic in topics}
     layouts = {topic: layout_of(topic, first) for topic, first in firsts.items()}
     sizes = {topic: layout.itemsize for topic, layout in layouts.items()}
     _check_memory(bag, sizes, stride)
-    gathered = {topic: bytearray() for topic in family.main}
+    gathered = {topic: bytearray() for topic in topics}
     events: list[tuple[Topic, int, bytes]] = []
     divided = 0
-    for messages in bag.tables((*family.main, STANDING, EVENTS)):
+    for messages in bag.tables((*topics, STANDING, EVENTS)):
         divided += len(messages.on(STANDING))
         events.extend((EVENTS, event.time, event.payload) for event in messages.on(EVENTS))
         _check_sizes(bag, messages, sizes)
@@ -198,12 +199,13 @@ def _check_density(bag: BagReader, tables: Tables) -> None:
 
 
 def digest_of(tables: Tables) -> str:
-    """Return the digest (docs/reference/bag.md) of a run from messages in any order.
+    """Return the digest (docs/reference/bag.md) of a run from its messages, those of each topic in any order.
 
     Padding counts as 0, because the digest covers canonical payloads.
     """
     digest = sha256()
-    topics = sorted(tables, key=lambda topic: topic.name)
+    main = {topic for family in FAMILIES for topic in family.main}
+    topics = sorted(main & tables.keys(), key=lambda topic: topic.name)
     steps = np.unique(np.concatenate([tables[topic]["step"] for topic in topics]))
     parts = []
     for topic in topics:

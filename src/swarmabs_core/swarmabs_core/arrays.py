@@ -212,6 +212,8 @@ class RunArrays(_ByName):
         All events, ordered by step.
     figures : callable
         Computes the result of `summary` on demand.
+    further : mapping of str to MessageArrays
+        The messages on further topics by the name of the topic, with ``_`` for ``/``.
     """
 
     step: Integers
@@ -225,6 +227,7 @@ class RunArrays(_ByName):
     agents: MessageArrays
     events: tuple[RunEvent, ...]
     figures: Callable[[], Figures] = field(repr=False, compare=False)
+    further: Mapping[str, MessageArrays] = field(default_factory=dict)
 
     @property
     def parent(self) -> Floats:
@@ -292,6 +295,7 @@ class SystemArrays(_ByName):
     description: SystemTables
     events: tuple[RunEvent, ...]
     figures: Callable[[], Figures] = field(repr=False, compare=False)
+    further: Mapping[str, MessageArrays] = field(default_factory=dict)
 
     def summary(self) -> Figures:
         """Return the key figures of the run, named as in ``summary.json``; see `RunArrays.summary`."""
@@ -308,11 +312,11 @@ class SystemArrays(_ByName):
 
 
 Tables = Mapping[Topic, "NDArray[np.void]"]
-"""The messages of each main topic as rows of a structured array."""
+"""The messages of each topic that has some in every step, as rows of a structured array."""
 
 
 def table(topic: Topic, payloads: bytes | bytearray) -> NDArray[np.void]:
-    """Return messages of a main topic, given as concatenated canonical CDR, as a structured array.
+    """Return messages of a topic, given as concatenated canonical CDR, as a structured array.
 
     Lists have the same lengths in all of them.
     """
@@ -343,7 +347,11 @@ def run_arrays(
     step, first = np.unique(np.concatenate([tables[topic]["step"] for topic in ordered]), return_index=True)
     stamps = np.concatenate([tables[topic]["sec"] * 1e9 + tables[topic]["nanosec"] for topic in ordered])
     rows = {topic: np.searchsorted(step, table["step"]) for topic, table in tables.items()}
-    filled = {topic: _columns(topic, tables[topic], rows[topic], (len(step),)) for topic in family.main[1:]}
+    filled = {
+        topic: _columns(topic, table, rows[topic], (len(step),))
+        for topic, table in tables.items()
+        if topic is not family.robot
+    }
     parent = filled[family.parent]
     goals = [reference(number) for number in step.tolist()]
     common: dict[str, Any] = {
@@ -355,6 +363,7 @@ def run_arrays(
         "agents": _agents(family.robot, tables[family.robot], rows[family.robot], len(step)),
         "events": tuple(sorted(events, key=lambda event: event.step)),
         "figures": figures,
+        "further": {topic.identifier: MessageArrays(filled[topic]) for topic in family.further if topic in filled},
     }
     if description is None:
         return RunArrays(**{**common, **parent}, reference=np.array(goals, dtype=np.float64))

@@ -469,6 +469,11 @@ class Topic:
         """The name of the type without its package."""
         return self.ros_type.rpartition("/")[2]
 
+    @property
+    def identifier(self) -> str:
+        """Its name as that of a table or of arrays, such as ``plane_state``."""
+        return self.name.replace("/", "_")
+
     def __deepcopy__(self, _: object) -> Topic:
         """Return the topic itself: a copy of a node is on the same topics."""
         return self

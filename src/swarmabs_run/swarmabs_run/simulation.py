@@ -258,7 +258,7 @@ def simulate(
     system = changed.other_system
     figures = RunFigures(reference, tracking_of(changed))
     events: list[RunEvent] = []
-    gathered = {topic: bytearray() for topic in changed.family.main}
+    gathered = {topic: bytearray() for topic in changed.family.stepwise}
     for step in simulated_steps(changed):
         figures.add(step)
         events.extend(run_event(event, event.step * period_ns / 1e9) for event in step.events)

@@ -89,7 +89,9 @@ class Listener:
     def __init__(self, node: SwarmNode, robots: int, families: Collection[Family] = FAMILIES) -> None:
         # The robots come last: when the broadcasts of a step are read, its states have arrived.
         once = [topic for family in families for topic in family.once]
-        topics = [topic for family in families for topic in (family.parent, family.abstract, family.desired)]
+        topics = [
+            topic for family in families for topic in (family.parent, family.abstract, *family.further, family.desired)
+        ]
         self._most = dict.fromkeys((*once, BASIS, *topics), DEPTH)
         self._most |= {family.robot: max(DEPTH, ROBOT_STEPS * robots) for family in families} | {EVENTS: 1000}
         self._reliable = {EVENTS, *once}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
 
 from swarmabs_bag.run.figures import Tracking
 from swarmabs_bag.shown.percentiles import QUANTILES, SIDES, percentiles, starts_above
-from swarmabs_bag.shown.swarm_state import finite
+from swarmabs_bag.shown.swarm_state import family_of, finite, further_numbers
 from swarmabs_core.errors import InputError
 from swarmabs_core.events import code_of, said_event
 from swarmabs_core.messages import EventKind, word
@@ -56,13 +56,15 @@ class Presenter:
     def __init__(self, tables: SystemTables) -> None:
         self._tables = tables
         followed = tuple(tables.parent[index] for index in Tracking.of(tables).followed)
-        self._groups = (tables.parent, followed, tables.abstract, tables.abstract)
+        further = tuple(number.quantity for number in further_numbers(family_of(tables)))
+        self._groups = (tables.parent, followed, tables.abstract, tables.abstract, further)
         self._drawing = _installed(tables)
         rows = [
             *_rows("parent", tables.parent),
             *_rows("reference", followed),
             *_rows("abstract", tables.abstract),
             *_rows("desired", tables.abstract),
+            *_rows("further", further),
             *_rows("robot", tables.robot),
             *(Row(role="constant", name=constant.name, unit=constant.unit) for constant in tables.constants),
         ]
@@ -161,7 +163,7 @@ class Presenter:
         )
 
     def _values(self, instant: Instant) -> list[Number]:
-        vectors = (instant.parent, instant.reference, instant.abstract, instant.desired)
+        vectors = (instant.parent, instant.reference, instant.abstract, instant.desired, instant.further)
         pairs = zip(vectors, self._groups, strict=True)
         return [
             value for vector, rows in pairs for value in (vector if len(vector) == len(rows) else (None,) * len(rows))
@@ -203,7 +205,9 @@ def _distribution(positions: Sequence[Number], above: Sequence[bool | None]) -> 
     return lines
 
 
-def _rows(role: Literal["parent", "reference", "abstract", "desired", "robot"], table: Iterable[Quantity]) -> list[Row]:
+def _rows(
+    role: Literal["parent", "reference", "abstract", "desired", "further", "robot"], table: Iterable[Quantity]
+) -> list[Row]:
     return [Row(role=role, name=row.name, unit=row.unit, scale=row.scale, low=finite(row.low)) for row in table]
 
 

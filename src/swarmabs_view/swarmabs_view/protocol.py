@@ -40,7 +40,7 @@ class Message(Part):
 class Row(Part):
     """A number of the parent system or its swarm; a reference has the name of the quantity that follows it."""
 
-    role: Literal["parent", "reference", "abstract", "desired", "robot", "constant"]
+    role: Literal["parent", "reference", "abstract", "desired", "further", "robot", "constant"]
     name: str
     unit: str
     scale: float = Field(default=1.0, description="a typical magnitude")

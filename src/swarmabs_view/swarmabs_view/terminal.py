@@ -313,6 +313,7 @@ class RunPanel:
             lines.append(_line("process", _load(self.processes)))
         seen = progress.robots
         if seen is not None:
+            lines += [_line("" if number else "further", Text(text)) for number, text in enumerate(seen.further)]
             lines.append(_line("robots", _counts(seen)))
             lanes = self._lanes(seen, width - _LABEL, ascii_only=ascii_only)
             events = [_line("events" if i == 0 else "", Text(text)) for i, text in enumerate(seen.events)]

@@ -11,6 +11,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
+import numpy as np
+
 from swarmabs_core import messages as msg
 
 
@@ -54,19 +56,22 @@ def _finish_with_effort(controller: Controller) -> msg.Messages:
 
 Controller._finish = _finish_with_effort  # type: ignore[method-assign]  # noqa: SLF001
 
-from swarmabs_analysis.export import export_tables  # noqa: E402
+from swarmabs_analysis.export import export_arrays, export_tables  # noqa: E402
 from swarmabs_analysis.verify import BagToVerify  # noqa: E402
+from swarmabs_bag.arrays import load_arrays  # noqa: E402
 from swarmabs_bag.attached import attachments, provenance  # noqa: E402
 from swarmabs_bag.reader import open_bag  # noqa: E402
 from swarmabs_bag.recorder.recording import Recording  # noqa: E402
 from swarmabs_bag.repair.completeness import complete_steps  # noqa: E402
 from swarmabs_bag.run.step import Step  # noqa: E402
 from swarmabs_bag.run.writer import BagWriter  # noqa: E402
+from swarmabs_bag.shown.swarm_state import SwarmState  # noqa: E402
 from swarmabs_config.scenario import Scenario  # noqa: E402
 from swarmabs_config.scenarios import find_scenario  # noqa: E402
 from swarmabs_core.cdr import encode  # noqa: E402
-from swarmabs_run.simulation import Simulation, simulated_steps  # noqa: E402
+from swarmabs_run.simulation import Simulation, simulate, simulated_steps  # noqa: E402
 from swarmabs_run.vector_simulation import vectorisable  # noqa: E402
+from swarmabs_view.playback import open_recording  # noqa: E402
 
 OUT = Path(sys.argv[1])
 FEW = find_scenario("pd_het_4", ["duration=1", "faults=[{at: 0.3, agent: 2, kind: kill}]"])
@@ -75,13 +80,29 @@ MANY = find_scenario(
 )
 
 
-def recorded(scenario: Scenario, name: str, steps: Iterable[Step]) -> Path:
-    """Record steps in a bag."""
+def recorded(scenario: Scenario, name: str, steps: Iterable[Step], told: dict[str, object]) -> Path:
+    """Record steps in a bag, and note what the summary says of the topic at the end."""
     recording = Recording(scenario, OUT / name, driver="simulate")
     for step in steps:
         recording.add(step)
+    summary = recording.summary()
+    told[name] = summary and summary.further
     recording.close()
     return OUT / name
+
+
+def shown(bag: Path) -> dict[str, object]:
+    """Return what the page shows of a bag in its last step, and whether a running swarm shows the same."""
+    recording, live = open_recording(bag), SwarmState.of(FEW)
+    instants = [instant for _, _, message in open_bag(bag).decoded() if (instant := live.add(message))]
+    places = [place for place, row in enumerate(recording.hello().system.rows) if row.role == "further"]
+    rows = [recording.hello().system.rows[place] for place in places]
+    values = recording.frame(len(recording) - 1).values
+    return {
+        "rows": [(row.name, row.unit) for row in rows],
+        "values": [values[place] for place in places],
+        "live": instants == [recording.swarm.instant(row) for row in range(len(recording))],
+    }
 
 
 def stored(bag: Path) -> list[tuple[str, int, bytes]]:
@@ -110,9 +131,13 @@ def verified(bag: Path) -> dict[str, object]:
 
 def main() -> dict[str, object]:
     """Simulate, record, verify and export."""
-    few = recorded(FEW, "few", simulated_steps(FEW))
-    many = recorded(MANY, "many", simulated_steps(MANY))
-    nodes = recorded(MANY, "nodes", Simulation(MANY).steps())
+    told: dict[str, object] = {}
+    few = recorded(FEW, "few", simulated_steps(FEW), told)
+    many = recorded(MANY, "many", simulated_steps(MANY), told)
+    nodes = recorded(MANY, "nodes", Simulation(MANY).steps(), told)
+    without = copied(few, "without", step=None)
+    with np.load(export_arrays(few, OUT / "few.npz")) as file:
+        exported = file["parent_effort_work"].tolist()
     export_tables(few, OUT / "tables", "csv")
     rows = list(csv.DictReader((OUT / "tables" / "parent_effort.csv").open(encoding="utf-8")))
     steps = complete_steps(few)
@@ -123,7 +148,11 @@ def main() -> dict[str, object]:
         "few": verified(few),
         "many": verified(many),
         "changed": verified(copied(few, "changed", step=40)),
-        "without": verified(copied(few, "without", step=None)),
+        "without": verified(without),
+        "arrays": [run.further["parent_effort"].work.tolist() for run in (load_arrays(few), simulate(FEW))]
+        + [exported],
+        "page": [shown(few), shown(without)],
+        "terminal": told["few"],
         "order": [name for name, time, _ in stored(few) if time == 500_000_000],
         "rows": [rows[0], rows[-1]],
         "complete": steps and steps.by_topic,

@@ -57,6 +57,16 @@ def test_it_has_a_table(told: Any) -> None:
     first, last = told["rows"]
     assert list(first) == ["step", "time", "power", "work", "stamp"]
     assert (first["work"], last["step"], last["work"]) == ("0.25", "100", "100.25")
+    assert told["arrays"] == [[step + 0.25 for step in range(STEPS)]] * 3
+
+
+def test_its_numbers_are_shown_with_their_units(told: Any) -> None:
+    shown, without = told["page"]
+    assert shown["rows"] == without["rows"] == [["effort_power", "W"], ["effort_work", "J"]]
+    power = float(told["rows"][-1]["power"])
+    assert (shown["values"], without["values"]) == ([power, 100.25], [None, None])
+    assert shown["live"] and without["live"]
+    assert told["terminal"] == [f"effort power {power:+.4g} W", "effort work +100.2 J"]
 
 
 def test_arrays_leave_a_topic_of_another_node_than_the_controller_to_the_state_machines() -> None:

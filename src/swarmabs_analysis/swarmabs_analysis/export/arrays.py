@@ -90,18 +90,17 @@ def _write_mat(stream: IO[bytes], content: Mapping[str, Any]) -> None:
 def _named(run: RunArrays | SystemArrays, tables: Sequence[BagTable]) -> Iterator[tuple[str, NDArray[np.generic]]]:
     """Yield the arrays of a run, an array for each component of a vector."""
     by_name = {table.name: table for table in tables}
-    for field in fields(run):
-        value = getattr(run, field.name)
+    for key, value in ({field.name: getattr(run, field.name) for field in fields(run)} | {**run.further}).items():
         if isinstance(value, MessageArrays):
-            table = by_name[field.name]
+            table = by_name[key]
             vectors = dict.fromkeys(vector for vector, _ in table.vectors.values())
-            yield from ((f"{field.name}_{name}", array) for name, array in value.items() if name not in vectors)
+            yield from ((f"{key}_{name}", array) for name, array in value.items() if name not in vectors)
             for vector in vectors:
                 yield from _components(table, vector, getattr(value, vector))
         elif isinstance(value, np.ndarray) and value.ndim == 1:
-            yield field.name, value
+            yield key, value
         elif isinstance(value, np.ndarray):
-            yield from _components(by_name["parent"], _VECTORS.get(field.name, field.name), value)
+            yield from _components(by_name["parent"], _VECTORS.get(key, key), value)
 
 
 def _components(table: BagTable, vector: str, values: NDArray[np.generic]) -> Iterator[tuple[str, NDArray[np.generic]]]:

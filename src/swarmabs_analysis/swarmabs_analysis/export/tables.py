@@ -121,7 +121,7 @@ def _tables(
     family: Family, parent: str, parts_of: Callable[[type[Message]], Mapping[str, Sequence[Quantity]]]
 ) -> tuple[BagTable, ...]:
     topics = dict(zip(("agents", parent, "abstract", "auxiliary", "desired"), family.main, strict=True))
-    topics |= {topic.name.replace("/", "_"): topic for topic in family.further} | {"events": EVENTS}
+    topics |= {topic.identifier: topic for topic in family.further} | {"events": EVENTS}
     return tuple(_table(name, topic, parts_of(topic.message)) for name, topic in topics.items())
 
 

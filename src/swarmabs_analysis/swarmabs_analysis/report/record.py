@@ -287,7 +287,7 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
         metrics = {**figures, "messages": count, "digest": None if unknown else digest_of(tables)}
     else:
         metrics = {**realtime.figures(), "digest": None}
-    counts = {topic.name: len(tables[topic]) for topic in bag.family.main}
+    counts = {topic.name: len(rows) for topic, rows in tables.items()}
     if messages.divided:
         counts[STANDING.name] = messages.divided
     summary, note = _summary(bag.path, metrics["digest"])

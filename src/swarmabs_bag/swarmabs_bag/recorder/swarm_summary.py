@@ -6,9 +6,9 @@ from collections import Counter, deque
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
-from swarmabs_bag.shown.swarm_state import RobotHistory, shown_robot, shown_status
+from swarmabs_bag.shown.swarm_state import RobotHistory, further_numbers, shown_robot, shown_status
 from swarmabs_core.events import said_event
-from swarmabs_core.messages import ROBOT_STATES, EventKind, Removal, SwarmEvent
+from swarmabs_core.messages import FAMILIES, ROBOT_STATES, EventKind, Removal, SwarmEvent
 from swarmabs_core.ranges import crossing_of
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ class SwarmSummary(NamedTuple):
         The latest events, the newest last.
     strays : list of str
         The events with which the first few robots left the ranges of their coordinates.
+    further : list of str
+        The numbers on further topics in lockstep, with names and units.
     """
 
     counts: dict[str, int]
@@ -62,6 +64,7 @@ class SwarmSummary(NamedTuple):
     places: list[int]
     events: list[str]
     strays: list[str] = []  # noqa: RUF012 - nothing changes it
+    further: list[str] = []  # noqa: RUF012 - nothing changes it
 
 
 class SummaryTracker:
@@ -80,6 +83,7 @@ class SummaryTracker:
         self._further_events = 0
         self._unread: Step | None = None
         self._strays: dict[int, str] = {}
+        self._further: list[str] = []
 
     def take(self, step: Step) -> None:
         """Process a complete step; the robots' states are only read when a summary is requested."""
@@ -117,6 +121,7 @@ class SummaryTracker:
             [_place(shown_robot(*robot), half) for robot in robots] if few and half is not None else [],
             list(self._events),
             [*self._strays.values()][:SHOWN_EVENTS],
+            self._further,
         )
 
     def events(self) -> list[str]:
@@ -139,6 +144,11 @@ class SummaryTracker:
         self._newest = step.step
         for state in step.states():
             self.hear(state)
+        family = next(family for family in FAMILIES if family.parent in step.tables)
+        self._further = [
+            f"{quantity.name.replace('_', ' ')} {step.tables[topic][name][-1]:+.4g} {quantity.unit}"
+            for topic, name, quantity in further_numbers(family)
+        ]
 
 
 def _place(robot: ShownRobot, half: float) -> int:

@@ -20,6 +20,7 @@ from swarmabs_bag.shown.swarm_state import (
     ShownRobot,
     TimedEvent,
     finites,
+    further_numbers,
     is_silent,
     shown_robot,
 )
@@ -94,11 +95,17 @@ class RecordedSwarm:
         return self.arrays.description
 
     @cached_property
-    def vectors(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """The vectors of an `Instant` over the rows: parent, reference, abstract and desired."""
+    def vectors(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """The vectors of an `Instant` over the rows: parent, reference, abstract, desired and further numbers."""
         arrays = self.arrays
         abstract, desired = (arrays.vector(group, "value") for group in ("abstract", "desired"))
-        return arrays.parent, arrays.references, abstract, desired
+        unknown = np.full(len(self), np.nan)
+        columns = [
+            getattr(arrays.further[topic.identifier], field) if topic.identifier in arrays.further else unknown
+            for topic, field, _ in further_numbers(self.scenario.family)
+        ]
+        further = np.stack(columns, axis=-1) if columns else np.empty((len(self), 0))
+        return arrays.parent, arrays.references, abstract, desired, further
 
     def instant(self, row: int) -> Instant:
         """Return the state of the swarm to show at a row of the arrays."""
@@ -285,8 +292,13 @@ def _drawable(arrays: RunArrays | SystemArrays) -> RunArrays | SystemArrays:
         if isinstance(value, np.ndarray):
             shown[field.name] = _finite(value)
         elif isinstance(value, MessageArrays):
-            shown[field.name] = MessageArrays({name: _finite(column) for name, column in value.items()})
-    return replace(arrays, **shown)
+            shown[field.name] = _drawable_messages(value)
+    further = {name: _drawable_messages(messages) for name, messages in arrays.further.items()}
+    return replace(arrays, **shown, further=further)
+
+
+def _drawable_messages(messages: MessageArrays) -> MessageArrays:
+    return MessageArrays({name: _finite(column) for name, column in messages.items()})
 
 
 def _finite(column: NDArray[np.generic]) -> NDArray[np.generic]:

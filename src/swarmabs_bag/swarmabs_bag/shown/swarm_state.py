@@ -8,8 +8,8 @@ accepts messages in any order and with gaps.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right, insort
-from dataclasses import dataclass
-from math import isfinite
+from dataclasses import dataclass, field
+from math import isfinite, nan
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args, overload
 
@@ -25,15 +25,19 @@ from swarmabs_core.messages import (
     AnyRobotState,
     Basis,
     EventKind,
+    Family,
+    Field,
     Kind,
     Message,
     Removal,
     Source,
     Status,
     SwarmEvent,
+    Topic,
+    fields_of,
     vector_of,
 )
-from swarmabs_core.systems import PLANE_TABLES
+from swarmabs_core.systems import PLANE_TABLES, Quantity
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -121,8 +125,8 @@ class ShownRobot(NamedTuple):
 class Instant(NamedTuple):
     """State of the whole swarm in a step, for display, its vectors by the tables of the parent system.
 
-    The stamp is in ns, the time in s. `reference` contains the references of what the parent tracks, with offsets.
-    Vectors are empty if unknown.
+    The stamp is in ns, the time in s. `reference` contains the references of what the parent tracks, with offsets,
+    `further` the `further_numbers`. Vectors are empty if unknown.
     """
 
     step: int
@@ -132,6 +136,30 @@ class Instant(NamedTuple):
     reference: ShownVector
     abstract: ShownVector
     desired: ShownVector
+    further: ShownVector = ()
+
+
+class FurtherNumber(NamedTuple):
+    """A number on a further topic of the swarm: the field of its messages, and how views name it."""
+
+    topic: Topic
+    field: str
+    quantity: Quantity
+
+
+def family_of(tables: SystemTables) -> Family:
+    """Return the topics of a swarm on the parent system with these tables."""
+    return PLANE_FAMILY if tables is PLANE_TABLES else SYSTEM_FAMILY
+
+
+def further_numbers(family: Family) -> tuple[FurtherNumber, ...]:
+    """Return the numbers on the further topics of a family, named after topic and field, such as ``effort_power``."""
+    return tuple(
+        FurtherNumber(topic, name, Quantity(f"{topic.name.rpartition('/')[2]}_{name}", declared.unit))
+        for topic in family.further
+        for name, declared in fields_of(topic.message).items()
+        if isinstance(declared, Field) and declared.ros_type == "float64"
+    )
 
 
 class TimedEvent(NamedTuple):
@@ -193,10 +221,11 @@ def instant_of(
     *,
     time: float,
     reference: Vector,
+    further: Vector = (),
 ) -> Instant:
-    """Return the state of the whole swarm from the messages of a step, its time (s) and what is tracked."""
+    """Return the state of the whole swarm from the messages of a step, its time (s), what is tracked, and `further`."""
     sums = (() if message is None else vector_of(message, "value") for message in (abstract, desired))
-    vectors = (vector_of(parent, "state"), reference, *sums)
+    vectors = (vector_of(parent, "state"), reference, *sums, further)
     return Instant(parent.step, parent.stamp, time, *map(finites, vectors))
 
 
@@ -302,6 +331,7 @@ class _Step:
     parent: AnyParentState | None = None
     abstract: AbstractState | SwarmAbstract | None = None
     desired: DesiredAbstractState | SwarmDesired | None = None
+    further: dict[type[Message], Message] = field(default_factory=dict)
 
 
 class SwarmState:
@@ -335,7 +365,9 @@ class SwarmState:
         self._begun: Basis | None = None
         self._first_stamp: int | None = None
         self._known_events: dict[tuple[int, int, int, str], None] = {}
-        family = PLANE_FAMILY if tables is PLANE_TABLES else SYSTEM_FAMILY
+        family = family_of(tables)
+        self._further = further_numbers(family)
+        self._further_messages = tuple(topic.message for topic in family.further)
         self._foreign = tuple(topic.message for other in FAMILIES if other is not family for topic in other.main)
         self._parent: AnyParentState | None = None
         self._shown = _Step()
@@ -383,6 +415,8 @@ class SwarmState:
         elif isinstance(message, DESIRED_STATES):
             self._pending(message.step).desired = message
             return self._complete(message.step)
+        elif isinstance(message, self._further_messages):
+            self._pending(message.step).further[type(message)] = message
         return None
 
     def instant(self) -> Instant | None:
@@ -449,7 +483,9 @@ class SwarmState:
 
     def _instant(self, parent: AnyParentState, messages: _Step) -> Instant:
         time, reference = self._time(parent), self._reference_at(parent)
-        return instant_of(parent, messages.abstract, messages.desired, time=time, reference=reference)
+        said = [(messages.further.get(topic.message), name) for topic, name, _ in self._further]
+        further = tuple(nan if message is None else getattr(message, name) for message, name in said)
+        return instant_of(parent, messages.abstract, messages.desired, time=time, reference=reference, further=further)
 
     def _time(self, message: Message) -> float:
         """Return the time of a message's step, s; without a period its stamp, relative to the first if from a clock."""

@@ -23,7 +23,7 @@ export function difference(wanted, actual) {
 // The numbers by their role, each with its place in frames and curves.
 export function roles({ rows }) {
   const placed = rows.map((row, index) => ({ ...row, index, of: (values) => values[index] }));
-  const found = Object.fromEntries(["parent", "reference", "abstract", "desired", "robot", "constant"].map((role) => [role, placed.filter((row) => row.role === role)]));
+  const found = Object.fromEntries(["parent", "reference", "abstract", "desired", "further", "robot", "constant"].map((role) => [role, placed.filter((row) => row.role === role)]));
   found.followed = found.reference.map((wanted) => [found.parent.find(({ name }) => name === wanted.name), wanted]);
   found.others = found.parent.filter(({ name }) => !found.reference.some((wanted) => wanted.name === name));
   return found;
@@ -42,7 +42,7 @@ export function placeOf({ system }, { robots: { coordinates } }, robot) {
 }
 
 export function chartsOf(system) {
-  const { followed, others, abstract, desired } = roles(system);
+  const { followed, others, abstract, desired, further } = roles(system);
   const line = ({ name, of }, index) => ({ label: words(name), colour: COLOURS[index % COLOURS.length], of });
   const pair = (actual, wanted, label, index) => ({ title: titled(actual), lines: [line(actual, index), { label, colour: "reference", dash: DASH, of: wanted.of }] });
   const error = ([actual, wanted], index) => ({ ...line(actual, ERROR + index), label: `reference − ${words(actual.name)}`, of: (curves) => minus(wanted.of(curves), actual.of(curves)) });
@@ -52,6 +52,7 @@ export function chartsOf(system) {
     ...(followed.length ? [{ title: united("tracking error", followed[0][0].unit), lines: followed.map(error) }] : []),
     ...units.map((rows) => ({ title: united(rows.map(({ name }) => words(name)).join(", "), rows[0].unit), lines: rows.map((row, index) => line(row, STATE + index)) })),
     ...abstract.map((actual, index) => pair(actual, desired[index], "desired", ABSTRACT + index)),
+    ...further.map((row) => ({ title: titled(row), lines: [line(row, STATE)] })),
   ];
   return charts.map((chart, index) => ({ ...chart, place: `chart-${index}`, says: `${chart.title} over time` }));
 }
@@ -67,7 +68,7 @@ export function rowsOf(system) {
 
 // The entries of "Now": id, label and value.
 export function numbersOf(system) {
-  const { parent, followed, others, abstract, desired } = roles(system);
+  const { parent, followed, others, abstract, desired, further } = roles(system);
   const entry = (label, row, number) => [`${row.role}-${number}`, `${label}${titled(row)}`, ({ frame }) => row.of(frame.values)];
   const goal = (actual, what) => united(followed.length > 1 ? `${words(actual.name)} ${what}` : what, actual.unit);
   return [
@@ -78,6 +79,7 @@ export function numbersOf(system) {
     ]),
     ...others.map((row) => entry("", row, parent.indexOf(row))),
     ...abstract.flatMap((row, number) => [entry("", row, number), entry("desired ", desired[number], number)]),
+    ...further.map((row, number) => entry("", row, number)),
   ];
 }
 
