@@ -98,6 +98,19 @@ def test_a_step_is_complete_once_and_waits_for_its_rest_while_so_many_others_beg
     assert state_of([m for m in make_step(0) if isinstance(m, msg.AgentState)]).instant() is None
 
 
+def test_what_is_shown_does_not_go_back_when_late_messages_complete_an_earlier_step() -> None:
+    """The observer was silent for so long that the plane alone was shown; a complete step that is later ends that."""
+    last = SILENT_STEPS + 10
+    planes = [m for m in make_run(last) if isinstance(m, msg.PlaneState) and m.step > 5]
+    made = state_of([*make_run(5), *planes])
+    assert (shown(made)[0].step, shown(made)[0].abstract) == (last, ())
+    for late, expected in ((last - 30, last), (last - 1, last), (last + 1, last + 1)):
+        for message in make_step(late):
+            made.add(message)
+        assert shown(made)[0].step == expected
+    assert shown(made)[0].abstract
+
+
 @pytest.mark.parametrize(
     ("kinds", "status"),
     [

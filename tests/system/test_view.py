@@ -83,8 +83,13 @@ def seen_enough(received: Received) -> bool:
     return (
         len(complete) > 10
         and complete[-1]["step"] > 520
-        and bool(kinds(received, "events") and kinds(received, "curves"))
+        and "DEAD" in event_kinds(received)
+        and bool(kinds(received, "curves") and kinds(received, "health"))
     )
+
+
+def event_kinds(received: Received) -> set[str]:
+    return {event["kind"] for message in kinds(received, "events") for event in message["events"]}
 
 
 def test_what_is_shown_of_a_run_is_what_is_recorded_and_it_does_not_need_its_view(folder: Path, mark: str) -> None:
@@ -93,6 +98,7 @@ def test_what_is_shown_of_a_run_is_what_is_recorded_and_it_does_not_need_its_vie
     words = [part for override in overrides for part in ("--set", override)]
     with runs.started_swarm("run", "-o", folder, "--view", *words) as command:
         received = asyncio.run(look(runs.view_address(command), seen_enough, UNASKED))
+        assert seen_enough(received)
         (viewer,) = (
             process
             for process in map(psutil.Process, marked_processes(mark))
@@ -119,8 +125,6 @@ def test_what_is_shown_of_a_run_is_what_is_recorded_and_it_does_not_need_its_vie
         for time, value, sent in zip(curves["time"], curves["values"][0], curves["values"][3], strict=True):
             step = round(time * 100)
             assert (value, sent) == (recorded.angle[step], recorded.abstract.torque[step])
-    shown = {event["kind"] for message in kinds(received, "events") for event in message["events"]}
-    assert "DEAD" in shown
     processes = {one["name"] for health in kinds(received, "health") for one in health["processes"]}
     assert processes == {
         *("orchestrator", "launcher", "plane_sim", "abstraction_observer", "parent_controller", "recorder"),

@@ -338,7 +338,8 @@ class SwarmState:
     """The current state of a swarm on the parent system with these tables.
 
     It shows the latest step with messages of parent, observer and controller, and each robot's latest state up to it.
-    If observer or controller is silent, it shows the parent's latest step without it.
+    If observer or controller is silent, it shows the parent's latest step without it, until a step is complete that is
+    not earlier: what is shown never goes back.
 
     Unknown robots are added when they are first heard. Announced offsets are added to the reference. With a control
     period, times are those of the steps, independent of the clocks that stamp the messages. `version` changes with
@@ -371,6 +372,7 @@ class SwarmState:
         self._foreign = tuple(topic.message for other in FAMILIES if other is not family for topic in other.main)
         self._parent: AnyParentState | None = None
         self._shown = _Step()
+        self._least = 0  # the step that was last shown without observer or controller
         self._steps: dict[int, _Step] = {}
 
     @classmethod
@@ -423,9 +425,9 @@ class SwarmState:
         """Return the step to show, None before the first message of the parent."""
         if self._parent is None:
             return None
-        shown = self._shown
-        if shown.parent is None or is_silent(shown.parent.step, self._parent.step):
-            shown = self._steps.get(self._parent.step, _Step())
+        shown, newest = self._shown, self._parent.step
+        if shown.parent is None or shown.parent.step < self._least or is_silent(shown.parent.step, newest):
+            shown, self._least = self._steps.get(newest, _Step()), newest
         return self._instant(shown.parent or self._parent, shown)
 
     def shown_robots(self, step: int) -> list[ShownRobot]:
