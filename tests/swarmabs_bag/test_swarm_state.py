@@ -25,6 +25,7 @@ from swarmabs_bag.shown.swarm_state import (
     STATUSES,
     Instant,
     Members,
+    RobotHistory,
     RobotIdentity,
     ShownRobot,
     SwarmState,
@@ -159,6 +160,26 @@ def test_what_a_robot_says_after_its_end_is_not_shown(late: bool) -> None:  # no
     _, early = shown(state_of([end, *(message for message in run if message.step < 6)]))
     (state,) = (m for m in run if isinstance(m, msg.AgentState) and (m.step, m.agent_id) == (5, 2))
     assert (early[1].status, early[1].coordinates) == ("active", (state.position,))
+
+
+def test_what_a_dead_robot_says_in_the_step_of_its_end_and_later_is_not_its_last_state() -> None:
+    history = RobotHistory([2])
+    for message in make_run(20):
+        if isinstance(message, msg.AgentState) and message.agent_id == 2:
+            history.add(message)
+    history.take(event(6, 2, msg.EventKind.DEAD, "kill"))
+    found = [history.latest(2, step) for step in (5, 6, 20)]
+    assert [None if state is None else state.step for state in found] == [5, 5, 5]
+
+
+def test_robots_that_end_in_the_same_step_take_no_part_from_it_on_also_if_the_second_is_told_later() -> None:
+    robots = [RobotIdentity(number, msg.Kind.SINGLE_INTEGRATOR, (1.0, 0.0)) for number in (1, 2, 7)]
+    made = SwarmState(robots)
+    for message in [*make_run(20), event(6, 2, msg.EventKind.LEFT)]:
+        made.add(message)
+    assert made.members() == Members((1, 7), ())
+    made.add(event(6, 7, msg.EventKind.LEFT))
+    assert made.members() == Members((1,), ())
 
 
 def test_a_robot_that_says_nothing_is_silent_and_stays_where_it_was() -> None:

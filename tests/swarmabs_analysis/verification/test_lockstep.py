@@ -320,6 +320,21 @@ def test_a_missing_event_comes_before_a_later_difference_and_each_wrong_one_is_c
         assert place(difference) == ("swarm/events", first.step, agent_id_of(first), "value")
 
 
+@pytest.mark.parametrize("name", ["robots that fly off", "robots that touch the end"])
+def test_a_missing_event_of_a_robot_that_crosses_an_end_is_found_although_all_other_messages_fit(name: str) -> None:
+    """Steps that are recomputed side by side have no events, so that of a crossing must not be among them."""
+    scenario, bag = whole(*WORLDS[name])
+    crossings = [n for n, s in enumerate(bag) if isinstance(s.message, msg.SwarmEvent) and crossing_of(s.message)]
+    assert crossings
+    for n in crossings[:6]:
+        event = bag[n].message
+        verification = LockstepVerification(scenario)
+        take(verification, in_chunks(scenario, [*bag[:n], *bag[n + 1 :]], Random(0), [len(bag)]))
+        verification.finish()
+        difference = verification.result.difference
+        assert place(difference) == ("swarm/events", event.step, agent_id_of(event), "message")
+
+
 class Nudged(Agent):
     """A robot that adds one unit in the last place to one command, and goes on by the law."""
 
