@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import psutil
@@ -51,7 +51,7 @@ def load_arrays(
     namespace: str | None = None,
     damaged: bool = False,
     stride: int = 1,
-) -> RunArrays | Any:  # SystemArrays if the parent system is not the plane
+) -> RunArrays:
     """Load a bag: a run folder, its ``bag/``, or an MCAP file.
 
     Parameters
@@ -79,17 +79,17 @@ def load_arrays(
 class LoadedMessages(NamedTuple):
     """Messages of main and further topics as rows of structured arrays, and the events, in the order of the file.
 
-    `description` is that of the parent system, None for the plane; `divided` is the number of messages on how the
+    `description` is that of the parent system; `divided` is the number of messages on how the
     abstract state divides.
     """
 
     tables: dict[Topic, NDArray[np.void]]
     events: tuple[SwarmEvent, ...]
-    description: SystemTables | None
+    description: SystemTables
     divided: int
 
 
-def arrays_since(bag: BagReader, messages: LoadedMessages) -> tuple[RunArrays | Any, float]:
+def arrays_since(bag: BagReader, messages: LoadedMessages) -> tuple[RunArrays, float]:
     """Arrange the messages of a bag by step; also return the start of the time axis, s."""
     time = event_time(bag)
     arrays = run_arrays(
@@ -136,7 +136,7 @@ def load_messages(bag: BagReader, *, stride: int = 1) -> LoadedMessages:
             _check_heads(bag, topic, rows, lengths_of(topic.message, firsts[topic]))
     _check_density(bag, tables)
     decoded = tuple(event for _, _, event in bag.decode(events) if isinstance(event, SwarmEvent))
-    return LoadedMessages(tables, decoded, description_of(bag) if family.once else None, divided)
+    return LoadedMessages(tables, decoded, description_of(bag), divided)
 
 
 def _check_sizes(bag: BagReader, messages: TopicMessages, sizes: Mapping[Topic, int]) -> None:

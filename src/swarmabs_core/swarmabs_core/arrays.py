@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, ItemsView, Iterable, Mapping
+from collections.abc import Callable, ItemsView, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -15,18 +15,18 @@ from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
     FAMILIES,
     MAIN_TOPICS,
-    PLANE_VECTORS,
+    PLANE_FAMILY,
     EventKind,
+    Family,
     Field,
     SwarmEvent,
     Topic,
     fields_of,
     word_of,
 )
-from swarmabs_core.systems.interface import PLANE_TABLES
 
 if TYPE_CHECKING:
-    from swarmabs_core.systems.interface import SystemTables
+    from swarmabs_core.systems.interface import Row, SystemTables
 
 Floats: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.int64]
@@ -109,10 +109,11 @@ class MessageArrays:
     ``broadcast_step`` is an array of floats, which is also NaN where the robot has used no broadcast.
     """
 
-    __slots__ = ("_columns",)
+    __slots__ = ("_columns", "_vectors")
 
-    def __init__(self, columns: Mapping[str, Column]) -> None:
+    def __init__(self, columns: Mapping[str, Column], vectors: Mapping[str, tuple[str, ...]]) -> None:
         self._columns = dict(columns)
+        self._vectors = vectors
 
     def __getattr__(self, name: str) -> Column:
         columns = {} if name == "_columns" else self._columns  # unset during unpickling
@@ -126,6 +127,19 @@ class MessageArrays:
     def items(self) -> ItemsView[str, Column]:
         """Return names and arrays."""
         return self._columns.items()
+
+    def vector(self, name: str) -> Floats:
+        """Return a list of the messages of any parent system, such as ``value``, in the last axis.
+
+        The plane's messages have its elements by name; see `Family.vectors`.
+        """
+        if name not in self._vectors:
+            return self._columns[name]
+        return np.stack([self._columns[element] for element in self._vectors[name]], axis=-1)
+
+    def converted(self, convert: Callable[[Column], Column]) -> MessageArrays:
+        """Return them with each array converted."""
+        return MessageArrays({name: convert(column) for name, column in self.items()}, self._vectors)
 
 
 class RunEvent(NamedTuple):
@@ -155,43 +169,9 @@ class RunEvent(NamedTuple):
     detail: str
 
 
-class _ByName:
-    """Quantities of a run by their names in its description."""
-
-    __slots__ = ()
-
-    if TYPE_CHECKING:
-
-        @property
-        def parent(self) -> Floats:
-            """State of the parent system, (n+1, P)."""
-
-        @property
-        def description(self) -> SystemTables:
-            """Names and units of the quantities."""
-
-        def vector(self, group: str, name: str) -> Floats:
-            """Return a list of a group's messages, its elements in the last axis."""
-
-    def __getitem__(self, name: str) -> Floats:
-        """Return a quantity of the parent or of the abstract state, (n+1,), or of the robots, (n+1, N)."""
-        described = self.description
-        tables = (
-            (described.parent, self.parent),
-            (described.abstract, self.vector("abstract", "value")),
-            (described.robot, self.vector("agents", "coordinates")),
-            (described.constants, self.vector("agents", "constants")),
-        )
-        for rows, values in tables:
-            names = [row.name for row in rows]
-            if name in names:
-                return values[..., names.index(name)]
-        raise KeyError(f"no quantity {name!r}; see `description`")
-
-
 @dataclass(frozen=True, slots=True)
-class RunArrays(_ByName):
-    """A run on the plane as arrays by step; ``run["angle"]`` is a quantity by its name.
+class RunArrays:
+    """A run as arrays by step; ``run["angle"]`` is a quantity by its name.
 
     Attributes
     ----------
@@ -199,15 +179,18 @@ class RunArrays(_ByName):
         Steps with at least one message, ascending.
     time : ndarray, (n+1,)
         Times of the steps, s.
-    angle, angular_velocity : ndarray, (n+1,)
-        Of the plane, in rad and rad/s.
-    reference : ndarray, (n+1,)
-        Reference angle in rad, including offsets by faults and steering; NaN where unknown.
+    parent : ndarray, (n+1, P)
+        State of the parent system; of the plane its angle in rad and angular velocity in rad/s.
+    reference : ndarray, (n+1,) or (n+1, T)
+        Reference angle of the plane in rad, or those of all that another parent system tracks, including offsets by
+        faults and steering; NaN where unknown.
     abstract, auxiliary, desired : MessageArrays
-        The broadcasts.
+        The broadcasts. The lists of parent systems other than the plane are the last axis.
     agents : MessageArrays
         States of the robots. ``agents.ids`` of shape (N,) contains their ids in ascending order; column i of the other
         arrays belongs to ``ids[i]``.
+    description : SystemTables
+        Names, units and scales of the quantities, and settings of the system.
     events : tuple of RunEvent
         All events, ordered by step.
     figures : callable
@@ -218,36 +201,46 @@ class RunArrays(_ByName):
 
     step: Integers
     time: Floats
-    angle: Floats
-    angular_velocity: Floats
+    parent: Floats
     reference: Floats
     abstract: MessageArrays
     auxiliary: MessageArrays
     desired: MessageArrays
     agents: MessageArrays
+    description: SystemTables
     events: tuple[RunEvent, ...]
     figures: Callable[[], Figures] = field(repr=False, compare=False)
     further: Mapping[str, MessageArrays] = field(default_factory=dict)
 
+    def __getitem__(self, name: str) -> Floats:
+        """Return a quantity of the parent or of the abstract state, (n+1,), or of the robots, (n+1, N)."""
+        described = self.description
+        tables: tuple[tuple[Sequence[Row], Callable[[], Floats]], ...] = (
+            (described.parent, lambda: self.parent),
+            (described.abstract, lambda: self.abstract.vector("value")),
+            (described.robot, lambda: self.agents.vector("coordinates")),
+            (described.constants, lambda: self.agents.vector("constants")),
+        )
+        for rows, values in tables:  # only the vector of the quantity is put together
+            names = [row.name for row in rows]
+            if name in names:
+                return values()[..., names.index(name)]
+        raise KeyError(f"no quantity {name!r}; see `description`")
+
     @property
-    def parent(self) -> Floats:
-        """State of the plane, (n+1, 2): angle and angular velocity."""
-        return np.stack([self.angle, self.angular_velocity], axis=-1)
+    def angle(self) -> Floats:
+        """Angle of the plane, rad, (n+1,); ``run["angle"]``."""
+        return self["angle"]
+
+    @property
+    def angular_velocity(self) -> Floats:
+        """Angular velocity of the plane, rad/s, (n+1,); ``run["angular_velocity"]``."""
+        return self["angular_velocity"]
 
     @property
     def references(self) -> Floats:
-        """The reference as that of other parent systems, (n+1, 1)."""
-        return self.reference[:, None]
-
-    @property
-    def description(self) -> SystemTables:
-        """Names, units and scales of the quantities."""
-        return PLANE_TABLES
-
-    def vector(self, group: str, name: str) -> Floats:
-        """Return the numbers of a list of other parent systems, such as ``value`` of ``abstract``, in the last axis."""
-        columns = getattr(self, group)
-        return np.stack([getattr(columns, field) for field in PLANE_VECTORS[name]], axis=-1)
+        """The references of all that is tracked, (n+1, T), with T = 1 on the plane."""
+        return self.reference.reshape(len(self.step), len(self.description.tracked))
 
     def summary(self) -> Figures:
         """Return the key figures of the run, named as in ``summary.json``.
@@ -264,51 +257,6 @@ class RunArrays(_ByName):
         For arrays loaded from a bag, this reads the whole bag, even if only some of its steps were loaded.
         """
         return self.figures()
-
-
-@dataclass(frozen=True, slots=True)
-class SystemArrays(_ByName):
-    """A run with any parent system but the plane; ``run["roll"]`` is a quantity by its name.
-
-    What is not described here is as in `RunArrays`.
-
-    Attributes
-    ----------
-    parent : ndarray, (n+1, P)
-        State of the parent system.
-    reference : ndarray, (n+1, T)
-        References of the quantities that have one; NaN where unknown.
-    abstract, auxiliary, desired, agents : MessageArrays
-        As for the plane; lists are the last axis, such as ``agents.coordinates`` of shape (n+1, N, d).
-    description : SystemTables
-        Names, units and scales of the quantities, and settings of the system.
-    """
-
-    step: Integers
-    time: Floats
-    parent: Floats
-    reference: Floats
-    abstract: MessageArrays
-    auxiliary: MessageArrays
-    desired: MessageArrays
-    agents: MessageArrays
-    description: SystemTables
-    events: tuple[RunEvent, ...]
-    figures: Callable[[], Figures] = field(repr=False, compare=False)
-    further: Mapping[str, MessageArrays] = field(default_factory=dict)
-
-    def summary(self) -> Figures:
-        """Return the key figures of the run, named as in ``summary.json``; see `RunArrays.summary`."""
-        return self.figures()
-
-    @property
-    def references(self) -> Floats:
-        """The references, (n+1, T)."""
-        return self.reference
-
-    def vector(self, group: str, name: str) -> Floats:
-        """Return a list of a group's messages, such as ``value`` of ``abstract``, in the last axis."""
-        return np.asarray(getattr(getattr(self, group), name))
 
 
 Tables = Mapping[Topic, "NDArray[np.void]"]
@@ -334,12 +282,12 @@ def run_arrays(
     reference: Callable[[int], float | tuple[float, ...]],
     events: Iterable[RunEvent],
     figures: Callable[[], Figures],
-    description: SystemTables | None = None,
-) -> RunArrays | Any:  # SystemArrays with a description
+    description: SystemTables,
+) -> RunArrays:
     """Arrange the tables of a run, whose rows may be in any order, by step, those of the robots by step and id.
 
-    `reference` returns the reference (rad) of a step, or the references of a system; `events` and `figures` are
-    those of `RunArrays`; `description` is that of the system, None for the plane.
+    `reference` returns the reference (rad) of a step, or the references of a system; `events`, `figures` and
+    `description` are those of `RunArrays`.
     """
     family = next(family for family in FAMILIES if family.robot in tables)
     # The first message of a step determines its time. Robots come last, since their clocks may be wrong.
@@ -348,29 +296,27 @@ def run_arrays(
     stamps = np.concatenate([tables[topic]["sec"] * 1e9 + tables[topic]["nanosec"] for topic in ordered])
     rows = {topic: np.searchsorted(step, table["step"]) for topic, table in tables.items()}
     filled = {
-        topic: _columns(topic, table, rows[topic], (len(step),))
+        topic: MessageArrays(_columns(topic, table, rows[topic], (len(step),)), family.vectors)
         for topic, table in tables.items()
         if topic is not family.robot
     }
-    parent = filled[family.parent]
-    goals = [reference(number) for number in step.tolist()]
-    common: dict[str, Any] = {
-        "step": step.astype(np.int64),
-        "time": stamps[first] / 1e9,
-        "abstract": MessageArrays(filled[family.abstract]),
-        "auxiliary": MessageArrays(filled[family.auxiliary]),
-        "desired": MessageArrays(filled[family.desired]),
-        "agents": _agents(family.robot, tables[family.robot], rows[family.robot], len(step)),
-        "events": tuple(sorted(events, key=lambda event: event.step)),
-        "figures": figures,
-        "further": {topic.identifier: MessageArrays(filled[topic]) for topic in family.further if topic in filled},
-    }
-    if description is None:
-        return RunArrays(**{**common, **parent}, reference=np.array(goals, dtype=np.float64))
-    size = len(description.tracked)
-    references = np.array([np.broadcast_to(values, size) for values in goals], dtype=np.float64)
-    references = references.reshape(len(step), size)
-    return SystemArrays(parent=parent["state"], reference=references, description=description, **common)
+    goals = np.array([reference(number) for number in step.tolist()], dtype=np.float64)
+    columns = goals if goals.ndim > 1 else goals[:, np.newaxis]  # one number holds for all that is tracked
+    references = np.array(np.broadcast_to(columns, (len(step), len(description.tracked))))
+    return RunArrays(
+        step=step.astype(np.int64),
+        time=stamps[first] / 1e9,
+        parent=filled[family.parent].vector("state"),
+        reference=references[:, 0] if family is PLANE_FAMILY else references,
+        abstract=filled[family.abstract],
+        auxiliary=filled[family.auxiliary],
+        desired=filled[family.desired],
+        agents=_agents(family, tables[family.robot], rows[family.robot], len(step)),
+        description=description,
+        events=tuple(sorted(events, key=lambda event: event.step)),
+        figures=figures,
+        further={topic.identifier: filled[topic] for topic in family.further if topic in filled},
+    )
 
 
 def _columns(
@@ -390,7 +336,7 @@ def _columns(
     return columns
 
 
-def _agents(topic: Topic, table: NDArray[np.void], rows: Integers, steps: int) -> MessageArrays:
+def _agents(family: Family, table: NDArray[np.void], rows: Integers, steps: int) -> MessageArrays:
     ids, columns = np.unique(table["agent_id"], return_inverse=True)
-    filled = _columns(topic, table, (rows, columns), (steps, len(ids)))
-    return MessageArrays({"ids": ids.astype(np.int64), **filled})
+    filled = _columns(family.robot, table, (rows, columns), (steps, len(ids)))
+    return MessageArrays({"ids": ids.astype(np.int64), **filled}, family.vectors)

@@ -8,8 +8,8 @@ lockstep it is exactly ``step`` times the control period.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Annotated, Literal, NamedTuple, TypeAlias, get_type_hints
 
@@ -525,7 +525,8 @@ class Family:
 
     `node` names the process of the simulated parent; `kinds` are those that robots may have. Topics in `once` have one
     message per run, in step 0, which a bag holds before the others. Topics in `further` have one message of a
-    coordinator in each step, as the main ones have; they are recorded, but are no part of the digest.
+    coordinator in each step, as the main ones have; they are recorded, but are no part of the digest. `vectors` has the
+    fields that stand for a list, by its name, if messages have no lists.
     """
 
     node: str
@@ -538,6 +539,7 @@ class Family:
     once: tuple[Topic, ...] = ()
     further: tuple[Topic, ...] = ()
     kinds: tuple[Kind, ...] = tuple(Kind)
+    vectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def main(self) -> tuple[Topic, ...]:
@@ -569,6 +571,14 @@ PLANE_FAMILY = Family(
     DESIRED_ABSTRACT_STATE,
     BROADCAST,
     kinds=PLANE_KINDS,
+    vectors={
+        "state": ("angle", "angular_velocity"),
+        "value": ("torque", "inertia"),
+        "coordinates": ("position",),
+        "velocities": ("velocity",),
+        "command": ("command",),
+        "constants": ("mass", "damping"),
+    },
 )
 SYSTEM_FAMILY = Family(
     "parent_system",
@@ -594,15 +604,6 @@ ABSTRACT_STATES = (AbstractState, SwarmAbstract)
 DESIRED_STATES = (DesiredAbstractState, SwarmDesired)
 
 
-PLANE_VECTORS: dict[str, tuple[str, ...]] = {
-    "state": ("angle", "angular_velocity"),
-    "value": ("torque", "inertia"),
-    "coordinates": ("position",),
-    "velocities": ("velocity",),
-    "command": ("command",),
-    "constants": ("mass", "damping"),
-}
-"""The fields of the plane's messages that make up a list of those of any parent system, by the name of the list."""
 _OF_PLANE = tuple(topic.message for topic in PLANE_FAMILY.main)
 
 
@@ -610,7 +611,7 @@ def vector_of(message: Message, name: str) -> Vector:
     """Return a list of the messages of any parent system by its name; the plane's messages name its elements."""
     if not isinstance(message, _OF_PLANE):
         return getattr(message, name)  # type: ignore[no-any-return]
-    return tuple(getattr(message, field) for field in PLANE_VECTORS[name])
+    return tuple(getattr(message, field) for field in PLANE_FAMILY.vectors[name])
 
 
 def coordinates_of(state: AnyRobotState) -> Vector:

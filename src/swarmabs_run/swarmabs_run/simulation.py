@@ -7,7 +7,7 @@ import time
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.run.figures import RunFigures, tracking_of
@@ -222,9 +222,7 @@ def simulated_steps(scenario: Scenario) -> Iterator[Step]:
             yield step[max(0, done - step.first) :]
 
 
-def simulate(
-    scenario: Scenario | str | PathLike[str], overrides: Mapping[str, object] | None = None
-) -> RunArrays | Any:
+def simulate(scenario: Scenario | str | PathLike[str], overrides: Mapping[str, object] | None = None) -> RunArrays:
     """Simulate a scenario in this process.
 
     Parameters
@@ -236,9 +234,9 @@ def simulate(
 
     Returns
     -------
-    RunArrays, or SystemArrays if the parent system is not the plane
-        The run as arrays: angle, reference, abstract, auxiliary and desired state by step, robots by step and id;
-        events and summary.
+    RunArrays
+        The run as arrays: state of the parent, reference, abstract, auxiliary and desired state by step, robots by step
+        and id; events and summary.
 
     Raises
     ------
@@ -255,7 +253,6 @@ def simulate(
     """
     changed = _changed(scenario, [as_override(path, value) for path, value in (overrides or {}).items()])
     reference, period_ns = configure.reference(changed), changed.step_ns
-    system = changed.other_system
     figures = RunFigures(reference, tracking_of(changed))
     events: list[RunEvent] = []
     gathered = {topic: bytearray() for topic in changed.family.stepwise}
@@ -269,7 +266,7 @@ def simulate(
         reference=lambda step: reference(step * period_ns / 1e9),
         events=events,
         figures=partial(dict, figures.summary()),
-        description=SystemTables.read(system.description) if system else None,
+        description=changed.tables,
     )
 
 

@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
     from swarmabs_analysis.export.tables import BagTable
     from swarmabs_bag.reader import BagReader
-    from swarmabs_core.arrays import RunArrays, SystemArrays
+    from swarmabs_core.arrays import RunArrays
 
 
 ArrayFormat = Literal["numpy", "mat"]
 _VECTORS = {"parent": "state"}
-"""The vector of a message by the name of its array in `SystemArrays`, where they differ."""
+"""The vector of a message by the name of its array in `RunArrays`, where they differ."""
 SUFFIXES: dict[ArrayFormat, str] = {"numpy": ".npz", "mat": ".mat"}
 """Endings of the files of arrays."""
 
@@ -87,7 +87,7 @@ def _write_mat(stream: IO[bytes], content: Mapping[str, Any]) -> None:
     write_mat(stream, {**content, "words": words})  # the fields of a struct are names
 
 
-def _named(run: RunArrays | SystemArrays, tables: Sequence[BagTable]) -> Iterator[tuple[str, NDArray[np.generic]]]:
+def _named(run: RunArrays, tables: Sequence[BagTable]) -> Iterator[tuple[str, NDArray[np.generic]]]:
     """Yield the arrays of a run, an array for each component of a vector."""
     by_name = {table.name: table for table in tables}
     for key, value in ({field.name: getattr(run, field.name) for field in fields(run)} | {**run.further}).items():
@@ -99,6 +99,8 @@ def _named(run: RunArrays | SystemArrays, tables: Sequence[BagTable]) -> Iterato
                 yield from _components(table, vector, getattr(value, vector))
         elif isinstance(value, np.ndarray) and value.ndim == 1:
             yield key, value
+        elif isinstance(value, np.ndarray) and "parent" not in by_name:  # the plane, whose numbers are fields
+            yield from zip((row.name for row in run.description.parent), value.T, strict=True)
         elif isinstance(value, np.ndarray):
             yield from _components(by_name["parent"], _VECTORS.get(key, key), value)
 

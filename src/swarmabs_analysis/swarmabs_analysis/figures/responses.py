@@ -22,9 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmabs_analysis.figures.runs import RecordedRun
-    from swarmabs_core.arrays import RunArrays, SystemArrays
+    from swarmabs_core.arrays import RunArrays
 
-    AnyArrays = RunArrays | SystemArrays
     Floats = NDArray[np.float64]
     Pair = tuple[Axes, Axes]
 
@@ -98,14 +97,14 @@ def parent_state(axes: Axes, run: RecordedRun) -> Pair:
     return axes, other
 
 
-def each_robot(axes: Axes, arrays: AnyArrays, values: Floats, symbol: str) -> None:
+def each_robot(axes: Axes, arrays: RunArrays, values: Floats, symbol: str) -> None:
     """Draw a quantity of a few robots, shape (n+1, N), in colours of kinds and dashes of robots, with their names."""
     lines = robots_by_kind(axes, arrays, values)
     for line, dashes, number in zip(lines, cycle(ROBOT_DASHES), arrays.agents.ids.tolist(), strict=False):
         line.set(linewidth=1.1, linestyle=dashes, label=f"{symbol}{str(number).translate(SUBSCRIPTS)}")
 
 
-def robots_by_kind(axes: Axes, arrays: AnyArrays, values: Floats) -> list[Line2D]:
+def robots_by_kind(axes: Axes, arrays: RunArrays, values: Floats) -> list[Line2D]:
     """Draw a quantity of many robots, shape (n+1, N), as thin lines coloured by kind, and return the lines."""
     agents = arrays.agents
     lines = []

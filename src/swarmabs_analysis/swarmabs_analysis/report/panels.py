@@ -250,7 +250,7 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
         draw = paths(recorded, [subject.term(row).label for row in rows])
         about = f"each of {counted(count, 'robot')} ends in a dot"
         yield Panel("robots-paths", "robots", "Paths of the robots", draw, about, height=2.9)
-    rates = arrays.vector("agents", "velocities")
+    rates = arrays.agents.vector("velocities")
     for place, row in enumerate(rows):
         term, rate = subject.term(row), subject.rate(row)
         values = recorded.coordinates[..., place]
@@ -271,7 +271,7 @@ def _robots(recorded: Recorded) -> Iterator[Panel]:
 
 def _commands(recorded: Recorded, place: int, along: str, note: str) -> Iterator[Panel]:
     """Yield a panel with the commands along a coordinate for each kind of robot, whose units differ."""
-    rows, command = recorded.tables.robot, recorded.arrays.vector("agents", "command")[..., place]
+    rows, command = recorded.tables.robot, recorded.arrays.agents.vector("command")[..., place]
     name, units = rows[place].name, [row.unit for row in rows]
     for kind in Kind:
         of_kind = (recorded.arrays.agents.kind == kind).any(axis=0)
@@ -286,7 +286,7 @@ def _commands(recorded: Recorded, place: int, along: str, note: str) -> Iterator
 def _abstract(recorded: Recorded) -> Iterator[Panel]:
     """Yield the abstract state by unit with the desired one; on the plane also its error, and its path in space."""
     rows = recorded.tables.abstract
-    actual, desired = (recorded.arrays.vector(group, "value") for group in ("abstract", "desired"))
+    actual, desired = (part.vector("value") for part in (recorded.arrays.abstract, recorded.arrays.desired))
     for number, group in enumerate(_by_unit(rows)):
         terms = [recorded.subject.term(rows[place]) for place in group]
         estimated = number == 0 and recorded.estimated

@@ -20,8 +20,7 @@ from swarmabs_bag.realtime_world import realtime_figures
 from swarmabs_bag.run.figures import RunFigures, Tracking, tracking_of
 from swarmabs_bag.shown.recorded_swarm import recorded_swarm
 from swarmabs_config import configure
-from swarmabs_config.scenario import PlaneScenario
-from swarmabs_core.arrays import RunArrays
+from swarmabs_config.scenario import PlaneScenario, on_plane
 from swarmabs_core.messages import EVENTS, STANDING, EventKind
 from swarmabs_core.steering import DISTURBANCE
 from swarmabs_core.theory.constraint_sets import ConstraintSets
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.shown.recorded_swarm import RecordedSwarm
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.arrays import SystemArrays
+    from swarmabs_core.arrays import RunArrays
     from swarmabs_core.plant import Plane
     from swarmabs_core.systems import SystemTables
 
@@ -91,10 +90,7 @@ class Recorded:
     @property
     def run(self) -> RecordedRun:
         """Scenario and arrays of a run on the plane, as the figures of the paper take them."""
-        scenario, arrays = self.scenario, self.arrays
-        assert isinstance(scenario, PlaneScenario)  # noqa: S101 - only what shows the plane's own data asks
-        assert isinstance(arrays, RunArrays)  # noqa: S101
-        return RecordedRun(scenario, arrays)
+        return RecordedRun(on_plane(self.scenario, "a figure of the paper"), self.arrays)
 
     @property
     def scenario(self) -> Scenario:
@@ -102,7 +98,7 @@ class Recorded:
         return self.swarm.scenario
 
     @property
-    def arrays(self) -> RunArrays | SystemArrays:
+    def arrays(self) -> RunArrays:
         """The recorded steps."""
         return self.swarm.arrays
 
@@ -145,7 +141,7 @@ class Recorded:
     @cached_property
     def coordinates(self) -> Floats:
         """Coordinates of the robots as recorded, (n+1, N, d)."""
-        return self.swarm.arrays.vector("agents", "coordinates")
+        return self.swarm.arrays.agents.vector("coordinates")
 
     def settings(self, name: str) -> list[Setting]:
         """Return the values of a setting of the whole run (`DISTURBANCE` or `REFERENCE`) that was changed in it."""
@@ -302,7 +298,7 @@ def read_recorded(path: Path, *, namespace: str | None = None, scenario: str | N
     )
 
 
-def _metrics(swarm: RecordedSwarm, arrays: RunArrays | SystemArrays) -> dict[str, float | int | None]:
+def _metrics(swarm: RecordedSwarm, arrays: RunArrays) -> dict[str, float | int | None]:
     """Return the figures of the run, by the same arithmetic as during the recording.
 
     Numbers that cannot be drawn count, too, so the arrays are those of the bag, and not of the swarm.
@@ -314,7 +310,7 @@ def _metrics(swarm: RecordedSwarm, arrays: RunArrays | SystemArrays) -> dict[str
             figures.follow(step, round(time * 1e9) / 1e9, tuple(state))
     for event in swarm.events:
         figures.strays.hear(event, event.stamp / 1e9)
-    coordinates = np.abs(arrays.vector("agents", "coordinates"))
+    coordinates = np.abs(arrays.agents.vector("coordinates"))
     there = coordinates[arrays.agents.kind > 0]
     if there.size:
         figures.reach(float(there.max()))

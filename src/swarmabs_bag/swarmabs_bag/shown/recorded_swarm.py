@@ -24,7 +24,7 @@ from swarmabs_bag.shown.swarm_state import (
     is_silent,
     shown_robot,
 )
-from swarmabs_core.arrays import MessageArrays, RunArrays, SystemArrays
+from swarmabs_core.arrays import MessageArrays, RunArrays
 from swarmabs_core.messages import AnyRobotState, Status, SwarmEvent
 from swarmabs_core.ranges import Strays, reason_of, texts_of
 
@@ -57,7 +57,7 @@ class RecordedSwarm:
 
     bag: Path
     scenario: Scenario
-    arrays: RunArrays | SystemArrays
+    arrays: RunArrays
     events: tuple[SwarmEvent, ...]
     status: str
     reason: str | None
@@ -98,13 +98,13 @@ class RecordedSwarm:
     def vectors(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """The vectors of an `Instant` over the rows: parent, reference, abstract, desired and further numbers."""
         arrays = self.arrays
-        abstract, desired = (arrays.vector(group, "value") for group in ("abstract", "desired"))
         unknown = np.full(len(self), np.nan)
         columns = [
             getattr(arrays.further[topic.identifier], field) if topic.identifier in arrays.further else unknown
             for topic, field, _ in further_numbers(self.scenario.family)
         ]
         further = np.stack(columns, axis=-1) if columns else np.empty((len(self), 0))
+        abstract, desired = arrays.abstract.vector("value"), arrays.desired.vector("value")
         return arrays.parent, arrays.references, abstract, desired, further
 
     def instant(self, row: int) -> Instant:
@@ -146,7 +146,7 @@ class RecordedSwarm:
         step, agents = self.arrays.step, self.arrays.agents
         columns = np.arange(len(agents.ids))
         said = agents.status[self._latest, columns]
-        place = np.array(self.arrays.vector("agents", "coordinates")[self._latest, columns])
+        place = np.array(self.arrays.agents.vector("coordinates")[self._latest, columns])
         codes = np.full(place.shape[:2], -1, dtype=np.int8)
         for status, name in STATUS_NAMES.items():
             codes[said == status] = STATUSES.index(name)
@@ -223,7 +223,7 @@ def read_swarm(path: Path, *, namespace: str | None = None) -> RecordedSwarm:
     return recorded_swarm(bag, messages, arrays_since(bag, messages)[0])
 
 
-def recorded_swarm(bag: BagReader, messages: LoadedMessages, arrays: RunArrays | SystemArrays) -> RecordedSwarm:
+def recorded_swarm(bag: BagReader, messages: LoadedMessages, arrays: RunArrays) -> RecordedSwarm:
     """Return the swarm of an open bag whose messages and arrays are loaded; as `read_swarm`."""
     scenario, tables = attached_scenario(bag), messages.tables
     if scenario.family is not bag.family:
@@ -284,7 +284,7 @@ def _ending(
     return ("failed", reason) if reason else ("ok", None)
 
 
-def _drawable(arrays: RunArrays | SystemArrays) -> RunArrays | SystemArrays:
+def _drawable(arrays: RunArrays) -> RunArrays:
     """Replace values that cannot be drawn with NaN."""
     shown: dict[str, Any] = {}
     for field in fields(arrays):
@@ -292,13 +292,9 @@ def _drawable(arrays: RunArrays | SystemArrays) -> RunArrays | SystemArrays:
         if isinstance(value, np.ndarray):
             shown[field.name] = _finite(value)
         elif isinstance(value, MessageArrays):
-            shown[field.name] = _drawable_messages(value)
-    further = {name: _drawable_messages(messages) for name, messages in arrays.further.items()}
+            shown[field.name] = value.converted(_finite)
+    further = {name: messages.converted(_finite) for name, messages in arrays.further.items()}
     return replace(arrays, **shown, further=further)
-
-
-def _drawable_messages(messages: MessageArrays) -> MessageArrays:
-    return MessageArrays({name: _finite(column) for name, column in messages.items()})
 
 
 def _finite(column: NDArray[np.generic]) -> NDArray[np.generic]:
