@@ -9,7 +9,7 @@ from tests.swarmabs_run.test_simulation import digest_and_bag
 from swarmabs_config.scenario import load_scenario
 from swarmabs_run.simulation import Simulation, simulated_steps
 from swarmabs_run.swarm_columns import NotVectorisableError
-from swarmabs_run.vector_simulation import VectorSimulation, vectorisable
+from swarmabs_run.vector_simulation import VectorSimulation, vectorised
 
 
 @pytest.mark.parametrize(
@@ -22,16 +22,19 @@ from swarmabs_run.vector_simulation import VectorSimulation, vectorisable
 )
 def test_arrays_give_the_bits_of_the_state_machines(name: str, changed: Sequence[int]) -> None:
     scenario = load_scenario(PATHS[f"{name}_40"], ["duration=0.4", "faults=[]", *forces(changed)])
-    assert vectorisable(scenario)
+    swarm = vectorised(scenario)
+    assert swarm is not None
     machines = digest_and_bag(Simulation(scenario).steps())
-    assert digest_and_bag(VectorSimulation(scenario).steps()) == machines
+    assert digest_and_bag(VectorSimulation(scenario, swarm).steps()) == machines
 
 
 def test_a_robot_that_reaches_a_limit_is_left_to_the_state_machines() -> None:
     given = ["duration=0.8", "faults=[]", "swarm.agents.7.constants.highest=2.95"]
     scenario = load_scenario(PATHS["payload_40"], given)
+    swarm = vectorised(scenario)
+    assert swarm is not None
     with pytest.raises(NotVectorisableError):
-        for _ in VectorSimulation(scenario).steps():
+        for _ in VectorSimulation(scenario, swarm).steps():
             pass
     machines = digest_and_bag(Simulation(scenario).steps())
     assert any(topic.name == "swarm/events" for topic, _, _ in machines[1])

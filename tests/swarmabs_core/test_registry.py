@@ -17,7 +17,7 @@ from swarmabs_core.plant import Friction
 from swarmabs_core.registry import PluginError, Registry
 from swarmabs_core.swarm_law import LAWS
 from swarmabs_run.simulation import simulate, simulated_steps
-from swarmabs_run.vector_simulation import vectorisable
+from swarmabs_run.vector_simulation import vectorised
 
 Laws = Registry[ParentContext, ParentController]
 CONTEXT = ParentContext(0.01, 0.5, Friction(0.01, 1000.0, 700.0, 0.02, 1000.0, 1.0), Manifold(0.0125, 0.025, 5.0))
@@ -153,8 +153,8 @@ def test_a_law_that_doubles_the_gains_does_what_doubled_gains_do(packages: Path,
     laws = {"{type: paper}": DOUBLED, "{type: scaled, factor: 2}": HALVED, "{type: scaled}": HALVED}
     plain, doubled, halved = (digest(simulated_steps(scenario(kind, law, gains))) for law, gains in laws.items())
     assert plain == doubled != halved
-    assert not vectorisable(scenario("many", "{type: scaled}", {})), "one that is not known on arrays"
-    assert vectorisable(scenario("many", "{type: paper}", {}))
+    assert vectorised(scenario("many", "{type: scaled}", {})) is None, "one that is not known on arrays"
+    assert vectorised(scenario("many", "{type: paper}", {})) is not None
 
 
 def test_no_theorem_is_about_another_law(packages: Path) -> None:

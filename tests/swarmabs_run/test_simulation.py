@@ -25,7 +25,7 @@ from swarmabs_run.run import Outcome, Progress, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 from swarmabs_run.simulation import Simulation, nodes_in_process, simulate, simulated_steps
 from swarmabs_run.swarm_columns import NotVectorisableError
-from swarmabs_run.vector_simulation import VectorSimulation, vectorisable
+from swarmabs_run.vector_simulation import VectorSimulation, vectorised
 
 SHORT = "duration=0.5"
 
@@ -174,7 +174,9 @@ def strained() -> Scenario:
 )
 def test_arrays_give_the_bits_and_the_order_of_the_state_machines(scenario: Scenario, events: bool) -> None:  # noqa: FBT001
     machines = digest_and_bag(Simulation(scenario).steps())
-    assert digest_and_bag(VectorSimulation(scenario).steps()) == machines
+    robots = vectorised(scenario)
+    assert robots is not None
+    assert digest_and_bag(VectorSimulation(scenario, robots).steps()) == machines
     assert any(topic.name == "swarm/events" for topic, _, _ in machines[1]) or not events
 
 
@@ -195,7 +197,7 @@ def test_arrays_give_the_bits_and_the_order_of_the_state_machines(scenario: Scen
 def test_imperfect_worlds_are_left_to_the_state_machines(option: str) -> None:
     plain = ("duration=0.3", "plane.angle=0.1", "plane.angular_velocity=0.2")
     scenario = builtin("arise_het_20", *plain, option)
-    assert not vectorisable(scenario)
+    assert vectorised(scenario) is None
     imperfect = digest_and_bag(simulated_steps(scenario))
     assert imperfect == digest_and_bag(Simulation(scenario).steps())
     assert imperfect != digest_and_bag(simulated_steps(builtin("arise_het_20", *plain)))

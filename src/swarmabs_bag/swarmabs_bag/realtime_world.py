@@ -10,7 +10,6 @@ from swarmabs_bag.run.figures import RealtimeFigures
 from swarmabs_bag.run.realtime_gatherer import RECORDED
 from swarmabs_config import configure
 from swarmabs_config.graph import STANDBY_TOPICS
-from swarmabs_config.scenario import on_plane
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import BASIS, Basis, Source
 from swarmabs_core.realtime.base import Schedule
@@ -71,10 +70,9 @@ def law_begins(bag: BagReader) -> dict[int, int]:
 def realtime_figures(bag: BagReader, scenario: Scenario) -> RealtimeFigures:
     """Return the figures of a bag, by the same arithmetic as during the recording.
 
-    Raises `DamagedBagError` if the bag is damaged, and `InputError` if its parent system is not the plane.
+    Raises `DamagedBagError` if the bag is damaged.
     """
-    law = configure.parent_controller(on_plane(scenario, "real time"))
-    figures = RealtimeFigures(law.reference, Schedule(scenario.step_ns))
+    figures = RealtimeFigures(configure.law_reference(scenario), Schedule(scenario.step_ns))
     for record in bag.records(RECORDED):
         figures.add(record)
     return figures

@@ -87,7 +87,7 @@ def _run(
             page.show(folder.path)
         with shown(folder.path):
             if realtime:
-                return RealtimeRun(on_plane(scenario, "real time"), folder, recording).run(launcher)
+                return RealtimeRun(scenario, folder, recording).run(launcher)
             asked = replace(
                 recording,
                 agents_per_process=agents_per_process,

@@ -19,7 +19,7 @@ from swarmabs_bag.run_folder import RunFolder, Split
 from swarmabs_cli.output import print_json, print_warnings, results_folder
 from swarmabs_config.installation import COMMAND
 from swarmabs_config.realtime import check_realtime
-from swarmabs_config.scenario import Scenario, on_plane, warnings_of
+from swarmabs_config.scenario import Scenario, warnings_of
 from swarmabs_config.scenarios import find_scenario, names_bag
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.ending import no_more_interrupts
@@ -152,7 +152,7 @@ def _check_realtime(scenario: Scenario, recorded: RepeatableRun | None) -> None:
             f"{recorded.bag}: a bag can be run again only in lockstep; remove --realtime, or name the scenario.yaml in "
             "its folder"
         )
-    check_realtime(on_plane(scenario, "real time").resolved())
+    check_realtime(scenario.resolved())
 
 
 def summed_up(

@@ -10,7 +10,7 @@ from swarmabs_config import graph
 from swarmabs_config.graph import Option
 from swarmabs_config.model.controllers import settings_of
 from swarmabs_config.model.fields import LARGEST
-from swarmabs_config.model.scenario import PlaneScenario, SystemScenario
+from swarmabs_config.model.scenario import PlaneScenario
 from swarmabs_core.controllers import CONTROLLERS, OffsetController, ParentLaw
 from swarmabs_core.declaration import gathered
 from swarmabs_core.faults import (
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from typing import TypeAlias
 
     from swarmabs_config.model.agents import Agent
-    from swarmabs_config.model.scenario import Scenario
+    from swarmabs_config.model.scenario import Scenario, SystemScenario
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.messages import Vector
     from swarmabs_core.parameters import Settings
@@ -66,7 +66,7 @@ def plugins(scenario: Scenario) -> Plugins:
 def options_for(scenario: Scenario) -> frozenset[Option]:
     """Return the options that a scenario gives every node."""
     asked = {
-        Option.SYSTEM: scenario.other_system is not None,
+        Option.SYSTEM: scenario.named is not None,
         Option.CHANGING: bool(schedule(scenario)) or division(scenario) == ALWAYS,
     }
     return frozenset(option for option, given in asked.items() if given)
@@ -241,10 +241,7 @@ class _SystemNodes:
 
 def _nodes(scenario: Scenario) -> _PlaneNodes | _SystemNodes:
     """Return what configures the nodes of a scenario, by its parent system."""
-    if isinstance(scenario, PlaneScenario):
-        return _PlaneNodes(scenario)
-    assert isinstance(scenario, SystemScenario)  # noqa: S101 - there are two kinds
-    return _SystemNodes(scenario)
+    return _PlaneNodes(scenario) if isinstance(scenario, PlaneScenario) else _SystemNodes(scenario)
 
 
 def declared(scenario: PlaneScenario) -> tuple[object, ...]:
@@ -301,13 +298,18 @@ def parent_controller(scenario: PlaneScenario) -> ParentController:
     return parent_law(scenario).make(scenario.period, scenario.manifold)
 
 
+def law_reference(scenario: Scenario) -> Callable[[float], float] | Callable[[float], Vector]:
+    """Return the reference of the plane's law (rad), or those of another parent system, as a function of time (s)."""
+    return _nodes(scenario).reference
+
+
 def reference(scenario: Scenario) -> OffsetReference:
     """Return the reference angle of the plane (rad), or the references of all that another parent system tracks.
 
     It is a function of time (s): the reference of law or system plus the scenario's offsets.
     """
     offsets = StepSchedule(step_changes(scenario, REFERENCE))
-    return OffsetReference(_nodes(scenario).reference, offsets, scenario.step_ns)
+    return OffsetReference(law_reference(scenario), offsets, scenario.step_ns)
 
 
 def largest_requests(scenario: Scenario) -> dict[str, float]:

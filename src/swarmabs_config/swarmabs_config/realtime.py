@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
+from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import gathered
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import Mode
@@ -22,26 +23,29 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import PlaneScenario, Scenario
 
 
-def check_realtime(scenario: PlaneScenario) -> None:
-    """Reject a scenario with settings that only lockstep supports.
+def check_realtime(scenario: Scenario) -> PlaneScenario:
+    """Return a scenario that can run in real time.
 
     Raises
     ------
     InputError
-        If there is such a setting; the text names the field and the remedy.
+        If its parent system is not the plane, or it has a setting that only lockstep supports; the text names the field
+        and the remedy.
     """
+    supported = on_plane(scenario, "real time")
     lockstep_only = (
-        ("plane.robot_gravity", scenario.plane.robot_gravity),
-        ("swarm.actuator_lag", scenario.swarm.actuator_lag > 0.0),
-        ("swarm.sensor", not scenario.swarm.sensor.perfect),
-        ("observer.type", scenario.observer.type != "sum"),
-        ("faults", bool(scenario.faults)),
+        ("plane.robot_gravity", supported.plane.robot_gravity),
+        ("swarm.actuator_lag", supported.swarm.actuator_lag > 0.0),
+        ("swarm.sensor", not supported.swarm.sensor.perfect),
+        ("observer.type", supported.observer.type != "sum"),
+        ("faults", bool(supported.faults)),
     )
     for name, given in lockstep_only:
         if given:
             raise InputError(
                 f"{name}: not supported in real time with simulated robots", "remove it, or run in lockstep"
             )
+    return supported
 
 
 def check_pairs(scenario: PlaneScenario) -> None:

@@ -14,7 +14,7 @@ from pydantic import AfterValidator
 from swarmabs_config.installation import shared
 from swarmabs_config.model.errors import show
 from swarmabs_config.model.fields import problem
-from swarmabs_config.scenario import Scenario, ScenarioError, load_scenario
+from swarmabs_config.scenario import PlaneScenario, Scenario, ScenarioError, load_scenario, on_plane
 from swarmabs_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,6 +45,11 @@ def builtin_folder() -> Path:
 def builtin_scenarios() -> dict[str, Path]:
     """Return the files of the built-in scenarios by name."""
     return {path.stem: path for path in sorted(builtin_folder().glob("*.yaml"))}
+
+
+def load_builtin(name: str) -> PlaneScenario:
+    """Load a built-in scenario; all of them are on the plane."""
+    return on_plane(load_scenario(builtin_scenarios()[name]), "the list of built-in scenarios")
 
 
 def described(path: Path) -> tuple[str, str]:

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
-from swarmabs_config.scenario import PlaneScenario, SystemScenario
+from swarmabs_config.scenario import PlaneScenario
 from swarmabs_core.faults import DelayFault
 from swarmabs_core.theory.check import check, warnings
 from swarmabs_core.theory.setting import Setting
@@ -14,28 +14,62 @@ from swarmabs_core.theory.state_feedback import ANGLE_MAX, Estimate, estimate
 from swarmabs_core.theory.systems import SystemSetting, check_system
 
 if TYPE_CHECKING:
-    from swarmabs_config.model.scenario import Scenario
+    from swarmabs_config.model.scenario import Scenario, SystemScenario
     from swarmabs_core.theory.report import Report
+
+
+class _PlaneTheory:
+    """The theorems and conditions for runs on the plane."""
+
+    def __init__(self, scenario: PlaneScenario, angle_max: float) -> None:
+        self._setting = setting(scenario, angle_max)
+
+    def report(self) -> Report:
+        return check(self._setting)
+
+    def warnings(self) -> tuple[str, ...]:
+        return tuple(warnings(self._setting))
+
+    def attraction(self) -> Estimate | None:
+        return estimate(self._setting)
+
+
+class _SystemTheory:
+    """The conditions for runs on another parent system, which no theorem is about."""
+
+    def __init__(self, scenario: SystemScenario) -> None:
+        self._scenario = scenario
+
+    def report(self) -> Report:
+        scenario = self._scenario
+        robots = tuple(robot for robot in configure.agent_configs(scenario) if robot.life.first_step == 0)
+        faulty = bool(scenario.faults) or not scenario.sensor.perfect
+        return check_system(SystemSetting(scenario.name, robots, _delay(scenario), faulty, scenario.requests))
+
+    def warnings(self) -> tuple[str, ...]:
+        return ()
+
+    def attraction(self) -> None:
+        return None
+
+
+def _theory(scenario: Scenario, angle_max: float = ANGLE_MAX) -> _PlaneTheory | _SystemTheory:
+    return _PlaneTheory(scenario, angle_max) if isinstance(scenario, PlaneScenario) else _SystemTheory(scenario)
 
 
 def check_scenario(scenario: Scenario, angle_max: float = ANGLE_MAX) -> Report:
     """Evaluate the paper's theorems and further conditions for sampled time; the bound is that of `setting`."""
-    if isinstance(scenario, PlaneScenario):
-        return check(setting(scenario, angle_max))
-    assert isinstance(scenario, SystemScenario)  # noqa: S101 - there are two kinds
-    robots = tuple(robot for robot in configure.agent_configs(scenario) if robot.life.first_step == 0)
-    faulty = bool(scenario.faults) or not scenario.sensor.perfect
-    return check_system(SystemSetting(scenario.name, robots, _delay(scenario), faulty, scenario.requests))
+    return _theory(scenario, angle_max).report()
 
 
 def theory_warnings(scenario: Scenario) -> tuple[str, ...]:
     """Return the warnings that follow from the theory, which covers runs on the plane."""
-    return tuple(warnings(setting(scenario))) if isinstance(scenario, PlaneScenario) else ()
+    return _theory(scenario).warnings()
 
 
 def attraction(scenario: Scenario, angle_max: float) -> Estimate | None:
     """Return the estimates of the region of attraction; None if no theorem has any; the bound is as in `setting`."""
-    return estimate(setting(scenario, angle_max)) if isinstance(scenario, PlaneScenario) else None
+    return _theory(scenario, angle_max).attraction()
 
 
 def setting(scenario: PlaneScenario, angle_max: float = ANGLE_MAX) -> Setting:

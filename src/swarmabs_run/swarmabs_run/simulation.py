@@ -23,9 +23,8 @@ from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
 from swarmabs_core.messages import EVENTS, PLANE_STATE, TOPIC_OF
 from swarmabs_core.nodes import NodeKind, NodeName
-from swarmabs_core.systems import SystemTables
 from swarmabs_run.swarm_columns import NotVectorisableError
-from swarmabs_run.vector_simulation import VectorSimulation, vectorisable
+from swarmabs_run.vector_simulation import VectorSimulation, vectorised
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -208,9 +207,10 @@ def simulated_steps(scenario: Scenario) -> Iterator[Step]:
     Raises `RunError` if the run fails, such as when the plane turns over.
     """
     done = 0
-    if vectorisable(scenario):
+    swarm = vectorised(scenario)
+    if swarm is not None:
         try:
-            for step in VectorSimulation(scenario).steps():
+            for step in VectorSimulation(scenario, swarm).steps():
                 yield step
                 done = step.step + 1
         except NotVectorisableError:

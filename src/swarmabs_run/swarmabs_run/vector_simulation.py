@@ -9,7 +9,7 @@ import numpy as np
 
 from swarmabs_bag.run.step import STEP_BYTES, STEP_SECONDS, Step, rows_of
 from swarmabs_config import configure
-from swarmabs_config.scenario import PlaneScenario, SystemScenario
+from swarmabs_config.scenario import PlaneScenario
 from swarmabs_core.abstraction import is_degenerate
 from swarmabs_core.arrays import LAYOUT, table
 from swarmabs_core.behaviours import Controller
@@ -51,25 +51,18 @@ if TYPE_CHECKING:
 MotionT = TypeVar("MotionT")
 
 
-def vectorisable(scenario: Scenario) -> bool:
-    """Return whether all robots of a scenario always behave alike and use laws that support arrays.
+def vectorised(scenario: Scenario) -> Swarm[Any] | None:
+    """Return all robots of a scenario with their parent, at step 0.
 
-    If robots may be dropped, each step has a message of the observer more, which arrays do not provide; nor do they
-    provide further topics that are not the controller's.
+    None if they do not always behave alike, or use laws that do not support arrays. If robots may be dropped, each step
+    has a message of the observer more, which arrays do not provide; nor do they provide further topics that are not the
+    controller's.
     """
     if scenario.faults or configure.division(scenario) >= ALWAYS:
-        return False
-    if isinstance(scenario, SystemScenario):
-        return system_on_columns(scenario)
-    return isinstance(scenario, PlaneScenario) and on_columns(scenario)
-
-
-def swarm_of(scenario: Scenario) -> Swarm[Any]:
-    """Return all robots of a scenario for which `vectorisable` holds, with their parent, at step 0."""
-    if isinstance(scenario, SystemScenario):
-        return SystemSwarm(scenario)
-    assert isinstance(scenario, PlaneScenario)  # noqa: S101 - there are two kinds
-    return PlaneSwarm(scenario)
+        return None
+    if isinstance(scenario, PlaneScenario):
+        return PlaneSwarm(scenario) if on_columns(scenario) else None
+    return SystemSwarm(scenario) if system_on_columns(scenario) else None
 
 
 class Swarm(Protocol[MotionT]):
@@ -233,12 +226,12 @@ class _Gathered(Generic[MotionT]):
 
 
 class VectorSimulation:
-    """Simulates a scenario whose robots all behave alike: one for which `vectorisable` holds."""
+    """Simulates a scenario with its `vectorised` robots, which are at step 0."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, swarm: Swarm[Any]) -> None:
         self._scenario = scenario
         self._controller = Controller(configure.controller_config(scenario, recording_window=0))
-        self._swarm = swarm_of(scenario)
+        self._swarm = swarm
         self._ranges = RangeMonitor(self._swarm.ranges)
 
     def steps(self) -> Iterator[Step]:

@@ -22,7 +22,7 @@ from tests.swarmabs_core.helpers import digest
 
 from swarmabs_analysis.sweep import evaluate as module
 from swarmabs_analysis.sweep.evaluate import LONGEST_REASON, OUTCOMES, Task, evaluate, lost
-from swarmabs_analysis.sweep.picture import LOOKS, MARKERS, pictures
+from swarmabs_analysis.sweep.picture import LABELS, LOOKS, MARKERS, pictures
 from swarmabs_analysis.sweep.study import Study, Sweep, load_sweep
 from swarmabs_analysis.sweep.table import parquet, results_table
 from swarmabs_config.scenario import parse_scenario
@@ -324,7 +324,7 @@ def luminance(colour: str) -> float:
 
 
 def test_outcomes_are_told_apart_without_colour() -> None:
-    assert set(LOOKS) == set(MARKERS) == set(OUTCOMES)
+    assert set(LOOKS) == set(LABELS) == set(MARKERS) == set(OUTCOMES)
     assert len(set(MARKERS.values())) == len(OUTCOMES)
     shades = sorted(luminance(colour) for colour, _ in LOOKS.values())
     assert min(b - a for a, b in pairwise(shades)) > 0.05

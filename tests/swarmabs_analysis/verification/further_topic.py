@@ -70,7 +70,7 @@ from swarmabs_config.scenario import Scenario  # noqa: E402
 from swarmabs_config.scenarios import find_scenario  # noqa: E402
 from swarmabs_core.cdr import encode  # noqa: E402
 from swarmabs_run.simulation import Simulation, simulate, simulated_steps  # noqa: E402
-from swarmabs_run.vector_simulation import vectorisable  # noqa: E402
+from swarmabs_run.vector_simulation import vectorised  # noqa: E402
 from swarmabs_view.playback import open_recording  # noqa: E402
 
 OUT = Path(sys.argv[1])
@@ -142,7 +142,7 @@ def main() -> dict[str, object]:
     rows = list(csv.DictReader((OUT / "tables" / "parent_effort.csv").open(encoding="utf-8")))
     steps = complete_steps(few)
     return {
-        "on_arrays": vectorisable(MANY),
+        "on_arrays": vectorised(MANY) is not None,
         "same": stored(many) == stored(nodes),
         "counts": [sum(name == EFFORT.name for name, *_ in stored(bag)) for bag in (few, many)],
         "few": verified(few),

@@ -29,7 +29,7 @@ from swarmabs_view.visualization.scene import (
 )
 
 ROBOTS = [(3, msg.Kind.DOUBLE_INTEGRATOR, 0.5), (1, msg.Kind.SINGLE_INTEGRATOR, 4.0)]
-SCENE = Scene(2.0, ROBOTS, torque_max=5.0)
+SCENE = Scene(2.0, 1.0, ROBOTS, torque_max=5.0)
 PERIOD = 10_000_000
 
 
@@ -53,7 +53,7 @@ def desired(step: int, torque: float) -> msg.DesiredAbstractState:
 
 def new() -> tuple[Scene, SwarmState]:
     reference = OffsetReference(lambda time: time, StepSchedule(), PERIOD)
-    return Scene(2.0, ROBOTS, torque_max=5.0), SwarmState(reference=reference, period_ns=PERIOD)
+    return Scene(2.0, 1.0, ROBOTS, torque_max=5.0), SwarmState(reference=reference, period_ns=PERIOD)
 
 
 def drawn(
@@ -183,7 +183,7 @@ def test_a_scenario_gives_its_dimensions() -> None:
 
 def described(*overrides: str) -> tuple[str, float]:
     scenario = find_scenario("pd_het_4", overrides).resolved()
-    return plane_urdf(Scene.of(scenario), scenario.plane.inertia), scenario.plane.inertia
+    return plane_urdf(Scene.of(scenario)), scenario.plane.inertia
 
 
 def test_the_urdf_is_a_plate_on_a_level_joint() -> None:

@@ -29,8 +29,7 @@ from swarmabs_analysis.figures.style import (
     VERMILION,
     YELLOW,
 )
-from swarmabs_config.scenario import on_plane
-from swarmabs_config.scenarios import find_scenario
+from swarmabs_config.scenarios import load_builtin
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass, box_edges
 
 if TYPE_CHECKING:
@@ -179,7 +178,7 @@ def _shaded(facets: Floats, colour: str, opacity: float) -> Floats:
 
 def draw_position_mapping() -> Figure:
     """Draw how the box of positions maps into the abstract space, and where the manifold leaves A_A."""
-    scenario = on_plane(find_scenario(SCENARIO), "a figure of the paper")
+    scenario = load_builtin(SCENARIO)
     swarm = ConstraintSets(
         tuple(agent.mass for agent in scenario.agents), scenario.plane.length, scenario.plane.gravity
     )

@@ -125,7 +125,7 @@ class Measures:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.of = _OfPlane(scenario) if isinstance(scenario, PlaneScenario) else _OfSystem(scenario.named)  # type: ignore[attr-defined]
+        self.of = _OfPlane(scenario) if isinstance(scenario, PlaneScenario) else _OfSystem(scenario.named)
         self.period = scenario.period
         self._reference, self._tracking = configure.reference(scenario), tracking_of(scenario)
         self.tracks = bool(self._tracking.followed)

@@ -51,6 +51,7 @@ LOOKS = {
 LABELS = {
     "settled": "settles",
     "unsettled": "does not settle",
+    "off_plane": "a robot leaves its range",
     "failed": "the run fails",
     "refused": LOOKS["refused"][1],
 }

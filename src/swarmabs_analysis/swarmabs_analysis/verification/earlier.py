@@ -26,8 +26,7 @@ def are_earlier(events: Iterable[SwarmEvent], scenario: Scenario) -> bool:
             return False
         if code_of(event) is EventCode.OFF_END:
             return True
-    stated = () if scenario.other_system is None else scenario.other_system.instance.robot
-    return not any(isfinite(end) for row in stated for end in (row.low, row.high))
+    return not any(isfinite(end) for row in scenario.tables.robot for end in (row.low, row.high))
 
 
 class EarlierEnds(RangeMonitor):

@@ -157,7 +157,7 @@ class LockstepVerification(Verification):
     ) -> None:
         super().__init__(tolerance, scenario.step_ns)
         self._of_plane = max(tolerance, of_plane)
-        self._end = scenario.plane.length / 2.0 if of_plane and isinstance(scenario, PlaneScenario) else inf
+        self._end = (scenario.lane_length or inf) / 2.0 if of_plane else inf
         self._off_plane = False
         self._trial = trial
         self.result.expected_steps = scenario.steps + 1

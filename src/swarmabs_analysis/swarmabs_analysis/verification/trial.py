@@ -11,7 +11,6 @@ from swarmabs_core.errors import InputError
 from swarmabs_core.messages import SystemDescription
 from swarmabs_core.nodes import NodeKind
 from swarmabs_core.record import Record
-from swarmabs_core.systems import SystemTables
 from swarmabs_run.simulation import nodes_in_process
 
 if TYPE_CHECKING:
@@ -54,7 +53,7 @@ class Trial:
         self.nodes = tuple(dict.fromkeys(nodes))
         self.overrides = tuple(overrides)
         self._scenario = scenario
-        self._changed, self._recorded = scenario.other_system, recorded.other_system
+        self._changed, self._recorded = scenario.named, recorded.named
         self._comparison = MessageComparison()
         check_nodes(self.nodes, recorded)
         _check_changes(scenario, recorded)
@@ -113,16 +112,10 @@ def _contradicted(scenario: Scenario, recorded: Scenario) -> Iterator[str]:
         ("robots", configure.members),
         ("faults that end robots or let them join", configure.schedule),
         ("reaction to silent robots", lambda given: given.lockstep.on_stall),
-        ("quantities of the parent system", _quantities),
+        ("quantities of the parent system", lambda given: given.tables._replace(settings={})),
     ):
         if of(scenario) != of(recorded):
             yield what
-
-
-def _quantities(scenario: Scenario) -> SystemTables | None:
-    """Return names and units in the messages of a scenario's parent system, None for the plane."""
-    system = scenario.other_system
-    return None if system is None else SystemTables.read(system.description)._replace(settings={})
 
 
 def _referring(message: Message, system: NamedSystem | None) -> Message:

@@ -50,8 +50,7 @@ class _Recording(Generic[F]):
         split: Split,
     ) -> None:
         self.run: F = run
-        length = scenario.plane.length if isinstance(scenario, PlaneScenario) else None
-        self._tracker = SummaryTracker(configure.members(scenario), length)
+        self._tracker = SummaryTracker(configure.members(scenario), scenario.lane_length)
         self._writer: BagWriter | None = None
         if folder is not None:
             attached = attachments(scenario, stated)
@@ -168,7 +167,7 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         self._heard = self._heard_before = 0
         self._last_step = last_step
         stated = provenance(scenario, driver=REALTIME.value, realtime=world.provenance())
-        figures = RealtimeFigures(configure.parent_controller(scenario).reference, world.schedule)
+        figures = RealtimeFigures(configure.law_reference(scenario), world.schedule)
         super().__init__(
             scenario,
             folder,

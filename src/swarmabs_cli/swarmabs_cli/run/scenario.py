@@ -8,8 +8,8 @@ from rich.table import Table
 from swarmabs_bag.attached import scenario_of
 from swarmabs_cli.options import examples, json_option, set_option
 from swarmabs_cli.output import print_json, print_tables, print_warnings
-from swarmabs_config.scenario import dump_scenario, json_schema, load_scenario, on_plane, warnings_of
-from swarmabs_config.scenarios import builtin_scenarios, described
+from swarmabs_config.scenario import dump_scenario, json_schema, warnings_of
+from swarmabs_config.scenarios import builtin_scenarios, described, load_builtin
 
 
 @click.group(
@@ -25,7 +25,7 @@ def list_scenarios(*, as_json: bool) -> None:
     """List the built-in scenarios with their figures in the paper."""
     rows = []
     for name, path in builtin_scenarios().items():
-        loaded = on_plane(load_scenario(path), "the list")
+        loaded = load_builtin(name)
         kinds = [agent.kind for agent in loaded.agents]
         description, figure = described(path)
         rows.append(

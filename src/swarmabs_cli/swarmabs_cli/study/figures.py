@@ -14,8 +14,8 @@ from swarmabs_analysis.report import write_file
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_cli.options import examples, json_option
 from swarmabs_cli.output import print_json
-from swarmabs_config.scenario import Scenario, on_plane
-from swarmabs_config.scenarios import find_scenario
+from swarmabs_config.scenario import Scenario
+from swarmabs_config.scenarios import load_builtin
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.simulated_run import simulate_run
@@ -85,7 +85,7 @@ def figures(
     _make_folder(runs if missing else output)
     try:
         for name in missing:
-            scenario = on_plane(find_scenario(name), "a figure of the paper")
+            scenario = load_builtin(name)
             with shown_progress(scenario) as show:
                 execute = _run_processes if make == "run" else simulate_run
                 sources[name] = make_run(scenario, runs, execute, RunOptions(on_progress=show))

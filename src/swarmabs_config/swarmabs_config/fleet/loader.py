@@ -130,7 +130,7 @@ def _with_robots(scenario: PlaneScenario, fleet: Fleet, root: Node) -> PlaneScen
         raise _at_robot(error, fleet, root) from error
 
 
-def _of_scenario(check: Callable[[PlaneScenario], None], scenario: PlaneScenario, root: Node) -> None:
+def _of_scenario(check: Callable[[PlaneScenario], object], scenario: PlaneScenario, root: Node) -> None:
     """Check a scenario; an error names the field of the fleet file that names it."""
     try:
         check(scenario)

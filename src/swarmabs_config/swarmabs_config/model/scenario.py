@@ -146,12 +146,8 @@ class SystemSwarm(AnySwarm):
     generate: SystemGenerate | None = Field(default=None, description="random swarm, instead of 'agents'")
 
 
-class Scenario(Model):
-    """A complete description of a run, whose further keys depend on the parent system.
-
-    Instances are immutable. `load_scenario` and `parse_scenario` read them and check what involves several keys; their
-    errors name file and line.
-    """
+class CommonScenario(Model):
+    """What scenarios of all parent systems have in common."""
 
     family: ClassVar[Family]
     """The topics of the run."""
@@ -173,25 +169,14 @@ class Scenario(Model):
         lockstep: Lockstep
         faults: tuple[Fault, ...]
 
+        @property
+        def agents(self) -> tuple[Agent | SystemAgent, ...]:
+            """The robots in order of their ids, whether they are listed or generated."""
+
     def resolved(self) -> "Self":
         """Return the same scenario with every robot listed, in order of ids, and nothing left to generate."""
         swarm = self.swarm.model_copy(update={"agents": self.agents, "generate": None})
         return self.model_copy(update={"swarm": swarm})
-
-    @property
-    def other_system(self) -> NamedSystem | None:
-        """The parent system; None on the plane."""
-        return None
-
-    @property
-    def system_hash(self) -> int | None:
-        """Hash of the description of the parent system, which its messages carry; None on the plane."""
-        return None if self.other_system is None else self.other_system.hash
-
-    @cached_property
-    def tables(self) -> SystemTables:
-        """Names and units of the numbers of the parent system and its robots."""
-        return PLANE_TABLES if self.other_system is None else SystemTables.read(self.other_system.description)
 
     @cached_property
     def step_ns(self) -> int:
@@ -212,11 +197,6 @@ class Scenario(Model):
     def period(self) -> float:
         """The control period in s, as used in every computation."""
         return self.step_ns / SECOND
-
-    @cached_property
-    def agents(self) -> tuple[Any, ...]:
-        """The robots in order of their ids, whether they are listed or generated."""
-        raise NotImplementedError
 
     @property
     def initial_agents(self) -> tuple[Any, ...]:
@@ -240,10 +220,16 @@ class Scenario(Model):
         return UNPLANNED if at is None else nearest_step(at, self.step_ns)
 
 
-class PlaneScenario(Scenario):
+class PlaneScenario(CommonScenario):
     """A scenario on the plane."""
 
     family = PLANE_FAMILY
+    named: ClassVar[None] = None
+    """There is no other parent system."""
+    system_hash: ClassVar[None] = None
+    """The plane's messages carry no hash of a description."""
+    tables: ClassVar[SystemTables] = PLANE_TABLES
+    """Names and units of the numbers of the plane and its robots."""
 
     plane: Annotated[Plane, Declared()] = declared_field(Plane, "the tilting plane")
     manifold: Annotated[Manifold, Declared()] = declared_field(
@@ -265,6 +251,11 @@ class PlaneScenario(Scenario):
         default=(), description="faults and membership changes"
     )
 
+    @property
+    def lane_length(self) -> float:
+        """Length of the range of the robots' positions, m."""
+        return self.plane.length
+
     @cached_property
     def agents(self) -> tuple[Agent, ...]:
         """The robots in order of their ids, whether they are listed or generated."""
@@ -273,10 +264,12 @@ class PlaneScenario(Scenario):
         return tuple(sorted(self.swarm.agents or (), key=lambda agent: agent.id))
 
 
-class SystemScenario(Scenario):
+class SystemScenario(CommonScenario):
     """A scenario on a parent system of an installed package."""
 
     family = SYSTEM_FAMILY
+    lane_length: ClassVar[None] = None
+    """There is no lane, whatever the coordinates of the robots are."""
 
     system: Annotated[SystemConfig, Tagged("type", SYSTEM_CONFIGS)] = Field(description="the parent system")
     swarm: SystemSwarm = Field(description="the robots and their gains")
@@ -293,9 +286,14 @@ class SystemScenario(Scenario):
         return NamedSystem(self.system.type, settings_of(self.system))
 
     @property
-    def other_system(self) -> NamedSystem:
-        """The parent system."""
-        return self.named
+    def system_hash(self) -> int:
+        """Hash of the description of the parent system, which its messages carry."""
+        return self.named.hash
+
+    @cached_property
+    def tables(self) -> SystemTables:
+        """Names and units of the numbers of the parent system and its robots."""
+        return SystemTables.read(self.named.description)
 
     @cached_property
     def agents(self) -> tuple[SystemAgent, ...]:
@@ -303,6 +301,14 @@ class SystemScenario(Scenario):
         if self.swarm.generate is not None:
             return self.swarm.generate.agents(self.named)
         return tuple(sorted(self.swarm.agents or (), key=lambda agent: agent.id))
+
+
+Scenario: TypeAlias = PlaneScenario | SystemScenario
+"""A complete description of a run, whose keys depend on the parent system.
+
+Instances are immutable. `load_scenario` and `parse_scenario` read them and check what involves several keys; their
+errors name file and line.
+"""
 
 
 def json_schema() -> dict[str, object]:
@@ -326,5 +332,4 @@ def on_plane(scenario: Scenario, what: str) -> PlaneScenario:
     """Return a scenario on the plane; raise `InputError` for any other, which `what` does not support."""
     if isinstance(scenario, PlaneScenario):
         return scenario
-    system = scenario.other_system
-    raise InputError(f"{what} supports only the plane, not the parent system {system.type if system else ''!r}")
+    raise InputError(f"{what} supports only the plane, not the parent system {scenario.named.type!r}")

@@ -88,14 +88,17 @@ def _system(scenario: "SystemScenario") -> Iterator[Finding]:
         yield Finding.of(("swarm", "generate") if generated else where, problem, remedy)
 
 
-def _ids(scenario: "Scenario") -> Iterator[Finding]:
-    if len(scenario.agents) < 2 and scenario.family is PLANE_FAMILY:
-        count = len(scenario.agents)
+def _number(scenario: "PlaneScenario") -> Iterator[Finding]:
+    count = len(scenario.agents)
+    if count < 2:
         yield Finding.of(
             _swarm_location(scenario),
             f"a swarm needs at least two robots, found {count}",
             "add robots: one robot cannot control torque and inertia independently",
         )
+
+
+def _ids(scenario: "Scenario") -> Iterator[Finding]:
     first: dict[int, Location] = {}
     for index, agent in enumerate(scenario.swarm.agents or ()):
         location: Location = ("swarm", "agents", index, "id")
@@ -307,7 +310,7 @@ def _unstable(scenario: "SystemScenario") -> Iterator[str]:
 _CHECKS: dict[Family, tuple[tuple[Callable[..., Iterator[Finding]], ...], ...]] = {
     PLANE_FAMILY: (
         (_timing,),
-        (_ids, _positions, faults, _plane),
+        (_number, _ids, _positions, faults, _plane),
         (_distinct_positions,),
         (_preimage,),
         (_constructed,),

@@ -17,7 +17,7 @@ from swarmabs_bag.attached import scenario_of
 from swarmabs_bag.run_folder import new_run_folder, next_run_folder
 from swarmabs_config.graph import REALTIME, Driver
 from swarmabs_config.realtime import check_realtime
-from swarmabs_config.scenario import on_plane, warnings_of
+from swarmabs_config.scenario import warnings_of
 from swarmabs_core.errors import InputError
 from swarmabs_ros.status import REPORT_FD, START_FD, epoch_records
 from swarmabs_run.orchestration.plan import plan
@@ -111,7 +111,7 @@ def launch_plan(named: str, out: str, driver: Driver, overrides: Sequence[str] =
     warnings = warnings_of(scenario)
     scenario = scenario.resolved()
     if driver is REALTIME:
-        check_realtime(on_plane(scenario, "real time"))
+        check_realtime(scenario)
     try:
         folder = new_run_folder(Path(out)) if out else next_run_folder(Path("runs"), scenario.name)
     except InputError as error:

@@ -28,7 +28,6 @@ from swarmabs_config.graph import (
     endpoints,
     options_of,
 )
-from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import values_of
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import FAMILIES, Topic
@@ -131,7 +130,7 @@ def plan(
         "logs": str(folder.logs),
     }
     if driver is REALTIME:
-        return _realtime_plan(on_plane(scenario, "real time"), recorder)
+        return _realtime_plan(realtime.check_realtime(scenario), recorder)
     processes = _lockstep_plan(scenario, folder, recorder, options)
     expect_counterparts(processes)
     return processes

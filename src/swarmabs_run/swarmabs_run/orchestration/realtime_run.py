@@ -15,7 +15,7 @@ from swarmabs_run.run import DEFAULTS, RunOptions
 
 if TYPE_CHECKING:
     from swarmabs_bag.run_folder import RunFolder
-    from swarmabs_config.scenario import PlaneScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_run.orchestration.plan import Arrange
     from swarmabs_run.run import Figures
 
@@ -39,17 +39,16 @@ class RealtimeRun(ProcessRun):
 
     A robot's process that dies is not restarted: the swarm continues without it, as a fleet does. If a coordinator dies
     or the swarm loses the plane, the swarm stops, and the run fails shortly afterwards. If the recorder dies, the run
-    fails at once. Raises `InputError` if the scenario uses features that only lockstep supports.
+    fails at once. Raises `InputError` if only lockstep supports the scenario.
     """
 
     _driver = REALTIME
 
     def __init__(
-        self, scenario: PlaneScenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
+        self, scenario: Scenario, folder: RunFolder, options: RunOptions = DEFAULTS, arrange: Arrange = tuple
     ) -> None:
-        check_realtime(scenario)
+        self._limits = check_realtime(scenario).realtime
         super().__init__(scenario, folder, options, arrange)
-        self._limits = scenario.realtime
         self._died: dict[str, str] = {}
         self._failed_at: float | None = None
 

@@ -17,7 +17,6 @@ from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import new_folder
 from swarmabs_bag.shown.swarm_state import SwarmState
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
-from swarmabs_config.scenario import on_plane
 from swarmabs_core.cdr import decode
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import BASIS, PlaneState, Topic
@@ -50,7 +49,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
     bag = open_bag(path, namespace=namespace)
     if bag.namespace is None:
         raise NotABagError(f"{bag.path} is not the bag of a swarm: it has none of its topics; name another bag")
-    scenario = on_plane(attached_scenario(bag), "the RViz scene").resolved()
+    scenario = attached_scenario(bag).resolved()
     scene, translator, swarm = Scene.of(scenario), Translator(), SwarmState.of(scenario)
     check_definitions(bag.path, bag.channels)
     own = tuple(topic for topic in RECORDED if topic in bag.topics())
@@ -71,7 +70,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
             if shown in drawn:
                 writer.write(drawn[shown], now, serialize_message(message))
 
-        write(*description(scene, scenario.plane.inertia))
+        write(*description(scene))
         due = float(now)
 
         def draw() -> float:

@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 
 from swarmabs_bag.run.schemas import message_schema
 from swarmabs_bag.shown.swarm_state import SwarmState
-from swarmabs_config.scenario import load_scenario, on_plane
+from swarmabs_config.scenario import load_scenario
 from swarmabs_core.cdr import agent_id_of
 from swarmabs_core.declaration import made_of, parameters_of, setting
 from swarmabs_core.errors import InputError, RunError
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from swarmabs_config.scenario import PlaneScenario
+    from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
     from swarmabs_ros.status import StatusChannel
     from swarmabs_view.visualization.ros_messages import RosMessage, VisualTopic
@@ -157,7 +157,7 @@ class FoxgloveServer:
 
 
 def show(
-    scenario: PlaneScenario,
+    scenario: Scenario,
     listener: Listener,
     publishers: Sequence[Publish],
     foxglove: FoxgloveServer | None,
@@ -167,7 +167,7 @@ def show(
     """Show the swarm: a frame for each new step, at a limited rate."""
     scene, translator, swarm = Scene.of(scenario), Translator(), SwarmState.of(scenario)
     for publish in publishers:
-        publish(*description(scene, scenario.plane.inertia))
+        publish(*description(scene))
     repeated = time.monotonic()
     period, pause, shown = 1.0 / settings.rate, 0.0, None
     while not wait(pause):
@@ -197,10 +197,10 @@ def _hear(listener: Listener, swarm: SwarmState) -> list[tuple[Topic, bytes]]:
     return [(topic, payload) for (topic, _), payload in newest.items()]
 
 
-def _scenario(settings: ViewSettings) -> PlaneScenario:
+def _scenario(settings: ViewSettings) -> Scenario:
     if not settings.scenario_file:
         raise InputError("parameter scenario_file is empty: give the scenario file")
-    return on_plane(load_scenario(Path(settings.scenario_file)), "the RViz scene").resolved()
+    return load_scenario(Path(settings.scenario_file)).resolved()
 
 
 def _until_signalled() -> Callable[[float], bool]:

@@ -121,9 +121,9 @@ class Translator:
         return marker
 
 
-def description(scene: Scene, inertia: float) -> tuple[VisualTopic, String]:
-    """Return the message that describes a plane and its moment of inertia (kg m^2), with its topic."""
-    return DESCRIPTION, String(data=plane_urdf(scene, inertia))
+def description(scene: Scene) -> tuple[VisualTopic, String]:
+    """Return the message that describes the plane, with its topic."""
+    return DESCRIPTION, String(data=plane_urdf(scene))
 
 
 def _joint_state(frame: Frame, stamp: Time) -> JointState:

@@ -12,6 +12,7 @@ from math import cos, nan, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_bag.shown import colours
+from swarmabs_config.scenario import on_plane
 from swarmabs_core.messages import Kind
 from swarmabs_core.plant import STEEPEST
 from swarmabs_core.systems.kinds import KINDS
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from swarmabs_bag.shown.swarm_state import RobotStatus, ShownRobot, ShownVector, SwarmState
-    from swarmabs_config.scenario import PlaneScenario
+    from swarmabs_config.scenario import Scenario
 
 WORLD, PLANE = "world", "plane"
 JOINT = "plane_tilt"
@@ -154,11 +155,13 @@ class Frame(NamedTuple):
 class Scene:
     """Converts the state of a swarm to frames, and remembers the shapes drawn.
 
-    The plane is given by its length (m), the robots by id, kind and mass (kg); their volume is proportional to the
-    mass. The arrow of the torque `torque_max`, N m, is as long as half the plane.
+    The plane is given by its length (m) and moment of inertia (kg m^2), the robots by id, kind and mass (kg); their
+    volume is proportional to the mass. The arrow of the torque `torque_max`, N m, is as long as half the plane.
     """
 
-    def __init__(self, length: float, robots: Iterable[tuple[int, int, float]], torque_max: float) -> None:
+    def __init__(
+        self, length: float, inertia: float, robots: Iterable[tuple[int, int, float]], torque_max: float
+    ) -> None:
         listed = sorted(robots)
         heaviest = max((mass for _, _, mass in listed), default=1.0)
         edge = _LARGEST_ROBOT * length
@@ -168,17 +171,18 @@ class Scene:
             agent_id: RobotGeometry(kind, first + index * self.lane_width, edge * (mass / heaviest) ** (1.0 / 3.0))
             for index, (agent_id, kind, mass) in enumerate(listed)
         }
-        self.length = length
+        self.length, self.inertia = length, inertia
         self.width = max(_NARROWEST * length, self.lane_width * len(listed))
         self.thickness = _THICKNESS * length
         self._torque_max = torque_max
         self._drawn: set[tuple[str, int]] = set()
 
     @classmethod
-    def of(cls, scenario: PlaneScenario) -> Scene:
-        """Return the scene of a scenario whose robots are listed."""
-        robots = [(agent.id, int(Kind.of(agent.kind)), agent.mass) for agent in scenario.agents]
-        return cls(scenario.plane.length, robots, scenario.manifold.torque_max)
+    def of(cls, scenario: Scenario) -> Scene:
+        """Return the scene of a scenario; raise `InputError` if its parent system is not the plane."""
+        drawn = on_plane(scenario, "the RViz scene")
+        robots = [(agent.id, int(Kind.of(agent.kind)), agent.mass) for agent in drawn.agents]
+        return cls(drawn.plane.length, drawn.plane.inertia, robots, drawn.manifold.torque_max)
 
     def frame(self, swarm: SwarmState) -> Frame | None:
         """Return the current frame, None before the first state of the plane."""
@@ -280,12 +284,12 @@ class Scene:
         return shapes
 
 
-def plane_urdf(scene: Scene, inertia: float) -> str:
-    """Return the plane as URDF: a plate on a horizontal joint, with a moment of inertia (kg m^2) about its axis.
+def plane_urdf(scene: Scene) -> str:
+    """Return the plane as URDF: a plate on a horizontal joint, with its moment of inertia about its axis.
 
     Its mass is that of a uniform plate with this moment of inertia, 12 J / (l^2 + t^2).
     """
-    length, width, thickness = scene.length, scene.width, scene.thickness
+    length, width, thickness, inertia = scene.length, scene.width, scene.thickness, scene.inertia
     mass = 12.0 * inertia / (length**2 + thickness**2)
     return (
         templates("swarmabs_view.visualization")
