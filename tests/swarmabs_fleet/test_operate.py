@@ -320,7 +320,7 @@ MODULE = ("-m", "swarmabs_cli")
 _AS_SECURED = """
 import sys
 from swarmabs_cli import main
-from swarmabs_config.fleet.checked import Fleet
+from swarmabs_config.fleet.model import Fleet
 Fleet.own_topics = True
 sys.exit(main())
 """

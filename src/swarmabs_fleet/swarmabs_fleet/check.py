@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from swarmabs_config.fleet.loader import FLEET_FILE, LoadedFleet, load_fleet
 from swarmabs_config.model.fields import nearest
-from swarmabs_config.scenario import warnings_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.realtime.leadership import TAKEOVER_STEPS
 from swarmabs_fleet.bundle import MANIFEST, SECRET, SUMS, Manifest, host_bundle, manifest_of, read_manifest, versions
@@ -25,7 +24,7 @@ from swarmabs_run.doctor import Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from swarmabs_config.fleet.checked import Fleet
+    from swarmabs_config.fleet.model import Fleet
     from swarmabs_run.doctor import Verdict
 
 _MADE_THERE = ("complete", "workspace.env")
@@ -100,7 +99,7 @@ def _alone(loaded: LoadedFleet) -> Iterator[Verdict]:
     fleet = loaded.fleet
     used = sum(bool(HostPlan(fleet, host.name).nodes) for host in fleet.hosts)
     yield "ok", f"{len(fleet.robots)} robots on {used} hosts, domain {fleet.network.domain}"
-    for warning in (*fleet.warnings(), *warnings_of(loaded.scenario)):
+    for warning in loaded.warnings():
         yield "note", warning
     yield from _standbys(loaded)
 

@@ -11,7 +11,7 @@ from swarmabs_core.realtime.instruments import TopicSettings
 from swarmabs_run.rendering import templates
 
 if TYPE_CHECKING:
-    from swarmabs_config.fleet.checked import Fleet
+    from swarmabs_config.fleet.model import Fleet
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from swarmabs_config.fleet.checked import Fleet
+    from swarmabs_config.fleet.model import Fleet
 
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 _CA_KEY, _CA_CERTIFICATE = "sros2/ca.key.pem", "sros2/ca.cert.pem"

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import TypeAlias
 
-    from swarmabs_config.fleet.checked import Fleet
     from swarmabs_config.fleet.loader import LoadedFleet
+    from swarmabs_config.fleet.model import Fleet
     from swarmabs_config.fleet.participants import NodePlan
     from swarmabs_config.fleet.robots import Robot
     from swarmabs_config.scenario.yaml_tree import Plain

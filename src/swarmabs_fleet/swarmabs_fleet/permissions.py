@@ -22,7 +22,7 @@ from swarmabs_core.messages import REMOVALS, Kind
 from swarmabs_core.realtime.instruments import MEASURED, TopicSettings
 
 if TYPE_CHECKING:
-    from swarmabs_config.fleet.checked import Fleet
+    from swarmabs_config.fleet.model import Fleet
     from swarmabs_config.fleet.participants import NodePlan
     from swarmabs_core.messages import Topic
     from swarmabs_fleet.host_plan import HostPlan

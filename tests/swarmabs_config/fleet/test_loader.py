@@ -249,7 +249,7 @@ IDLE = "  - {name: idle, address: 192.168.10.99, interface: eth0}\nrobots:"
     ],
 )
 def test_what_is_doubtful_is_said(fleet: str, change: tuple[str, str], warnings: list[str], tmp_path: Path) -> None:
-    found = load_fleet(edited(tmp_path / "fleet.yaml", fleet, change)).fleet.warnings()
+    found = load_fleet(edited(tmp_path / "fleet.yaml", fleet, change)).warnings()
     assert [words in text for text, words in zip(found, warnings, strict=True)] == [True] * len(warnings)
 
 

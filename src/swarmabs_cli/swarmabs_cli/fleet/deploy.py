@@ -9,7 +9,6 @@ import click
 from swarmabs_cli.options import A_PATH, examples, json_option, output_option
 from swarmabs_cli.output import print_findings, print_json, print_warnings
 from swarmabs_config.fleet.loader import json_schema, load_fleet
-from swarmabs_config.scenario import warnings_of
 from swarmabs_fleet.bundle import deploy as write
 from swarmabs_fleet.check import check
 
@@ -61,7 +60,7 @@ def deploy(
         raise click.UsageError("no folder for the bundles; name one with -o DIR")
     loaded = load_fleet(paths[0])
     fleet = loaded.fleet
-    print_warnings((*fleet.warnings(), *warnings_of(loaded.scenario)))
+    print_warnings(loaded.warnings())
     bundles = [
         {"host": folder.name, "address": fleet.host(folder.name).address, "folder": str(folder)}
         for folder in write(loaded, output, keys, revoke)

@@ -16,13 +16,13 @@ from swarmabs_core.realtime.instruments import TopicSettings
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Iterator
 
-    from swarmabs_config.fleet.model import UncheckedFleet
+    from swarmabs_config.fleet.model import Fleet
 
 _TUNNEL = ("security", "level")
 _LOOPBACK = "lo"
 
 
-def findings(fleet: UncheckedFleet) -> list[Finding]:
+def findings(fleet: Fleet) -> list[Finding]:
     """Return every error of a fleet whose individual fields are valid."""
     # A later check relies on the earlier ones.
     for group in (
@@ -35,7 +35,7 @@ def findings(fleet: UncheckedFleet) -> list[Finding]:
     return []
 
 
-def warnings(fleet: UncheckedFleet) -> tuple[str, ...]:
+def warnings(fleet: Fleet) -> tuple[str, ...]:
     """Return one line for each setting that is valid but likely to cause trouble."""
     lines = []
     used = {node.host for node in participants.node_plans(fleet)}
@@ -61,7 +61,7 @@ def _twice(kind: str, values: Iterable[tuple[Location, Hashable]], remedy: str) 
         first.setdefault(value, location)
 
 
-def _hosts(fleet: UncheckedFleet) -> Iterator[Finding]:
+def _hosts(fleet: Fleet) -> Iterator[Finding]:
     if not fleet.hosts:
         yield Finding.of(("hosts",), "no hosts", "list at least one, e.g. {name: base, address: 192.168.10.1}")
     listed = list(enumerate(fleet.hosts))
@@ -78,7 +78,7 @@ def _hosts(fleet: UncheckedFleet) -> Iterator[Finding]:
             yield Finding.of(("hosts", n), f"no interface for {host.name}", "add 'interface: ...' here or in 'network'")
 
 
-def _ids(fleet: UncheckedFleet) -> Iterator[Finding]:
+def _ids(fleet: Fleet) -> Iterator[Finding]:
     if len(fleet.robots) < 2:
         yield Finding.of(
             ("robots",),
@@ -96,7 +96,7 @@ def _ids(fleet: UncheckedFleet) -> Iterator[Finding]:
     yield from _twice("robot", ids, "give every robot its own id")
 
 
-def _references(fleet: UncheckedFleet) -> Iterator[Finding]:
+def _references(fleet: Fleet) -> Iterator[Finding]:
     host_names = [host.name for host in fleet.hosts]
     parts = fleet.coordinators
     doubled = {"observer": parts.observer, "controller": parts.controller, "recorder": parts.recorder}
@@ -120,7 +120,7 @@ def _references(fleet: UncheckedFleet) -> Iterator[Finding]:
             )
 
 
-def _network(fleet: UncheckedFleet) -> Iterator[Finding]:
+def _network(fleet: Fleet) -> Iterator[Finding]:
     network = fleet.network
     if network.discovery == "server" and network.server is None:
         yield Finding.of(("network", "discovery"), "no server", "add 'server: HOST' to 'network'")
@@ -156,7 +156,7 @@ def _network(fleet: UncheckedFleet) -> Iterator[Finding]:
                 )
 
 
-def _loopback(fleet: UncheckedFleet) -> Iterator[Finding]:
+def _loopback(fleet: Fleet) -> Iterator[Finding]:
     """Reject the loopback interface, except for a fleet on one host."""
     for n, host in enumerate(fleet.hosts):
         alone = len(fleet.hosts) == 1 and ipaddress.IPv4Address(host.address).is_loopback
@@ -173,7 +173,7 @@ def _loopback(fleet: UncheckedFleet) -> Iterator[Finding]:
         )
 
 
-def _installation(fleet: UncheckedFleet) -> Iterator[Finding]:
+def _installation(fleet: Fleet) -> Iterator[Finding]:
     """Reject a bundle folder that is the checkout or contains it."""
     place = fleet.installation
     installed = f"{place.prefix}/{fleet.name}"
@@ -186,7 +186,7 @@ def _installation(fleet: UncheckedFleet) -> Iterator[Finding]:
         )
 
 
-def _security(fleet: UncheckedFleet) -> Iterator[Finding]:
+def _security(fleet: Fleet) -> Iterator[Finding]:
     level = fleet.security.level
     for n, host in enumerate(fleet.hosts):
         if fleet.tunnel is not None and host.tunnel_address is None:
@@ -216,7 +216,7 @@ def _security(fleet: UncheckedFleet) -> Iterator[Finding]:
             )
 
 
-def _topics(fleet: UncheckedFleet) -> Iterator[Finding]:
+def _topics(fleet: Fleet) -> Iterator[Finding]:
     """Reject topics of drives and of the plane's sensor that are the swarm's: permissions follow from these names."""
     own = (own_topic(topic, robot.id) for topic in OWN for robot in fleet.robots)
     taken = {path_of(fleet.namespace, topic.name) for topic in (*TOPICS, *STANDBY_TOPICS.values(), *own)}
@@ -234,7 +234,7 @@ def _topics(fleet: UncheckedFleet) -> Iterator[Finding]:
             yield Finding.of(location, f"{name} is a topic of the swarm itself", "name another topic")
 
 
-def _participants(fleet: UncheckedFleet) -> Iterator[Finding]:
+def _participants(fleet: Fleet) -> Iterator[Finding]:
     for host in fleet.hosts:
         highest = max((node.participant for node in participants.nodes_on(fleet, host.name)), default=0)
         if highest > participants.LARGEST_PARTICIPANT:

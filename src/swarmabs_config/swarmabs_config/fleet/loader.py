@@ -7,11 +7,12 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmabs_config.fleet.checked import Fleet
+from swarmabs_config.fleet import checks
+from swarmabs_config.fleet.model import Fleet
 from swarmabs_config.fleet.robots import SimulatedDrive
 from swarmabs_config.model.fields import LONGEST_FILE_NAME, schema_of
 from swarmabs_config.realtime import check_pairs, check_realtime
-from swarmabs_config.scenario import PlaneScenario, ScenarioError, dump_scenario, on_plane, parse_scenario
+from swarmabs_config.scenario import PlaneScenario, ScenarioError, dump_scenario, on_plane, parse_scenario, warnings_of
 from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_config.scenario.loader import read_mapping, validated
 from swarmabs_config.scenario.text_file import read_text
@@ -52,6 +53,10 @@ class LoadedFleet:
         """The scenario in canonical YAML."""
         return dump_scenario(self.scenario)
 
+    def warnings(self) -> tuple[str, ...]:
+        """Return one line for each setting of fleet or scenario that is valid but likely to cause trouble."""
+        return (*checks.warnings(self.fleet), *warnings_of(self.scenario))
+
 
 def load_fleet(path: str | os.PathLike[str]) -> LoadedFleet:
     """Read a fleet file, whose stem is the default of ``name``, and its scenario.
@@ -66,7 +71,7 @@ def load_fleet(path: str | os.PathLike[str]) -> LoadedFleet:
     data = root.plain()
     if isinstance(data, dict):
         data.setdefault("name", _default_name(path.stem))
-    fleet = validated(Fleet, data, root)
+    fleet = validated(Fleet, data, root, checks.findings)
     settings = [as_override(name, value) for name, value in fleet.settings.items()]
     try:
         scenario = on_plane(find_scenario(named_scenario(fleet.scenario, path.parent), settings), "a fleet")

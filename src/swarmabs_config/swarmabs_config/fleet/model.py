@@ -37,8 +37,8 @@ _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 _UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
-class UncheckedFleet(Model):
-    """A fleet without its scenario, before the checks across fields."""
+class Fleet(Model):
+    """A complete, valid fleet without its scenario. Build it with `load_fleet`, whose errors name file and line."""
 
     schema_version: Annotated[Literal[1], BeforeValidator(known_version)] = Field(
         alias="schema", description="version of this file format: 1"

@@ -27,7 +27,7 @@ from swarmabs_config.ports import DATA_OFFSET, METATRAFFIC_OFFSET, metatraffic_p
 from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY
 
 if TYPE_CHECKING:
-    from swarmabs_config.fleet.model import UncheckedFleet
+    from swarmabs_config.fleet.model import Fleet
     from swarmabs_config.fleet.robots import Robot
 
 OPERATOR = FIRST_TOOL
@@ -67,7 +67,7 @@ class NodePlan:
         return standby_name(self.kind) if self.pair == STANDBY else self.kind
 
 
-def node_plans(fleet: UncheckedFleet) -> tuple[NodePlan, ...]:
+def node_plans(fleet: Fleet) -> tuple[NodePlan, ...]:
     """Return all nodes of a fleet: the coordinators first, each before its standby, then the robots by id."""
     parts = fleet.coordinators
     hosts: dict[str, tuple[str, str | None]] = {
@@ -94,18 +94,18 @@ def node_plans(fleet: UncheckedFleet) -> tuple[NodePlan, ...]:
     return tuple(nodes)
 
 
-def operator_hosts(fleet: UncheckedFleet) -> tuple[str, ...]:
+def operator_hosts(fleet: Fleet) -> tuple[str, ...]:
     """Return the hosts on which an operator's tools run: that of the controller, then that of its standby."""
     controller = fleet.coordinators.controller
     return (controller.host,) if controller.standby is None else (controller.host, controller.standby)
 
 
-def nodes_on(fleet: UncheckedFleet, host: str) -> tuple[NodePlan, ...]:
+def nodes_on(fleet: Fleet, host: str) -> tuple[NodePlan, ...]:
     """Return the nodes of a host."""
     return tuple(node for node in node_plans(fleet) if node.host == host)
 
 
-def ports(fleet: UncheckedFleet, node: NodePlan) -> tuple[int, int]:
+def ports(fleet: Fleet, node: NodePlan) -> tuple[int, int]:
     """Return the two UDP ports of a node: for discovery and for data."""
     first = metatraffic_port(fleet.network.domain, node.participant)
     return first, first + DATA_OFFSET - METATRAFFIC_OFFSET
