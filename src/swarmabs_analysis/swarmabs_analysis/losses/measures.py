@@ -82,33 +82,33 @@ class _OfSystem:
     """The measures of a swarm on any other parent system."""
 
     def __init__(self, named: NamedSystem) -> None:
-        self._named, self._made = named, named.instance
-        self.coordinates = self._made.robot
-        self.ordinary_speed, self.rows = 1.0, len(self._made.abstract)
+        self._system = named.instance
+        self.coordinates = self._system.robot
+        self.ordinary_speed, self.rows = 1.0, len(self._system.abstract)
 
     @property
     def limits(self) -> bool:
         """Whether the system limits the commands of robots."""
-        return hasattr(self._made, "limits")
+        return hasattr(self._system, "limits")
 
     def pivot(self, sums: Message) -> float:
         """Return the least scaled pivot of the Gram matrix in units of its largest diagonal entry."""
         assert isinstance(sums, SwarmAuxiliary)  # noqa: S101 - of this family
-        return Gram(sums.gram, self._made.abstract).least
+        return Gram(sums.gram, self._system.abstract).least
 
     def limited(self, state: AnyRobotState) -> bool:
         """Return whether a command of a robot is at its limit."""
         if not self.limits:
             return False
         assert isinstance(state, RobotState)  # noqa: S101 - of this family
-        low, high = self._made.limits(state.constants, word(Kind(state.kind)))  # type: ignore[attr-defined]
+        low, high = self._system.limits(state.constants, word(Kind(state.kind)))  # type: ignore[attr-defined]
         return any(not a < u < b for u, a, b in zip(state.command, low, high, strict=True))
 
     def contribution(self, state: AnyRobotState) -> Vector:
         """Return a robot's contribution to the abstract state in units of the rows' scales."""
         assert isinstance(state, RobotState)  # noqa: S101 - of this family
-        values = self._made.contribution(state.coordinates, state.constants)
-        return tuple(value / row.scale for value, row in zip(values, self._made.abstract, strict=True))
+        values = self._system.contribution(state.coordinates, state.constants)
+        return tuple(value / row.scale for value, row in zip(values, self._system.abstract, strict=True))
 
 
 class Measures:
