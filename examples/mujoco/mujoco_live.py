@@ -18,6 +18,7 @@ from mujoco_node import RIG, TILT, RigSettings
 from mujoco_setup import BASES, end_stop_of, facing_of
 from mujoco_world import WHEEL_RADIUS
 
+from swarmabs_cli.options import RunParameters
 from swarmabs_cli.runs import carry_out
 from swarmabs_config.graph import NODES, PLANE, PLANE_DRIVER, REALTIME, RECORDER, endpoints
 from swarmabs_config.scenario import on_plane
@@ -151,9 +152,7 @@ def run(asked: argparse.Namespace) -> int:
             arrange = Arrangement(plane, rig, asked.plane_sensor, asked.position)
             return RealtimeRun(plane, folder, options, arrange).run(launcher)
 
-        code = carry_out(
-            execute,
-            realtime=True,
+        options = RunParameters(
             scenario=asked.scenario,
             bag_scenario=None,
             output=asked.output,
@@ -163,6 +162,11 @@ def run(asked: argparse.Namespace) -> int:
             max_bag_size=0,
             max_bag_duration=0,
             as_json=False,
+        )
+        code = carry_out(
+            execute,
+            options,
+            realtime=True,
             meanwhile=True,
             check=lambda scenario: end_stop_of(on_plane(scenario, "the rig").resolved(), settings(asked).setup),
         )

@@ -6,7 +6,7 @@ import platform
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 from swarmabs_analysis.comparison.messages import side_by_side
 from swarmabs_bag.attached import (
@@ -44,6 +44,17 @@ _REPEATABLE = ("lockstep", "simulate")
 _REMEDY = "run the scenario.yaml of its folder instead"
 
 
+class Rerun(TypedDict):
+    """The result of a repetition, ``rerun_of`` in ``summary.json``; `same` is None if the runs were not compared."""
+
+    bag: str
+    digest: str | None
+    last_step: int
+    same: bool | None
+    compared: Literal["digest", "prefix"] | None
+    differences: list[str]
+
+
 @dataclass(frozen=True, slots=True)
 class RepeatableRun:
     """A recorded run that can be repeated.
@@ -62,7 +73,7 @@ class RepeatableRun:
     differences: tuple[str, ...]
     comparable: bool
 
-    def judge(self, outcome: Outcome, bag: Path, *, changed: bool) -> dict[str, object]:
+    def judge(self, outcome: Outcome, bag: Path, *, changed: bool) -> Rerun:
         """Return the result of the repetition, for ``rerun_of`` in ``summary.json``.
 
         The bag of the new run may be missing. Runs of a `changed` scenario are not compared.

@@ -15,7 +15,6 @@ from difflib import get_close_matches
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -61,7 +60,7 @@ class LazyGroup(click.Group):
                 return command
         return None
 
-    def invoke(self, ctx: click.Context) -> Any:
+    def invoke(self, ctx: click.Context) -> object:
         """Run a command; the error tells what it needs that is not installed."""
         try:
             return super().invoke(ctx)
@@ -91,8 +90,8 @@ class LazyGroup(click.Group):
 def _files(section: str) -> dict[str, Path]:
     """Return the files of a section by the names of the commands in them."""
     files = (Path(__file__).parent / section).glob("[!_]*.py")
-    found = {name: path for path in files for name in _COMMAND.findall(path.read_text(encoding="utf-8"))}
-    return dict(sorted(found.items()))
+    commands = {name: path for path in files for name in _COMMAND.findall(path.read_text(encoding="utf-8"))}
+    return dict(sorted(commands.items()))
 
 
 def _summary(name: str, path: Path) -> str:

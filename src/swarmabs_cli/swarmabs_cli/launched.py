@@ -5,10 +5,11 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
+from swarmabs_cli.options import RunParameters
 from swarmabs_cli.output import open_page, private_page
 from swarmabs_cli.runs import carry_out
 from swarmabs_config.scenario import on_plane
@@ -31,56 +32,71 @@ if TYPE_CHECKING:
     from swarmabs_config.scenario import Scenario
 
 
-def run_scenario(
-    launcher: LauncherProcess, *, view: bool, view_port: int | None, open_browser: bool, **options: Any
-) -> int:
+class Parameters(RunParameters):
+    """What the options give to the command `run`."""
+
+    agents_per_process: int
+    packed: bool | None
+    realtime: bool
+    steer: bool
+    rate: float | None
+    markers: bool
+    foxglove: bool
+    foxglove_port: int
+    view: bool
+    view_port: int | None
+    open_browser: bool
+
+
+def run_scenario(launcher: LauncherProcess, options: Parameters) -> int:
     """Run a scenario with the processes that a launcher forks; the options are those of the command."""
     with ExitStack() as stack:
         page = None
-        if view:
-            page = stack.enter_context(_page(view_port or 0, steered=options["steer"], opens=open_browser))
-        code, _ = _run(launcher, page, **options)
+        if options["view"]:
+            port, opens = options["view_port"] or 0, options["open_browser"]
+            page = stack.enter_context(_page(port, steered=options["steer"], opens=opens))
+        code, _ = _run(launcher, page, options)
         if page is not None:
             page.stay()
         return code
 
 
 def run_scenarios(
-    launcher: LauncherProcess, following: Callable[[str | None], dict[str, Any]], *, open_browser: bool
+    launcher: LauncherProcess, following: Callable[[str | None], tuple[Parameters, bool]], *, open_browser: bool
 ) -> int:
     """Show steered runs on one page, until one ends other than by a request for the next one.
 
-    The `launcher` is that of the first run. `following` returns the options of the command, without those of the page
-    and with `paused`, for the run after a request, None for the first. The exit code is 0 if the user ends the last.
+    The `launcher` is that of the first run. `following` returns, for the run after a request, None for the first, the
+    options of the command and whether the run begins paused. The exit code is 0 if the user ends the last.
     """
-    options, begun = following(None), 0.0
+    (options, paused), begun = following(None), 0.0
     with _page(0, steered=True, opens=open_browser) as page:
         while True:
             with launcher:
-                code, request = _run(launcher, page, restarts=True, show=True, begun=begun, **options)
+                code, request = _run(launcher, page, options, paused=paused, restarts=True, begun=begun)
             if request is None:
                 page.stay()
                 return code
             begun = since_start()
             interrupt_once()  # as at the beginning of the command
-            options, launcher = following(request), LauncherProcess("lockstep")
+            (options, paused), launcher = following(request), LauncherProcess("lockstep")
 
 
 def _run(
     launcher: LauncherProcess,
     page: _Page | None,
+    options: Parameters,
     *,
-    agents_per_process: int,
-    packed: bool | None,
-    realtime: bool,
-    steer: bool,
-    rate: float | None,
     paused: bool = False,
     restarts: bool = False,
-    **options: Any,
+    begun: float = 0.0,
 ) -> tuple[int, str | None]:
-    """Run a scenario; return the exit code, and the request that ended the run so that another one starts."""
+    """Run a scenario; return the exit code, and the request that ended the run so that another one starts.
+
+    One that `restarts` is a show, see `carry_out`.
+    """
     requests: list[str | None] = []
+    realtime, rate = options["realtime"], options["rate"]
 
     def execute(scenario: Scenario, folder: RunFolder, recording: RunOptions) -> Outcome:
         if page is not None:
@@ -90,9 +106,9 @@ def _run(
                 return RealtimeRun(scenario, folder, recording).run(launcher)
             asked = replace(
                 recording,
-                agents_per_process=agents_per_process,
-                packed=packed,
-                steered=steer,
+                agents_per_process=options["agents_per_process"],
+                packed=options["packed"],
+                steered=options["steer"],
                 step_seconds=_step_seconds(scenario, rate),
                 paused=paused,
                 restarts=restarts,
@@ -101,7 +117,7 @@ def _run(
             requests.append(outcome.restart)
             return outcome
 
-    drawn = next((f"--{name}" for name in ("markers", "foxglove") if options[name]), None)
+    drawn = "--markers" if options["markers"] else "--foxglove" if options["foxglove"] else None
 
     def check(scenario: Scenario) -> None:
         if drawn is not None:
@@ -109,7 +125,16 @@ def _run(
         _step_seconds(scenario, rate)
 
     shown = _marker_viewers(options, clock=not realtime)
-    code = carry_out(execute, realtime=realtime, check=check, steered=steer, meanwhile=True, **options)
+    code = carry_out(
+        execute,
+        options,
+        realtime=realtime,
+        steered=options["steer"],
+        meanwhile=True,
+        show=restarts,
+        begun=begun,
+        check=check,
+    )
     return code, next(iter(requests), None)
 
 
@@ -169,12 +194,12 @@ def _step_seconds(scenario: Scenario, rate: float | None) -> float:
     return seconds
 
 
-def _marker_viewers(options: dict[str, Any], *, clock: bool) -> Callable[[Path], AbstractContextManager[None]]:
-    """Remove the options of markers and Foxglove from those of a run; return a context manager that serves them.
+def _marker_viewers(options: Parameters, *, clock: bool) -> Callable[[Path], AbstractContextManager[None]]:
+    """Return a context manager that serves markers and Foxglove as the options of a run say.
 
     With `clock`, the time of the run is published, because it differs from that of the machine.
     """
-    markers, foxglove, port = (options.pop(name) for name in ("markers", "foxglove", "foxglove_port"))
+    markers, foxglove, port = options["markers"], options["foxglove"], options["foxglove_port"]
     if not (markers or foxglove):
         return lambda _: nullcontext()
     if foxglove:

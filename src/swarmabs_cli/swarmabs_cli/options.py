@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Generic, TypedDict, TypeVar
 
 import click
 
@@ -18,11 +18,14 @@ A_PATH = click.Path(path_type=Path)
 _END_OF = {"[": "]", "{": "}"}
 
 
-class _InWords:
+NumberT = TypeVar("NumberT", bound=float)
+
+
+class _InWords(Generic[NumberT]):
     """A range of numbers that help and errors describe in words."""
 
-    min: Any
-    max: Any
+    min: NumberT | None
+    max: NumberT | None
     min_open: bool
     max_open: bool
 
@@ -38,19 +41,19 @@ class _InWords:
         return "NUMBER"
 
 
-class WholeNumber(_InWords, click.IntRange):
+class WholeNumber(_InWords[int], click.IntRange):
     """A whole number in a range."""
 
     name = "whole number"
 
 
-class Number(_InWords, click.FloatRange):
+class Number(_InWords[float], click.FloatRange):
     """A number in a range."""
 
     name = "number"
 
 
-Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+Decorator = Callable[[Callable[..., object]], Callable[..., object]]
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
 namespace_option = click.option("--namespace", metavar="NAME", help="Swarm to read if the bag holds several.")
@@ -100,15 +103,15 @@ def _nodes(_context: click.Context, _option: click.Parameter, texts: tuple[str, 
     return tuple(map(NodeName.parse, dict.fromkeys(texts)))
 
 
-def output_option(text: str, **settings: Any) -> Decorator:
+def output_option(text: str, *, required: bool = False, metavar: str | None = None) -> Decorator:
     """Return the option ``-o`` for the place of results."""
-    return click.option("-o", "--output", type=A_PATH, help=text, **settings)
+    return click.option("-o", "--output", type=A_PATH, help=text, required=required, metavar=metavar)
 
 
 def together(*decorators: Decorator) -> Decorator:
     """Return one decorator that adds several options in the given order."""
 
-    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+    def add(function: Callable[..., object]) -> Callable[..., object]:
         for decorator in reversed(decorators):
             function = decorator(function)
         return function
@@ -132,6 +135,20 @@ def _whole(unit: str, largest: int) -> Callable[[click.Context, click.Parameter,
         return number
 
     return read
+
+
+class RunParameters(TypedDict):
+    """What `run_options` give to a command."""
+
+    scenario: str
+    bag_scenario: str | None
+    output: Path | None
+    overrides: tuple[str, ...]
+    duration: str | None
+    no_bag: bool
+    max_bag_size: int
+    max_bag_duration: int
+    as_json: bool
 
 
 run_options = together(

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console, Group, RenderableType
@@ -18,6 +18,9 @@ from rich.console import Console, Group, RenderableType
 from swarmabs_bag.run_folder import RunFolder, new_run_folder, next_run_folder
 from swarmabs_cli.options import RUNS
 from swarmabs_config.files import write_whole
+
+if TYPE_CHECKING:
+    from swarmabs_run.doctor import Finding
 
 _WIDEST = 1000
 """Largest width of what is printed to a file or pipe, characters."""
@@ -57,7 +60,7 @@ def print_warnings(warnings: Iterable[object]) -> None:
         click.echo(f"warning: {warning}", err=True)
 
 
-def print_findings(findings: Sequence[Any], *, as_json: bool) -> int:
+def print_findings(findings: Sequence[Finding], *, as_json: bool) -> int:
     """Print the findings of checks; return the exit code, 1 if one of them is bad."""
     if as_json:
         print_json([asdict(finding) for finding in findings])

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console
@@ -25,11 +24,12 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.ending import no_more_interrupts
 from swarmabs_run.orchestration.run_files import since_start
 from swarmabs_run.run import Outcome, Progress, RunOptions
-from swarmabs_run.summary import Times, summarise, summary_table
+from swarmabs_run.summary import Summary, Times, summarise, summary_table
 from swarmabs_view.terminal import ProgressDisplay, shown_progress
 
 if TYPE_CHECKING:
-    from swarmabs_analysis.rerun import RepeatableRun
+    from swarmabs_analysis.rerun import RepeatableRun, Rerun
+    from swarmabs_cli.options import RunParameters
 
 Execute = Callable[[Scenario, RunFolder, RunOptions], Outcome]
 """Runs a scenario and leaves its results in a folder, such as `swarmabs_run.simulated_run.simulate_run`."""
@@ -39,17 +39,9 @@ SETUP = "SWARMABS_SETUP"
 
 def carry_out(
     execute: Execute,
+    options: RunParameters,
     *,
     realtime: bool,
-    scenario: str,
-    bag_scenario: str | None,
-    output: Path | None,
-    overrides: tuple[str, ...],
-    duration: str | None,
-    no_bag: bool,
-    max_bag_size: int,
-    max_bag_duration: int,
-    as_json: bool,
     steered: bool = False,
     meanwhile: bool = False,
     show: bool = False,
@@ -62,8 +54,9 @@ def carry_out(
     interrupt after its first step is no failure. The times of the summary count from `begun`, the value of
     `since_start` when the run was requested, s; 0 for the run of the command itself.
     """
-    if duration is not None:
-        overrides = (*overrides, f"duration={duration}")
+    scenario, bag_scenario, overrides = options["scenario"], options["bag_scenario"], options["overrides"]
+    if options["duration"] is not None:
+        overrides = (*overrides, f"duration={options['duration']}")
     if bag_scenario is not None and not names_bag(scenario):
         raise InputError(f"--scenario is for a bag without one, but {scenario} is not a bag; remove --scenario")
     recorded = _recorded_run(scenario, overrides, bag_scenario) if names_bag(scenario) else None
@@ -71,7 +64,7 @@ def carry_out(
     check(loaded)
     if realtime:
         _check_realtime(loaded, recorded)
-    folder = results_folder(output, loaded.name)
+    folder = results_folder(options["output"], loaded.name)
     differences = recorded.differences if recorded is not None else ()
     print_warnings((*warnings_of(loaded), *differences))
     if not meanwhile:
@@ -79,22 +72,22 @@ def carry_out(
     loaded = loaded.resolved()
     if steered:
         click.echo(f"to steer the run: {COMMAND} steer {folder.path} ACTION VALUE", err=True)
-    split = Split(max_bag_size, max_bag_duration * 10**9)
+    split = Split(options["max_bag_size"], options["max_bag_duration"] * 10**9)
 
     def run(display: ProgressDisplay) -> Outcome:
-        options = RunOptions(record=not no_bag, split=split, on_progress=display)
+        recording = RunOptions(record=not options["no_bag"], split=split, on_progress=display)
         if not meanwhile:
-            return execute(loaded, folder, options)
+            return execute(loaded, folder, recording)
         with _theory_printed(loaded, display) as shown:
-            return execute(loaded, folder, replace(options, on_progress=shown))
+            return execute(loaded, folder, replace(recording, on_progress=shown))
 
-    def judge(outcome: Outcome) -> Mapping[str, object]:
+    def judge(outcome: Outcome) -> Rerun | None:
         if recorded is None:
-            return {}
-        return {"rerun_of": recorded.judge(outcome, folder.bag, changed=bool(overrides) or steered)}
+            return None
+        return recorded.judge(outcome, folder.bag, changed=bool(overrides) or steered)
 
     outcome, summary = summed_up(loaded, folder, run, judge, begun)
-    print_summary(loaded, summary, folder, outcome, as_json=as_json)
+    print_summary(loaded, summary, folder, outcome, as_json=options["as_json"])
     if show and outcome.status == "interrupted" and outcome.start_seconds is not None:
         return 0
     if outcome.reason is not None:
@@ -159,24 +152,23 @@ def summed_up(
     scenario: Scenario,
     folder: RunFolder,
     run: Callable[[ProgressDisplay], Outcome],
-    more: Callable[[Outcome], Mapping[str, object]],
+    judge: Callable[[Outcome], Rerun | None],
     begun: float,
-) -> tuple[Outcome, dict[str, Any]]:
-    """Run while showing the progress; return the outcome and the written summary, which includes `more`.
+) -> tuple[Outcome, Summary]:
+    """Run while showing the progress; return the outcome and the written summary.
 
-    The times count from `begun`, as in `carry_out`. A run in which robots flew off has failed, unless it repeats what
-    was recorded.
+    `judge` compares the run with the recorded one that it repeats, if it does. The times count from `begun`, as in
+    `carry_out`. A run in which robots flew off has failed, unless it repeats what was recorded.
     """
     try:
         loading = since_start()
         with shown_progress(scenario, folder.path) as show:
             done = run(show)
             no_more_interrupts()
-        told = dict(more(done))
-        rerun: Any = told.get("rerun_of") or {}
-        outcome = done.judged(repeats=rerun.get("same") is True)
-        verdict = {"status": outcome.status, "reason": outcome.reason}
-        summary = {**summarise(scenario, done, times(loading, done, begun)), **verdict, **told}
+        rerun = judge(done)
+        outcome = done.judged(repeats=rerun is not None and rerun["same"] is True)
+        verdict = {"status": outcome.status, "reason": outcome.reason, "rerun_of": rerun}
+        summary = {**summarise(scenario, done, times(loading, done, begun)), **verdict}
         folder.write_summary(summary)
     except OSError as error:
         raise RunError(f"{folder.path}: {error.strerror or error}; {remedy(error)}") from error
@@ -185,7 +177,7 @@ def summed_up(
 
 def print_summary(
     scenario: Scenario,
-    summary: Mapping[str, Any],
+    summary: Summary,
     folder: RunFolder,
     outcome: Outcome,
     *,

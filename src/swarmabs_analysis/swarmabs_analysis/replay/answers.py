@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
 from swarmabs_analysis.comparison.messages import MessageComparison
 from swarmabs_bag.attached import is_realtime
@@ -16,6 +16,7 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
+    from swarmabs_analysis.comparison.messages import Deviation
     from swarmabs_bag.mcap.records import StoredMessage
     from swarmabs_bag.reader import BagReader
     from swarmabs_bag.run.metadata import BagChannel
@@ -23,6 +24,16 @@ if TYPE_CHECKING:
     from swarmabs_core.nodes import NodeName
 
 _Key = tuple["Topic", int, int]
+
+
+class Comparison(TypedDict):
+    """How the answers of nodes under test differ from a recording, as plain data for JSON."""
+
+    nodes: list[str]
+    compared: int
+    same: bool
+    first_difference: dict[str, object] | None
+    deviations: list[dict[str, Deviation]]
 
 
 class Answers:
@@ -124,8 +135,8 @@ class Answers:
             for topic, step, agent_id in self._expected
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the comparison of the messages heard so far as plain data for JSON."""
+    def to_dict(self) -> Comparison:
+        """Return the comparison of the messages heard so far."""
         comparison = self._comparison.finish()
         first = comparison.first
         return {

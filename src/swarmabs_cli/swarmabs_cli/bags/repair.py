@@ -78,13 +78,13 @@ def _merge_lines(report: MergeReport) -> Iterator[str]:
     for place in report.contradictions[:_MOST_SHOWN]:
         robot = f" of robot {place.robot}" if place.robot else ""
         yield f"different: /{place.topic}{robot}, step {place.step}; the first one received is kept"
-    for kind, found in (("missing", report.gaps), ("different", report.contradictions)):
-        if len(found) > _MOST_SHOWN:
-            yield f"{kind}: {len(found) - _MOST_SHOWN} more; --json lists them all"
+    for kind, count in (("missing", len(report.gaps)), ("different", len(report.contradictions))):
+        if count > _MOST_SHOWN:
+            yield f"{kind}: {count - _MOST_SHOWN} more; --json lists them all"
     if report.ended_early is not None:
         yield f"ended early: {report.ended_early}"
-    known = "nothing is known to be missing" if report.complete else "the bag is not complete"
-    yield f"wrote {report.messages} messages to {report.output}; {known}"
+    verdict = "nothing is known to be missing" if report.complete else "the bag is not complete"
+    yield f"wrote {report.messages} messages to {report.output}; {verdict}"
 
 
 def _said(word: str, numbers: Sequence[int]) -> str:

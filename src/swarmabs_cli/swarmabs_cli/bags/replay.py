@@ -20,9 +20,7 @@ from swarmabs_core.errors import InputError
 from swarmabs_run.ending import end_asked
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from typing import Any
-
+    from swarmabs_analysis.replay.answers import Comparison
     from swarmabs_core.nodes import NodeName
 
 _POSITIVE = Number(0.0, min_open=True, max=1e6)
@@ -88,17 +86,17 @@ def replay(
             for command in commands:
                 click.echo(f"  {command}", err=True)
         count = play(recorded, playable, pace, answers=answers, wait=wait, asked_to_end=asked)
-    result = {} if answers is None else answers.to_dict()
+    result = None if answers is None else answers.to_dict()
     if as_json:
-        print_json({"bag": str(recorded.path), "topics": names, "messages": count, **result})
+        print_json({"bag": str(recorded.path), "topics": names, "messages": count, **(result or {})})
     else:
         click.echo(f"{count} messages published")
-        if result:
+        if result is not None:
             _print_result(result)
-    return 1 if expect_same and not result["same"] else 0
+    return 1 if result is not None and expect_same and not result["same"] else 0
 
 
-def _print_result(result: Mapping[str, Any]) -> None:
+def _print_result(result: Comparison) -> None:
     """Print how the answers of the nodes under test differ from the recording."""
     compared = f"{', '.join(result['nodes'])}: {result['compared']} messages compared with the recording"
     first = result["first_difference"]

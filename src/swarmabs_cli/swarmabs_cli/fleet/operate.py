@@ -182,14 +182,14 @@ def drain(swarm: Path, robot: int, patience: float) -> None:
     The robot stops; the observer no longer counts its weight as on the plane.
     """
     done = f"robot {robot} has stopped and counts as off the plane"
-    _call(swarm, lambda found: f"{found.robot(robot)}/leave", patience, done)
+    _call(swarm, lambda operated: f"{operated.robot(robot)}/leave", patience, done)
 
 
 @click.command(epilog=examples("join runs/pd_het_4-001 2"))
 @of_robot
 def join(swarm: Path, robot: int, patience: float) -> None:
     """Return a drained robot to service."""
-    _call(swarm, lambda found: f"{found.robot(robot)}/join", patience, f"robot {robot} takes part again")
+    _call(swarm, lambda operated: f"{operated.robot(robot)}/join", patience, f"robot {robot} takes part again")
 
 
 def _call(swarm: Path, service: Callable[[Target], str], patience: float, done: str) -> None:

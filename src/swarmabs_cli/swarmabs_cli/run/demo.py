@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import click
 
 from swarmabs_cli.options import WholeNumber, examples, output_option
-from swarmabs_cli.run.run import PAGE_OPTIONS, run
+from swarmabs_cli.run.run import run
 from swarmabs_run.ending import end_grace
 from swarmabs_run.orchestration.launcher_process import LauncherProcess
+
+if TYPE_CHECKING:
+    from swarmabs_cli.launched import Parameters
 
 
 class Show(NamedTuple):
@@ -63,7 +66,7 @@ def demo(robots: str, minutes: int, output: Path | None, *, no_browser: bool) ->
     show = SHOWS[robots]
     number = 0
 
-    def following(request: str | None) -> dict[str, Any]:
+    def following(request: str | None) -> tuple[Parameters, bool]:
         nonlocal number
         number += 1
         beside = request == "restart_beside"
@@ -73,9 +76,9 @@ def demo(robots: str, minutes: int, output: Path | None, *, no_browser: bool) ->
             words += ["--set", f"{name}={value}"]
         if output is not None:
             words += ["-o", str(output if number == 1 else output.with_name(f"{output.name}-{number}"))]
-        options = run.make_context(run.name, words).params
+        options = cast("Parameters", run.make_context(run.name, words).params)
         # Beside the curve the run waits to be resumed, because a page needs longer to show it than the swarm to return.
-        return {name: value for name, value in options.items() if name not in PAGE_OPTIONS} | {"paused": beside}
+        return options, beside
 
     with LauncherProcess("lockstep") as launcher:
         from swarmabs_cli.launched import run_scenarios  # noqa: PLC0415 - loaded while the launcher loads the nodes

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,10 +11,13 @@ from swarmabs_core.errors import InputError
 from swarmabs_run.ending import end_grace
 from swarmabs_run.orchestration.launcher_process import LauncherProcess
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from swarmabs_cli.launched import Parameters
+
 FOXGLOVE_PORT = 8765
 """The default port of Foxglove."""
-PAGE_OPTIONS = ("view", "view_port", "open_browser")
-"""The parameters that concern the page."""
 
 
 @click.command(
@@ -53,7 +56,7 @@ PAGE_OPTIONS = ("view", "view_port", "open_browser")
     show_default=True,
     help="With --foxglove: TCP port.",
 )
-def run(**options: Any) -> int:
+def run(**options: Unpack[Parameters]) -> int:
     """Run a scenario with one process per robot over DDS.
 
     SCENARIO is a built-in scenario (see `scenario list`), by default pd_het_4, a YAML file, or a bag, whose scenario is
@@ -79,4 +82,4 @@ def run(**options: Any) -> int:
     with LauncherProcess("realtime" if options["realtime"] else "lockstep") as launcher:
         from swarmabs_cli.launched import run_scenario  # noqa: PLC0415 - loaded while the launcher loads the nodes
 
-        return run_scenario(launcher, **options)
+        return run_scenario(launcher, options)

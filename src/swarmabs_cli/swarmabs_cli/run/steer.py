@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 from swarmabs_cli.options import examples, json_option, run_argument
 from swarmabs_cli.output import print_json
 from swarmabs_core.errors import InputError
-from swarmabs_run.steering.client import SteeringClient
+from swarmabs_run.steering.client import Answer, SteeringClient
 
 NUMBERS = ("reference", "disturbance", "push")
 BARE = ("pause", "resume", "restart", "restart_beside", "status")
@@ -51,7 +50,7 @@ def steer(run: Path, action: str, value: str | None, *, as_json: bool) -> int:
     return 0
 
 
-def _argument(action: str, value: str | None) -> dict[str, Any]:
+def _argument(action: str, value: str | None) -> dict[str, float]:
     if action in BARE:
         if value is not None:
             raise InputError(f"{action} takes no value; remove {value!r}")
@@ -63,18 +62,18 @@ def _argument(action: str, value: str | None) -> dict[str, Any]:
         return {"value": float(value or "")}
     except ValueError:
         wanted = "the id of a robot, e.g. 3" if of_robot else "a number, e.g. 0.1"
-        found = "found none" if value is None else f"found {value!r}"
-        raise InputError(f"{action}: expected {wanted}, {found}; give one") from None
+        given = "none" if value is None else repr(value)
+        raise InputError(f"{action}: expected {wanted}, found {given}; give one") from None
 
 
-def _told(action: str, answer: dict[str, Any]) -> str:
+def _told(action: str, answer: Answer) -> str:
     if action in BARE:
         done = {"pause": "paused", "resume": "resumed"}.get(action, "ends, to start again")
         return f"{done} at step {answer['step']}, t = {answer['time']:g} s"
     return f"applies from step {answer['step']}, t = {answer['time']:g} s"
 
 
-def _status(answer: dict[str, Any]) -> str:
+def _status(answer: Answer) -> str:
     def ids(name: str) -> str:
         return ", ".join(map(str, answer[name])) or "none"
 
