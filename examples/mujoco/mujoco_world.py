@@ -207,7 +207,8 @@ def _plank(spec: Any, plank: Plank, physics: Physics, lanes: int) -> Any:
 def _slider(plank: Any, chassis: Chassis, across: float) -> None:
     number = chassis.robot.id
     body = plank.add_body(name=f"robot_{number}", pos=[0.0, across, chassis.height], explicitinertial=True)
-    body.mass, body.inertia = chassis.mass, [1e-12] * 3
+    # Without a place of its own, a centre of mass has that of the body once more.
+    body.mass, body.inertia, body.ipos = chassis.mass, [1e-12] * 3, [0.0, 0.0, 0.0]
     body.add_joint(name=f"slide_{number}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0])
 
 

@@ -21,14 +21,20 @@ def robot_of(example: dict[str, Any], agent: Any) -> Any:
     return example["mujoco_world"].Robot(agent.id, forced, agent.mass, agent.damping, agent.position)
 
 
-def test_sliders_move_the_plank_as_the_robots_of_the_paper_move_the_plane(example: dict[str, Any]) -> None:
+@pytest.mark.parametrize(("height", "duration"), [(0.0, 10), (0.01, 5), (0.03, 5)])
+def test_sliders_move_the_plank_as_the_robots_of_the_paper_move_the_plane(
+    example: dict[str, Any], height: float, duration: float
+) -> None:
+    """Also with all masses above the axis; the velocities of single integrators jump every 10 ms."""
     world = example["mujoco_world"]
-    scenario = builtin("pd_het_4", "duration=10")
+    raised = [f"swarm.agents.{n}.center_height={height}" for n in range(4)]
+    plane = f"plane={{mass: 2.0, center_height: {-2.0 * height}}}"
+    scenario = builtin("pd_het_4", f"duration={duration}", *raised, plane)
     arrays, period = simulate(scenario), scenario.period
     bodies = [
-        world.Chassis(robot_of(example, agent), agent.mass, height=0.0, base="slider") for agent in scenario.agents
+        world.Chassis(robot_of(example, agent), agent.mass, height=height, base="slider") for agent in scenario.agents
     ]
-    plank = world.Plank(scenario.plane.inertia, scenario.plane.length)
+    plank = world.Plank(scenario.plane.inertia, scenario.plane.length, 2.0, -2.0 * height)
     physics = world.Physics(timestep=0.0005)
     friction = tuple(scenario.plane.friction)
     sliders = example["mujoco_sliders"].Sliders(bodies, plank, physics, friction, scenario.plane.angle)

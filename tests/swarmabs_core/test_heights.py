@@ -12,10 +12,13 @@ from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
-from tests.swarmabs_core.helpers import PERIOD_NS, agent_state
+from tests.swarmabs_core.helpers import PERIOD_NS, agent_state, builtin
 
+from swarmabs_config import configure
+from swarmabs_config.theory import check_scenario, setting
 from swarmabs_core import plant
 from swarmabs_core.behaviours import Parent
+from swarmabs_core.controllers import Arise
 from swarmabs_core.elementary import cos, sin, sin_cos, tanh
 from swarmabs_core.elementary_arrays import elementwise
 from swarmabs_core.heights import CenterHeights
@@ -25,6 +28,8 @@ from swarmabs_core.models import PlaneConfig
 from swarmabs_core.parameters import SettingError
 from swarmabs_core.plant import HeightLoad, SwarmLoad
 from swarmabs_core.realtime.plane import PlaneMotion, RealtimePlaneConfig
+from swarmabs_core.theory.arise import error_gradient, reference_bounds
+from swarmabs_run.simulation import simulate
 
 sympy = pytest.importorskip("sympy")
 
@@ -315,3 +320,116 @@ def test_an_infinite_motion_ends_as_ever() -> None:
     load = replace(load_of(MOVERS, 0.2), height=HeightLoad(0.0, 0.0, (inf, 0.0), 0.0))
     with pytest.raises(plant.RunError, match="not finite"):
         plant.PlaneDynamics(plane(), 0.2).advance(0.1, 0.0, 0.0, load)
+
+
+def test_the_compensation_holds_the_weight_under_every_law() -> None:
+    """At rest the swarm then needs g H tan th more than the law alone asks for, with and without an offset."""
+    raised = (*(f"swarm.agents.{n}.center_height={0.02 * n}" for n in range(4)), "plane={mass: 2, center_height: 0.05}")
+    for controller in ("{type: pd}", "{type: lqr}", "{type: arise, trajectory: {type: constant, angle: 0.1}}"):
+        scenario = builtin("pd_het_4", *raised, f"controller={controller}")
+        masses = {agent.id: agent.mass for agent in scenario.agents}
+        moment = sum(mass * 0.02 * (number - 1) for number, mass in masses.items()) + 0.1
+        for offset in (0.0, 0.05):
+            asked = []
+            for changed in ("false", "true"):
+                compensating = builtin("pd_het_4", *raised, f"controller={controller}", COMPENSATION.format(changed))
+                generator = configure.controller_config(compensating, recording_window=0).desired_states()
+                desired = generator.advance(0, PlaneState(0, 0, 0.3, 0.2), offset=offset)[1]
+                asked.append(desired.torque)
+            assert asked[1] - asked[0] == pytest.approx(G * moment * np.tan(0.3), rel=1e-12)
+
+
+COMPENSATION = "controller.height_compensation={}"
+
+
+@pytest.mark.parametrize("compensated", ["false", "true"])
+def test_an_offset_is_reached_with_compensation_and_missed_by_the_weight_without(compensated: str) -> None:
+    """PD without Coulomb friction at rest: k1 (th - offset) cos th = g H sin th."""
+    options = [f"swarm.agents.{n}.center_height=0.03" for n in range(4)]
+    options += ["plane={friction: [0, 1, 1, 0, 1, 1], mass: 1, center_height: 0.03}", "duration=40"]
+    options += ["faults=[{at: 0.1, kind: reference, offset: 0.1}]", COMPENSATION.format(compensated)]
+    scenario = builtin("pd_si_4", *options)
+    run = simulate(scenario)
+    weight = G * 0.03 * (1.0 + sum(agent.mass for agent in scenario.agents))
+    angle = 0.1
+    for _ in range(100):
+        angle = 0.1 + (weight * np.tan(angle) / 3.1623 if compensated == "false" else 0.0)
+    assert run.angle[-1] == pytest.approx(angle, abs=1e-6)
+    assert run.abstract.torque[-1] == pytest.approx(weight * np.tan(angle), abs=1e-5)
+
+
+def test_arise_absorbs_a_weight_that_it_does_not_know() -> None:
+    options = [f"swarm.agents.{n}.center_height=0.03" for n in range(4)]
+    options += ["plane={friction: [0, 1, 1, 0, 1, 1]}", "controller.trajectory={type: constant, angle: 0.1}"]
+    scenario = builtin("arise_si_4", "duration=60", "plane.disturbance.amplitude=0", *options)
+    run = simulate(scenario)
+    assert run.angle[-1] == pytest.approx(0.1, abs=1e-6)
+    weight = G * 0.03 * sum(agent.mass for agent in scenario.agents)
+    assert run.abstract.torque[-1] == pytest.approx(weight * np.tan(0.1), abs=1e-5)
+
+
+def failed(*options: str) -> set[str]:
+    return {condition.name for _, condition in check_scenario(builtin("pd_si_4", *options)).failed}
+
+
+def test_check_compares_the_gain_with_the_weight_and_the_reaction_with_the_bandwidth() -> None:
+    """k1 th cot th is 3.12 N m at 0.2 rad; a weight of the plane alone does not react."""
+
+    def weight(newton_metres: float) -> str:
+        return f"plane={{mass: 1, inertia: 0.5, center_height: {newton_metres / 9.81}}}"
+
+    assert "k1, heights" not in failed(weight(3.11))
+    assert "k1, heights" in failed(weight(3.13))
+    assert failed(weight(-3.0)) == set()
+    assert not {"k1, heights", "heights, torque"} & failed(weight(3.13), COMPENSATION.format("true"))
+    assert "heights, torque" in failed(weight(3.13), COMPENSATION.format("true"), "manifold.torque_max=0.6")
+    assert not any("heights" in condition.name for condition in conditions())
+    with pytest.raises(plant.RunError, match="angle is"):
+        simulate(builtin("pd_si_4", weight(4.5), "plane.friction=[0, 1, 1, 0, 1, 1]"))
+
+
+def conditions(*options: str) -> list[Any]:
+    report = check_scenario(builtin("pd_si_4", *options))
+    return [condition for theorem in report.groups for condition in theorem.conditions]
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.05])
+def test_the_bandwidth_is_where_the_reaction_feeds_itself(lag: float) -> None:
+    """The roots of (s + 50)^2 (T s + 1) = (h k2/(g I)) 2500 s by NumPy, just below and above the limit."""
+    raised = [f"swarm.agents.{n}.center_height=0.05" for n in range(4)]
+    (reaction,) = [c for c in conditions(*raised, f"swarm.actuator_lag={lag}") if c.name == "heights, reaction"]
+    inputs = reaction.inputs
+    gain = inputs["height"] * inputs["k2"] / (9.81 * inputs["inertia"])
+    assert inputs["height"] == pytest.approx(0.05, rel=1e-12)
+    assert reaction.corrected.value == pytest.approx(gain * inputs["bandwidth"])
+    for factor, stable in ((0.999, True), (1.001, False)):
+        loop = np.polymul([1.0, 100.0, 2500.0], [lag, 1.0] if lag else [1.0])
+        roots = np.roots(np.polysub(loop, [2500.0 * factor / inputs["bandwidth"], 0.0]))
+        assert bool((roots.real < 0.0).all()) == stable
+
+
+def test_the_reacting_height_is_that_of_the_robots_that_carry_the_change_of_the_torque() -> None:
+    """By the pseudo-inverse of the Jacobian (g m_i, 2 m_i p_i): sum m h v for a unit rate of the torque, times g."""
+    values = {"center_height": (0.1, 0.07, 0.04, 0.01), "position": (0.2, 0.09, -0.02, -0.13)}
+    options = [f"swarm.agents.{n}.{key}={value}" for key, four in values.items() for n, value in enumerate(four)]
+    scenario = builtin("pd_si_4", *options)
+    mass, place, height = (
+        np.array([getattr(agent, name) for agent in scenario.agents]) for name in ("mass", "position", "center_height")
+    )
+    row = np.linalg.pinv(np.array([9.81 * mass, 2.0 * mass * place]))[:, 0]
+    assert setting(scenario).reacting_height == pytest.approx(9.81 * float(mass * height @ row), rel=1e-10)
+
+
+def test_arise_sees_the_weight_as_a_disturbance_along_the_reference() -> None:
+    assert np.subtract(error_gradient(0.5, 24.0, 1.5, 2.0, 3.0), error_gradient(0.5, 24.0, 1.5, 2.0)) == pytest.approx(
+        [-1.5 * 3.0, 3.0, 0.0]
+    )
+    plain, raised = (
+        setting(builtin("arise_si_4", "duration=20", f"plane={{mass: 1, center_height: {height}}}"))
+        for height in (0, 0.1)
+    )
+    level, above = (reference_bounds(each, each.law) for each in (plain, raised))  # type: ignore[arg-type]
+    assert isinstance(raised.law, Arise)
+    times = np.linspace(0.0, 20.0, 20001)
+    angle, rate = np.array([raised.law.trajectory.derivatives(t)[:2] for t in times.tolist()]).T
+    assert 0.0 < above.corrected - level.corrected <= 0.981 * np.abs(np.cos(angle) * rate).max() * 1.01

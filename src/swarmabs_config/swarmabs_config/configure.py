@@ -36,6 +36,7 @@ from swarmabs_core.models import (
 )
 from swarmabs_core.settings import LifeSpan, Run
 from swarmabs_core.steering import DISTURBANCE, REFERENCE, OffsetReference, StepChange, StepSchedule
+from swarmabs_core.summation import exact_sum
 from swarmabs_core.swarm_law import LAWS
 from swarmabs_core.systems.check import constants_of
 from swarmabs_core.systems.interface import SYSTEMS
@@ -274,8 +275,16 @@ def parent_config(scenario: Scenario) -> PlaneConfig | SystemParentConfig:
 
 def parent_law(scenario: PlaneScenario) -> ParentLaw:
     """Return the plane's control law by name, with its settings and the plane it controls."""
-    plane = scenario.plane
-    return ParentLaw(scenario.controller.type, controller_settings(scenario), plane.inertia, plane.friction)
+    plane, controller = scenario.plane, scenario.controller
+    moment = exact_sum([plane.moment, *(agent.mass * agent.center_height for agent in scenario.agents)])
+    return ParentLaw(
+        controller.type,
+        controller_settings(scenario),
+        plane.inertia,
+        plane.friction,
+        controller.height_compensation,
+        moment,
+    )
 
 
 @overload

@@ -87,6 +87,8 @@ def setting(scenario: PlaneScenario, angle_max: float = ANGLE_MAX) -> Setting:
         robots=configure.agent_configs(scenario),
         duration=scenario.duration,
         delay=_delay(scenario),
+        heights={agent.id: agent.center_height for agent in scenario.agents},
+        compensated=configure.parent_law(scenario).compensated,
         faulty=bool(scenario.faults),
         angle_max=angle_max,
     )

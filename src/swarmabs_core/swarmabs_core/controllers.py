@@ -293,6 +293,21 @@ class ParentLaw:
     controller_settings: Settings = field(default_factory=dict, hash=False)
     inertia: float = same(Plane, "inertia", name="plane.inertia")
     friction: Friction = same(Plane, "friction", name="plane.friction")
+    height_compensation: bool = setting(
+        default=False,
+        description="whether g H tan(th) is added to the torque of the law, against the weight above the axis",
+    )
+    moment: float = setting(
+        0.0,
+        "first moment H of the masses above the axis, sum m h of robots and plane",
+        unit="kg m",
+        name="plane.moment",
+    )
+
+    @property
+    def compensated(self) -> float:
+        """The first moment H (kg m) whose weight is compensated."""
+        return self.moment if self.height_compensation else 0.0
 
     def make(self, period: float, manifold: Manifold) -> ParentController:
         """Return the law in its initial state, for a control period (s) and the manifold of the swarm."""

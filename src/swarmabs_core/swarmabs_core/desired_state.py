@@ -6,7 +6,7 @@ from math import isfinite, sqrt
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from swarmabs_core.controllers import OffsetController
-from swarmabs_core.elementary import exp
+from swarmabs_core.elementary import exp, sin_cos
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.events import EventCode
 from swarmabs_core.manifold import Load
@@ -62,10 +62,20 @@ class CommandFilter:
 
 
 class SwarmOnPlane(NamedTuple):
-    """What the desired state allows for of the swarm: gravity (m/s^2) and the gains of the robots' laws."""
+    """What the desired state allows for of the swarm: gravity (m/s^2) and the gains of the robots' laws.
+
+    `compensated` is the first moment H (kg m) whose weight the desired torque compensates.
+    """
 
     gravity: float
     gains: SwarmGains
+    compensated: float = 0.0
+
+
+def tipping(weight: float, angle: float) -> float:
+    """Return the torque g H tan(th), N m, that holds a weight g H (N m) above the axis at an angle (rad)."""
+    sine, cosine = sin_cos(angle)
+    return weight * sine / cosine
 
 
 class DesiredStateGenerator:
@@ -73,7 +83,8 @@ class DesiredStateGenerator:
 
     def __init__(self, period_ns: int, manifold: Manifold, law: ParentController, plane: SwarmOnPlane) -> None:
         self._manifold = manifold
-        self._gravity, self._gains = plane
+        self._gravity, self._gains, compensated = plane
+        self._weight = plane.gravity * compensated
         self._curve = manifold.curve
         self._divided: StandingState | None = None
         self._known: tuple[object, ...] = ()
@@ -250,6 +261,11 @@ class DesiredStateGenerator:
         )
 
     def _torque(self, time: float, plane: PlaneState, offset: float) -> float:
+        """Return the torque of the law, with the compensation of heights."""
+        torque = self._of_law(time, plane, offset)
+        return torque + tipping(self._weight, plane.angle) if self._weight else torque
+
+    def _of_law(self, time: float, plane: PlaneState, offset: float) -> float:
         if not offset:
             return self._law.torque(time, plane)
         if not isinstance(self._law, OffsetController):

@@ -48,19 +48,36 @@ def test_loops_without_a_limit_or_without_any_stable_period_are_told() -> None:
     assert sampled_data.largest_delay(sampled_data.single_integrator_loop(10.0), 0.01) == 15
 
 
-@pytest.mark.parametrize(("controller", "kind"), [("pd", "di"), ("arise", "si")])
-def test_runs_converge_below_and_diverge_above_the_limit(controller: str, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("controller", "kind", "height", "compensated"),
+    [
+        ("pd", "di", 0.0, "false"),
+        ("arise", "si", 0.0, "false"),
+        ("pd", "di", 0.03, "false"),
+        ("arise", "si", 0.02, "true"),
+    ],
+)
+def test_runs_converge_below_and_diverge_above_the_limit(
+    controller: str, kind: str, height: float, compensated: str
+) -> None:
     """Simulate the whole system near rest, with linear friction and robots without damping."""
     delay = 4
     swarm = (10.0, None) if kind == "si" else (10.0, 5.0)
     # Of ARISE (ks + 1) (alpha1, 1) and ((ks + 1) alpha2 + beta/smoothing) (alpha1, 1).
     feedback, integral = ((3.1623, 3.2859), (0.0, 0.0)) if controller == "pd" else ((2.0, 2.0), (62 / 3, 62 / 3))
-    limit = sampled_data.largest_period(sampled_data.parent_loop(0.525, 1.0, feedback, integral, swarm), delay)
-    robot = {"kind": "single_integrator"} if kind == "si" else {"kind": "double_integrator", "damping": 0.0}
+    weight, inertia = 9.81 * (4 * 0.5 * height + 2.0 * height), 0.525 + 4 * 0.5 * height**2
+    feedback = feedback[0] + weight * (compensated == "true"), feedback[1]
+    loop = sampled_data.parent_loop(inertia, 1.0, feedback, integral, swarm, (weight, height / 9.81))
+    limit = sampled_data.largest_period(loop, delay)
+    robot: dict[str, object] = (
+        {"kind": "single_integrator"} if kind == "si" else {"kind": "double_integrator", "damping": 0.0}
+    )
     positions = (0.0125**0.5, -(0.0125**0.5)) * 2
+    robot["center_height"] = height
     robots = [{"id": number, "mass": 0.5, "position": p, **robot} for number, p in enumerate(positions, start=1)]
     common = [
-        "plane={angle: 1.0e-7, friction: [0, 1000, 700, 0, 1000, 1]}",
+        f"plane={{angle: 1.0e-7, friction: [0, 1000, 700, 0, 1000, 1], mass: 2.0, center_height: {height}}}",
+        f"controller.height_compensation={compensated}",
         f"faults=[{{kind: delay, steps: {delay}}}]",
         f"swarm={{agents: {json.dumps(robots)}, gains: {{ksd: 0.0}}}}",
         *(["controller.trajectory={type: constant, angle: 0.0}"] if controller == "arise" else []),

@@ -1,6 +1,6 @@
 """The regions of attraction of state feedback, the paper's and the proven one, by hand; V falls within the latter."""
 
-from math import cos, inf, pi, sqrt
+from math import cos, inf, pi, sin, sqrt, tan
 
 import numpy as np
 import pytest
@@ -36,37 +36,50 @@ K1, K2 = 3.1623, 3.2859
 LOOP = Loop(K1, K2, 0.5, FRICTION, MANIFOLD, first_order((10.0, 10.0)))
 
 
-def state_derivative(state: np.ndarray[tuple[int], np.dtype[np.float64]]) -> tuple[float, ...]:
-    """Return w, w', e_tau', e_J' and J_s' of the loop without limit and filter."""
+def state_derivative(state: np.ndarray[tuple[int], np.dtype[np.float64]], loop: Loop) -> tuple[float, ...]:
+    """Return w, w', e_tau', e_J', J_s' and tau_d of the loop without limit and filter."""
     angle, w, e_torque, e_inertia = state.tolist()
-    wanted = K1 * angle + K2 * w
+    wanted = K1 * angle + K2 * w + loop.compensated * tan(angle)
+    k1 = K1 + loop.compensated / cos(angle) ** 2
     inertia = 0.0125 * wanted**2 + 0.025 - e_inertia
     # J_s' = 2 A tau_d (k1 w + k2 w') + K e_J, and (J + J_s) w' = rest - J_s' w: two linear equations.
     slope = 0.025 * wanted
-    rest = -cos(angle) * (wanted - e_torque) - FRICTION.torque(w)
+    rest = -cos(angle) * (wanted - e_torque) - FRICTION.torque(w) + (loop.weight + loop.compensated) * sin(angle)
     matrix = [[1.0, -slope * K2], [w, 0.5 + inertia]]
-    inertia_rate, acceleration = np.linalg.solve(matrix, [slope * K1 * w + 10.0 * e_inertia, rest]).tolist()
-    return w, acceleration, -10.0 * e_torque, -10.0 * e_inertia, inertia_rate
+    inertia_rate, acceleration = np.linalg.solve(matrix, [slope * k1 * w + 10.0 * e_inertia, rest]).tolist()
+    return w, acceleration, -10.0 * e_torque, -10.0 * e_inertia, inertia_rate, wanted
 
 
-def test_lyapunov_function_falls_everywhere_in_the_set() -> None:
-    found = level_set(LOOP, 0.2)
+@pytest.mark.parametrize("weights", [(0.0, 0.0), (1.2, 0.0), (-1.0, 0.0), (0.0, 2.0), (0.5, -1.0)])
+def test_lyapunov_function_falls_everywhere_in_the_set(weights: tuple[float, float]) -> None:
+    """Also with a plane above its axis, partly compensated: (g H that is not, g H that is)."""
+    loop = LOOP._replace(weight=weights[0], compensated=weights[1])
+    found = level_set(loop, 0.2)
     draw = np.random.default_rng(1)
     inside = 0
     for _ in range(1500):
         state = draw.uniform(-1.0, 1.0, 4) * (0.2, found.rate, *[sqrt(2.0 * found.level / found.weight)] * 2)
         angle, w, e_torque, e_inertia = state.tolist()
-        inertia = 0.5 + 0.0125 * (K1 * angle + K2 * w) ** 2 + 0.025 - e_inertia
-        energy = K1 * potential(angle) + inertia * w * w / 2.0 + found.weight * (e_torque**2 + e_inertia**2) / 2.0
+        _, acceleration, de_torque, de_inertia, inertia_rate, wanted = state_derivative(state, loop)
+        inertia = 0.5 + 0.0125 * wanted**2 + 0.025 - e_inertia
+        energy = (
+            K1 * potential(angle)
+            - loop.weight * (1.0 - cos(angle))
+            + inertia * w * w / 2.0
+            + found.weight * (e_torque**2 + e_inertia**2) / 2.0
+        )
         if inertia < 0.5 or energy > found.level:
             continue
         inside += 1
-        _, acceleration, de_torque, de_inertia, inertia_rate = state_derivative(state)
-        falls = K1 * angle * cos(angle) * w + inertia * w * acceleration + inertia_rate * w * w / 2.0
+        falls = (
+            (K1 * angle * cos(angle) - loop.weight * sin(angle)) * w
+            + inertia * w * acceleration
+            + inertia_rate * w * w / 2.0
+        )
         falls += found.weight * (e_torque * de_torque + e_inertia * de_inertia)
         assert falls < 0.0
         assert abs(inertia_rate) <= found.inertia_rate
-        assert abs(K1 * angle + K2 * w) <= found.torque * (1.0 + 1e-6)
+        assert abs(wanted) <= found.torque * (1.0 + 1e-6)
     assert inside > 100
     found = level_set(Loop(K1, -2.0, 0.5, FRICTION, MANIFOLD, first_order((10.0, 10.0))), 0.2)
     assert found.damping < 0.0

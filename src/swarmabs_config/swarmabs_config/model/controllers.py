@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar, cast
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from swarmabs_core.controllers import ARISE, CONTROLLERS, LQR, PD, TRAJECTORY
+from swarmabs_core.controllers import ARISE, CONTROLLERS, LQR, PD, TRAJECTORY, ParentLaw
 from swarmabs_core.declaration import LONGEST_TIME, tree_of
 from swarmabs_core.parameters import Settings, Value
 from swarmabs_core.plant import STEEPEST
@@ -21,7 +21,7 @@ from swarmabs_core.swarm_law import LAWS, PAPER
 from swarmabs_core.systems.interface import SYSTEMS
 from swarmabs_core.trajectory import SHORTEST, Constant, QuinticSpline, QuinticStep, Sine
 
-from .declared import model_of, model_of_table
+from .declared import Like, like, model_of, model_of_table
 from .fields import (
     AsTuple,
     Finding,
@@ -105,10 +105,14 @@ TRAJECTORY_CONFIGS: dict[str, type[Model]] = {
 """The model of each ``trajectory.type``."""
 
 
+HeightCompensation: TypeAlias = Annotated[bool, Like(ParentLaw, "height_compensation")]
+
+
 class ControllerConfig(Model):
     """Base of the parent controllers' configurations."""
 
     type: str = Field(description="name of the parent controller")
+    height_compensation: HeightCompensation = like(ParentLaw, "height_compensation")
 
     @classmethod
     def unknown_key(cls, key: str) -> PydanticCustomError:
@@ -177,7 +181,7 @@ SYSTEM_CONFIGS: Mapping[str, type[Model]] = _Configs(SYSTEMS, SystemConfig)
 
 
 def settings_of(part: BaseModel) -> Settings:
-    """Return the settings of a controller, law or system, nested names joined by dots."""
+    """Return the settings that a controller, law or system declares, nested names joined by dots."""
     settings: dict[str, Value] = {}
 
     def flatten(prefix: str, values: Mapping[str, object]) -> None:
@@ -187,7 +191,7 @@ def settings_of(part: BaseModel) -> Settings:
             else:
                 settings[prefix + key] = cast("Value", value)
 
-    flatten("", part.model_dump(exclude={"type"}, by_alias=True))
+    flatten("", part.model_dump(exclude={"type", "height_compensation"}, by_alias=True))
     return settings
 
 

@@ -103,7 +103,9 @@ class ControllerConfig(model.ControllerConfig):
     def desired_states(self, law: ParentController | None = None) -> DesiredStateGenerator:
         """Return what generates the desired abstract state, by default with the configured law."""
         law = law or self.law.make(self.period_ns / 1e9, self.manifold)
-        return DesiredStateGenerator(self.period_ns, self.manifold, law, SwarmOnPlane(self.gravity, self.gains))
+        return DesiredStateGenerator(
+            self.period_ns, self.manifold, law, SwarmOnPlane(self.gravity, self.gains, self.law.compensated)
+        )
 
 
 @dataclass(frozen=True)

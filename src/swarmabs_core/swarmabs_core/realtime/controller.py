@@ -73,7 +73,7 @@ class RealtimeControllerConfig:
     def generator(self, law: ParentController) -> DesiredStateGenerator:
         """Return what generates the desired abstract state with a law."""
         return DesiredStateGenerator(
-            self.schedule.period_ns, self.manifold, law, SwarmOnPlane(self.gravity, self.gains)
+            self.schedule.period_ns, self.manifold, law, SwarmOnPlane(self.gravity, self.gains, self.law.compensated)
         )
 
 

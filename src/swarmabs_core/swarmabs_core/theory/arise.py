@@ -16,7 +16,7 @@ Completing the square gives :math:`k_s > c_{max}^2/(4 \eta_3)`; the theorem prin
 
 from __future__ import annotations
 
-from math import cos, hypot, inf, sqrt
+from math import cos, hypot, inf, sin, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -57,11 +57,12 @@ def reference_bounds(setting: Setting, law: Arise) -> Reference:
     angle, w, dw, ddw = (
         np.array(values) for values in list(zip(*map(law.trajectory.derivatives, times.tolist()), strict=True))[:4]
     )
-    disturbance = setting.plane.disturbance.torque(times, np.sin)
+    disturbance = setting.plane.disturbance.torque(times, np.sin) - setting.weight * np.sin(angle)
+    needed = disturbance - setting.compensated_weight * np.sin(angle)
     friction = setting.plane.friction.torque(w, np.tanh)
     inertia = np.full_like(times, setting.manifold.offset)
     for _ in range(5):  # fixed-point iteration: the torque depends weakly on its inertia
-        torque = -((setting.plane.inertia + inertia) * dw + friction + disturbance) / np.cos(angle)
+        torque = -((setting.body_inertia + inertia) * dw + friction + needed) / np.cos(angle)
         inertia = setting.manifold.curvature * torque**2 + setting.manifold.offset
 
     def rate(values: Array) -> Array:
@@ -86,15 +87,17 @@ def reference_bounds(setting: Setting, law: Arise) -> Reference:
     )
 
 
-def error_gradient(inertia: float, slope: float, alpha1: float, alpha2: float) -> tuple[float, float, float]:
-    """Return the derivatives of N~ by e1, e2 and r for a reference at rest and constant inertia J + J_s (kg m^2).
+def error_gradient(
+    inertia: float, slope: float, alpha1: float, alpha2: float, weight: float = 0.0
+) -> tuple[float, float, float]:
+    """Return the derivatives of N~ by e1, e2 and r for a reference at rest at 0 and constant inertia J + J_s (kg m^2).
 
-    `slope` is that of the friction (N m s/rad); the alphas are in 1/s.
+    `slope` is that of the friction (N m s/rad); the alphas are in 1/s; `weight` is g H of masses above the axis (N m).
     """
     both = alpha1 + alpha2
     return (
-        alpha1**2 * (inertia * alpha1 - slope),
-        1.0 - inertia * (alpha1 * both + alpha2**2) + slope * both,
+        alpha1**2 * (inertia * alpha1 - slope) - alpha1 * weight,
+        1.0 - inertia * (alpha1 * both + alpha2**2) + slope * both + weight,
         inertia * both - slope,
     )
 
@@ -118,11 +121,11 @@ def check_arise(setting: Setting) -> ParentCheck | None:
     law = setting.law
     if not isinstance(law, Arise):
         return None
-    g, manifold, inertia = law.gains, setting.manifold, setting.plane.inertia
+    g, manifold, inertia = law.gains, setting.manifold, setting.body_inertia
     bounds = reference_bounds(setting, law)
     slope = setting.plane.friction.slope_at_rest()
     eta3 = min(2.0 * g.alpha1 - 1.0, g.alpha2 - 1.0, 1.0)
-    gradient = error_gradient(inertia + manifold.offset, slope, g.alpha1, g.alpha2)
+    gradient = error_gradient(inertia + manifold.offset, slope, g.alpha1, g.alpha2, setting.weight)
     lemma = printed_bound(inertia, manifold.inertia(manifold.torque_max), slope, g.alpha1, g.alpha2)
     least = max(hypot(*gradient), slope)
     state = _initial_state(setting, law, bounds)
@@ -212,14 +215,15 @@ def _initial_state(setting: Setting, law: Arise, bounds: Reference) -> tuple[flo
         cos(plane.angle) * swarm.torque
         + swarm.inertia_rate * plane.angular_velocity
         + f.torque(plane.angular_velocity)  # without the disturbance, which is 0 at the start
+        - plane.gravity * setting.moment * sin(plane.angle)
     )
     angle, rate, acceleration, _, _ = law.trajectory.derivatives(0.0)
     e1, de1 = angle - plane.angle, rate - plane.angular_velocity
     e2 = de1 + g.alpha1 * e1
-    r = acceleration + opposing / (plane.inertia + swarm.inertia) + g.alpha1 * de1 + g.alpha2 * e2
+    r = acceleration + opposing / (setting.body_inertia + swarm.inertia) + g.alpha1 * de1 + g.alpha2 * e2
     rates = setting.initial_error_rate if setting.has_double else ()
     estimated = (
-        true - guess for true, guess in zip((plane.inertia, f.g1, f.g4, f.g6), g.adaptive_initial, strict=True)
+        true - guess for true, guess in zip((setting.body_inertia, f.g1, f.g4, f.g6), g.adaptive_initial, strict=True)
     )
     p = max(0.0, g.beta * abs(e2) - e2 * bounds.initial)
     return (e1, e2, r, *setting.initial_error, *rates, *estimated, sqrt(p))
@@ -227,7 +231,7 @@ def _initial_state(setting: Setting, law: Arise, bounds: Reference) -> tuple[flo
 
 def _coefficients(setting: Setting, law: Arise) -> tuple[float, float]:
     """Return eta1 and eta2 of the ball S."""
-    inertia, manifold, gamma = setting.plane.inertia, setting.manifold, law.gains.gamma
+    inertia, manifold, gamma = setting.body_inertia, setting.manifold, law.gains.gamma
     smallest = 1.0 / max(gamma) if max(gamma) > 0.0 else inf
     largest = 1.0 / min(gamma) if min(gamma) > 0.0 else inf
     return (

@@ -134,6 +134,11 @@ def _notes(setting: Setting) -> Iterator[str]:
             "with the desired torque and inertia are off the plane (the manifold leaves A_A); reduce torque_max, or "
             "use a longer plane"
         )
+    if any(setting.heights.values()):
+        yield (
+            "heights: the proofs omit the reaction of robots above the axis to their accelerations; the loops of "
+            "sampled time contain it, for the initial positions"
+        )
     if setting.swarm_law != PAPER.name:
         yield f"the conditions of sampled time are those of the paper's law of the swarm, not of {setting.swarm_law}"
     if robot.limits != Limits():

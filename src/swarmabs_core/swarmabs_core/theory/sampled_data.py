@@ -12,6 +12,7 @@ cover large errors, limits of drives, lost broadcasts, or sums in which robots a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from math import tan
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -115,7 +116,12 @@ def added_damping_loop(mass: float, damping: float, ksd: float) -> Loop:
 
 
 def parent_loop(
-    inertia: float, slope: float, feedback: Pair, integral: Pair, swarm: tuple[float, float | None]
+    inertia: float,
+    slope: float,
+    feedback: Pair,
+    integral: Pair,
+    swarm: tuple[float, float | None],
+    heights: Pair = (0.0, 0.0),
 ) -> Loop:
     """Return the loop of plane, parent controller, command filter and swarm, linearised about rest at 0.
 
@@ -125,23 +131,28 @@ def parent_loop(
 
     The inertia I is in kg m^2, the slope c of the friction in N m s/rad. `feedback` is k1 and k2 in N m/rad and
     N m s/rad, `integral` i1 and i2 in these units per s, `swarm` K and None for single integrators, kp and kd for
-    double integrators.
+    double integrators. With masses above the axis, `heights` are their weight g H in N m, which adds g H th, and h/g
+    (s^2), which adds h/g times the second derivative of tau_s; that of single integrators jumps.
     """
     gain, derivative = swarm
     second = derivative is not None
+    weight, reaction = heights[0] / inertia, heights[1] / inertia
     # Plane and swarm: th, w, tau_s and, for double integrators, tau_s'; input: tau_s' or tau_s''.
     order = 4 if second else 3
     continuous = np.zeros((order + 1, order + 1))
     continuous[0, 1] = 1.0
-    continuous[1, 1], continuous[1, 2] = -slope / inertia, -1.0 / inertia
+    continuous[1, :3] = weight, -slope / inertia, -1.0 / inertia
     continuous[2:order, 3 : order + 1] = np.eye(order - 2)
+    if second:
+        continuous[1, order] = reaction
+    jumping = bool(reaction) and not second
     command_filter = np.array([[0.0, 1.0, 0.0], [-(BANDWIDTH**2), -2.0 * BANDWIDTH, BANDWIDTH**2], [0.0, 0.0, 0.0]])
 
     def loop(period: float, delay: int) -> Matrix:
         held = exponential(continuous * period)
         filtered = exponential(command_filter * period)
-        # State: plane and swarm, filter's value and rate, integral.
-        size = order + 3
+        # State: plane and swarm, filter's value and rate, integral, and the last command if the plane feels its jumps.
+        size = order + 3 + jumping
         value, rate, total = order, order + 1, order + 2
         command = np.zeros(size)
         command[0], command[1], command[total] = *feedback, 1.0
@@ -162,6 +173,10 @@ def parent_loop(
             asked[3] += derivative
         entry = np.zeros((size, 1))
         entry[:order, 0] = held[:order, order]
+        if jumping:
+            kick = held[:order, 1] * reaction
+            entry[:order, 0] += kick
+            free[:order, -1], free[-1, -1], entry[-1, 0] = -kick, 0.0, 1.0
         return companion(free, entry, asked[np.newaxis], delay)
 
     return loop
@@ -172,6 +187,40 @@ def sampled_conditions(setting: Setting) -> Iterator[Condition]:
     yield from loop_conditions(_loops(setting), setting.delay, setting.period)
     if setting.has_double:
         yield _added_damping(setting)
+    if setting.raised:
+        yield from _heights(setting)
+
+
+def _heights(setting: Setting) -> Iterator[Condition]:
+    """Yield what masses above the axis require of the torque and of the controller's bandwidth."""
+    needed = setting.plane.gravity * setting.moment * tan(setting.angle_max)
+    largest = setting.manifold.torque_max
+    yield Condition(
+        "heights, torque",
+        None,
+        Form("torque_max > g H tan th_max", largest, needed),
+        {"moment": setting.moment, "angle_max": setting.angle_max, "left": largest - needed},
+        "beyond the angle at which they are equal, no law can stop the plane",
+    )
+    linear = _linear_law(setting)
+    if linear is None:
+        return
+    gain, lag = linear[0][1], setting.robots[0].actuator_lag
+    inertia = setting.body_inertia + setting.manifold.offset
+    # s F(s)/(T s + 1), F the command filter, has the phase 0 where its gain is this; there positive feedback begins.
+    bandwidth = 1.0 / (2.0 / BANDWIDTH + 2.0 * BANDWIDTH * lag * lag / (1.0 + 2.0 * BANDWIDTH * lag))
+    yield Condition(
+        "heights, reaction",
+        None,
+        Form(
+            "bandwidth h k2/(g I) < 1",
+            bandwidth * setting.reacting_height * gain / (setting.plane.gravity * inertia),
+            1.0,
+            "<",
+        ),
+        {"height": setting.reacting_height, "k2": gain, "inertia": inertia, "bandwidth": bandwidth},
+        "robots that accelerate push the plane in the direction that they are to stop",
+    )
 
 
 def loop_conditions(loops: Iterable[tuple[str, Loop, str]], delay: int, step: float) -> Iterator[Condition]:
@@ -198,7 +247,9 @@ def loop_conditions(loops: Iterable[tuple[str, Loop, str]], delay: int, step: fl
 
 def _loops(setting: Setting) -> Iterator[tuple[str, Loop, str]]:
     gains, friction = setting.gains, setting.plane.friction
-    inertia = setting.plane.inertia + setting.manifold.offset
+    inertia = setting.body_inertia + setting.manifold.offset
+    gravity = setting.plane.gravity
+    heights = gravity * setting.moment, setting.reacting_height / gravity if setting.raised else 0.0
     kinds: list[tuple[str, float, float | None]] = []
     if setting.has_single:
         yield "SI errors", single_integrator_loop(max(gains.k)), "e[k+1] = e[k] - K h e[k-n], largest K"
@@ -212,10 +263,11 @@ def _loops(setting: Setting) -> Iterator[tuple[str, Loop, str]]:
     linear = _linear_law(setting)
     if linear is None:
         return
-    feedback, integral, linearised = linear
+    (k1, k2), integral, linearised = linear
+    feedback = k1 + setting.compensated_weight, k2
     for kind, gain, derivative in kinds:
         for where, slope in (("moving", friction.g6), ("at rest", friction.slope_at_rest())):
-            loop = parent_loop(inertia, slope, feedback, integral, (gain, derivative))
+            loop = parent_loop(inertia, slope, feedback, integral, (gain, derivative), heights)
             note = f"plane, {linearised}, filter and swarm, linearised at 0 with friction slope {slope:g} ({where})"
             yield f"plane {where}, {kind}", loop, note
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import fsum, tan
 from typing import TYPE_CHECKING, Literal
 
 from swarmabs_core.abstraction import Abstraction, Weight, abstraction
@@ -11,7 +12,7 @@ from swarmabs_core.messages import Kind, PlaneState
 from swarmabs_core.theory.constraint_sets import ConstraintSets
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.manifold import Manifold
@@ -36,6 +37,8 @@ class Setting:
     robots: tuple[AgentConfig, ...]  # including those that join later, which are not in the initial state
     duration: float  # s
     delay: int  # of the broadcasts, in steps
+    heights: Mapping[int, float]  # of the robots' centres of mass above the axis by id, m; 0 for others
+    compensated: float  # first moment H whose weight the controller compensates, kg m
     faulty: bool
     angle_max: float  # theta_max, rad
 
@@ -92,7 +95,50 @@ class Setting:
     def desired_torque(self) -> float:
         """The limited torque (N m) that the controller requests at the start."""
         plane = PlaneState(0, 0, self.plane.angle, self.plane.angular_velocity)
-        return self.manifold.clip(self.make_law().torque(0.0, plane))
+        return self.requested(self.make_law(), plane)
+
+    def requested(self, law: ParentController, plane: PlaneState) -> float:
+        """Return the limited torque (N m) that a law in its initial state requests, with compensation of heights."""
+        return self.manifold.clip(law.torque(0.0, plane) + self.compensated_weight * tan(plane.angle))
+
+    @cached_property
+    def moment(self) -> float:
+        """First moment H (kg m) of the masses above the axis at the start."""
+        return fsum([self.plane.moment, *(robot.mass * self._height(robot) for robot in self.initial_robots)])
+
+    @property
+    def raised(self) -> bool:
+        """Whether masses are above or below the axis."""
+        return bool(self.plane.moment) or any(map(self._height, self.robots))
+
+    @property
+    def compensated_weight(self) -> float:
+        """The weight g H (N m) that the controller compensates."""
+        return self.plane.gravity * self.compensated
+
+    @property
+    def weight(self) -> float:
+        """The weight g H (N m) above the axis that the controller does not compensate; negative below it."""
+        return self.plane.gravity * self.moment - self.compensated_weight
+
+    @cached_property
+    def body_inertia(self) -> float:
+        """Moment of inertia (kg m^2) of plane and initial robots if these are at p = 0, J + sum m h^2."""
+        return self.plane.inertia + fsum(robot.mass * self._height(robot) ** 2 for robot in self.initial_robots)
+
+    @cached_property
+    def reacting_height(self) -> float:
+        """The height (m) at which the second derivative of the torque reacts on the plane, g sum m h v'/tau_s''.
+
+        It is a mean of the heights with the weights m^2 (S2 - p S1)/S3 of the initial positions.
+        """
+        robots = self.initial_robots
+        s0, s1, s2 = (fsum(robot.mass**2 * robot.position**n for robot in robots) for n in range(3))
+        shares = (robot.mass**2 * (s2 - robot.position * s1) * self._height(robot) for robot in robots)
+        return fsum(shares) / (s0 * s2 - s1 * s1)
+
+    def _height(self, robot: AgentConfig) -> float:
+        return self.heights.get(robot.agent_id, 0.0)
 
     @property
     def initial_error(self) -> tuple[float, float]:

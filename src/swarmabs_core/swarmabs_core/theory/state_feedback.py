@@ -25,7 +25,7 @@ that retains a tenth of the D of a swarm without errors, and :math:`4 \kappa a D
 
 from __future__ import annotations
 
-from math import cos, inf, sin, sqrt
+from math import cos, inf, sin, sqrt, tan
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.controllers import StateFeedback
@@ -34,6 +34,8 @@ from swarmabs_core.theory.error_dynamics import gain_conditions, initial_energy,
 from swarmabs_core.theory.report import Condition, Form, ParentCheck
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from swarmabs_core.manifold import Manifold
     from swarmabs_core.plant import Friction
     from swarmabs_core.theory.error_dynamics import ErrorDynamics
@@ -84,7 +86,7 @@ class Estimate(NamedTuple):
         The desired abstract state starts, unfiltered, at the limited torque that the controller requests.
         """
         manifold, swarm = self.setting.manifold, self.setting.initial
-        wanted = manifold.clip(self.setting.law.torque(0.0, PlaneState(0, 0, angle, angular_velocity)))
+        wanted = self.setting.requested(self.setting.law, PlaneState(0, 0, angle, angular_velocity))
         e_torque = wanted - swarm.torque
         e_inertia = manifold.inertia(wanted) - swarm.inertia
         return angle * angle + angular_velocity * angular_velocity + e_torque * e_torque + e_inertia * e_inertia
@@ -118,10 +120,16 @@ class Loop(NamedTuple):
 
     k1: float  # N m/rad
     k2: float  # N m s/rad
-    inertia: float  # J of the plane alone, kg m^2
+    inertia: float  # J of the plane, with sum m h^2 of the robots, kg m^2
     friction: Friction
     manifold: Manifold  # of the desired abstract state
     errors: ErrorDynamics  # how the swarm follows it
+    weight: float = 0.0  # g H of masses above the axis that is not compensated, N m
+    compensated: float = 0.0  # g H that is compensated, N m
+
+    def potential(self, angle: float) -> float:
+        """Return the part of V (N m) that depends on the angle (rad)."""
+        return self.k1 * potential(angle) - self.weight * (1.0 - cos(angle))
 
 
 class LevelSet(NamedTuple):
@@ -138,7 +146,7 @@ class LevelSet(NamedTuple):
 
 def level_set(loop: Loop, angle_max: float) -> LevelSet:
     """Return the level set that touches abs(th) = angle_max (rad), which must be below pi/2."""
-    level = max(0.0, loop.k1 * potential(angle_max))
+    level = max(0.0, loop.potential(angle_max))
     best = _with_weight(loop, angle_max, level, inf)
     if best.damping <= 0.0:
         return best
@@ -161,25 +169,29 @@ def level_set(loop: Loop, angle_max: float) -> LevelSet:
 def _with_weight(loop: Loop, angle_max: float, level: float, weight: float) -> LevelSet:
     rate = sqrt(2.0 * level / loop.inertia)
     torque = largest_torque(loop, angle_max, level)
-    inertia_rate = _inertia_rate(loop, rate, min(torque, loop.manifold.torque_max), sqrt(2.0 * level / weight))
+    bounds = rate, min(torque, loop.manifold.torque_max), sqrt(2.0 * level / weight)
+    inertia_rate = _inertia_rate(loop, angle_max, *bounds)
     damping = cos(angle_max) * loop.k2 + least_viscous(loop.friction) - inertia_rate / 2.0
     coupling = 4.0 * weight * loop.errors.decay * damping if weight < inf else -inf
     return LevelSet(level, weight, rate, torque, inertia_rate, damping, coupling)
 
 
 def largest_torque(loop: Loop, angle_max: float, level: float) -> float:
-    """Return the largest k1 th + abs(k2 w) (N m) within V <= level (N m) and abs(th) <= angle_max (rad)."""
+    """Return the largest torque (N m) that is requested within V <= level (N m) and abs(th) <= angle_max (rad)."""
     angles = (angle_max * index / GRID for index in range(GRID + 1))
-    left = ((angle, level - loop.k1 * potential(angle)) for angle in angles)
+    left = ((angle, level - loop.potential(angle)) for angle in angles)
     return max(
-        abs(loop.k1) * angle + abs(loop.k2) * sqrt(2.0 * rest / loop.inertia) for angle, rest in left if rest >= 0.0
+        abs(loop.k1) * angle + abs(loop.compensated) * tan(angle) + abs(loop.k2) * sqrt(2.0 * rest / loop.inertia)
+        for angle, rest in left
+        if rest >= 0.0
     )
 
 
-def _inertia_rate(loop: Loop, rate: float, torque: float, error: float) -> float:
+def _inertia_rate(loop: Loop, angle_max: float, rate: float, torque: float, error: float) -> float:
     """Bound abs(J_s'), where J_s' = J_sd' - e_J' and J_sd' = 2 A tau (k1 w + k2 w') (lemma J_dot_is_bounded).
 
-    w' depends on J_s', so the inequality is solved for J_s'.
+    w' depends on J_s', so the inequality is solved for J_s'. The weight of masses above the axis adds to w', and its
+    compensation to k1.
     """
     slope = 2.0 * loop.manifold.curvature * torque
     rest = 1.0 - slope * abs(loop.k2) * rate / loop.inertia
@@ -187,7 +199,9 @@ def _inertia_rate(loop: Loop, rate: float, torque: float, error: float) -> float
         return inf
     f = loop.friction
     opposing = torque + loop.errors.torque * error + f.g1 + f.g4 + f.g6 * rate
-    asked = slope * (abs(loop.k1) * rate + abs(loop.k2) * opposing / loop.inertia)
+    opposing += abs(loop.weight + loop.compensated) * sin(angle_max)
+    k1 = abs(loop.k1) + abs(loop.compensated) / cos(angle_max) ** 2
+    asked = slope * (k1 * rate + abs(loop.k2) * opposing / loop.inertia)
     return (asked + loop.errors.inertia_rate * error) / rest
 
 
@@ -220,13 +234,32 @@ def matrix_eigenvalues(k1: float, k2: float, angle_max: float, inertia_rate: flo
     return corner / 2.0 - root, corner / 2.0 + root
 
 
+def _against_weight(setting: Setting, k1: float) -> Iterator[Condition]:
+    """Yield the condition that the gain of the angle outweighs masses above the axis for all angles up to theta_max."""
+    if setting.raised:
+        angle = setting.angle_max
+        yield Condition(
+            "k1, heights",
+            None,
+            Form("k1 th_max cot th_max > g H that is not compensated", k1 * angle / tan(angle), setting.weight),
+            {
+                "k1": k1,
+                "moment": setting.moment,
+                "weight": setting.plane.gravity * setting.moment,
+                "compensated": setting.compensated_weight,
+            },
+            "the weight of masses above the axis tips the plane over, by g H sin th",
+        )
+
+
 def check_feedback(setting: Setting) -> ParentCheck | None:
     """Evaluate the theorem; return None if the parent controller is not state feedback."""
     law, ball = setting.law, estimate(setting)
     if not isinstance(law, StateFeedback) or ball is None:
         return None
     plane, manifold, angle_max = setting.plane, setting.manifold, setting.angle_max
-    loop = Loop(law.k1, law.k2, plane.inertia, plane.friction, manifold, swarm_errors(setting))
+    weights = setting.weight, setting.compensated_weight
+    loop = Loop(law.k1, law.k2, setting.body_inertia, plane.friction, manifold, swarm_errors(setting), *weights)
     region = level_set(loop, angle_max)
     inertia_rate = printed_inertia_rate(loop, setting.gains.k[1], sqrt(ball.printed))
     error = setting.initial_error
@@ -234,14 +267,15 @@ def check_feedback(setting: Setting) -> ParentCheck | None:
     if setting.has_double:
         rate = setting.initial_error_rate
         square += rate[0] ** 2 + rate[1] ** 2
-    kinetic = 0.5 * (plane.inertia + setting.initial.inertia) * plane.angular_velocity**2
+    kinetic = 0.5 * (setting.body_inertia + setting.initial.inertia) * plane.angular_velocity**2
     weighted = region.weight * initial_energy(setting) if region.weight < inf else inf
-    energy = law.k1 * potential(plane.angle) + kinetic + weighted
+    energy = loop.potential(plane.angle) + kinetic + weighted
     positive = Form("k1 > 0", law.k1, 0.0)
     cosine, viscous = cos(angle_max), least_viscous(plane.friction)
     eigenvalues = matrix_eigenvalues(law.k1, law.k2, angle_max, 0.0)
     conditions = (
         Condition("k1", positive, positive, {"k1": law.k1}),
+        *_against_weight(setting, law.k1),
         Condition(
             "k2",
             Form("k2 > J'max/(2 cos th_max)", law.k2, inertia_rate / (2.0 * cosine)),
@@ -322,7 +356,7 @@ def check_feedback(setting: Setting) -> ParentCheck | None:
         largest_angle=0.0,
         level=region.level,
         energy=energy,
-        growths=(min(plane.inertia / 2.0, region.level / angle_max**2), region.weight * loop.errors.growth),
+        growths=(min(setting.body_inertia / 2.0, region.level / angle_max**2), region.weight * loop.errors.growth),
         attraction=balls(square, ball.printed, ball.corrected)
         | {
             "level": region.level,
