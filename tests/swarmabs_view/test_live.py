@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.swarmabs_bag.sample_run import make_run, make_step
+from tests.swarmabs_core.helpers import builtin
 from tests.swarmabs_view.conftest import HELLO, PRESENTER, told
 
 from swarmabs_bag.shown.percentiles import QUANTILES
@@ -18,7 +19,7 @@ from swarmabs_config.graph import SILENCE
 from swarmabs_core.messages import EventKind, Kind, PlaneState, SwarmEvent
 from swarmabs_core.theory.constraint_sets import ConstraintSets, StateClass
 from swarmabs_view import protocol
-from swarmabs_view.facts import Shading, regions
+from swarmabs_view.facts import Shading, hello_of, regions
 from swarmabs_view.live import RATE_WINDOW, LiveSession, LiveView, StepRate
 from swarmabs_view.presenter import Placed, sides
 from swarmabs_view.session import NOTHING, CurveBuffer, Session
@@ -57,6 +58,14 @@ def test_a_page_gets_the_past_first_and_then_what_is_new_also_a_robot_that_is_he
     assert [robot.id for robot in told(said, protocol.Hello)[0].robots] == [1, 2, 5, 7]
     assert len(told(said, protocol.Frame)[0].robots.position) == 4
     assert sum(len(message.events) for message in told(said, protocol.Events)) == 1  # none is lost
+
+
+def test_a_page_gets_the_heights_of_robots_that_are_not_flat() -> None:
+    scenario = builtin("pd_si_4", "swarm.agents.2.center_height=0.03")
+    for shown, heights in ((scenario, {3: 0.03}), (builtin("pd_si_4"), {})):
+        plane = hello_of("run", "title", "place", shown).plane
+        assert plane is not None
+        assert plane.heights == heights
 
 
 def test_of_the_events_only_the_new_ones_are_sent_and_those_in_their_order() -> None:

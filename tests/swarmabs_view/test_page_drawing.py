@@ -1,6 +1,6 @@
 """What the page draws on its canvases: nothing overlaps, and the scale follows the plane and the swarm."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations, pairwise
 from math import atan2, cos, dist, sin
 from typing import Any
@@ -116,11 +116,14 @@ def drawn_again(page: Page) -> None:
         page.evaluate("() => new Promise(requestAnimationFrame)")
 
 
-def on_the_plane(places: Sequence[float], dead: Sequence[int] = ()) -> tuple[Message, ...]:
-    """Return what shows robots at these positions of a plane of 1 m, the dead ones by their number."""
+def on_the_plane(
+    places: Sequence[float], dead: Sequence[int] = (), heights: Mapping[int, float] | None = None
+) -> tuple[Message, ...]:
+    """Return what shows robots at these positions of a plane of 1 m, the dead ones and heights by their number."""
     robots = [robot_info(n + 1) for n in range(len(places))]
     status: list[RobotStatus] = ["dead" if n + 1 in dead else "active" for n in range(len(places))]
-    hello = HELLO.model_copy(update={"robots": robots, "plane": Plane(length=1.0, inertia=0.1, gravity=9.81)})
+    plane = Plane(length=1.0, inertia=0.1, gravity=9.81, heights={**(heights or {})})
+    hello = HELLO.model_copy(update={"robots": robots, "plane": plane})
     return hello, frame_of(7, 0.05, [*zip(places, status, strict=True)])
 
 
@@ -265,6 +268,25 @@ def test_every_robot_of_a_small_swarm_has_its_id_dead_or_alive(
     for (one, *first), (other, *second) in combinations(boxes, 2):
         apart = first[2] <= second[0] or second[2] <= first[0] or first[3] <= second[1] or second[3] <= first[1]
         assert apart, (one, other)
+
+
+def test_a_robot_is_drawn_at_the_height_of_its_mass(page: Page, page_server: PageServer) -> None:
+    """Perpendicular to the edge of the plane, which is 1 m long."""
+    page.add_init_script(RECORDED)
+    page_server.open()
+
+    def centres() -> dict[str, tuple[float, float]]:
+        boxes = [box for box in drawn(page, "plane")["boxes"] if box[0].isdigit()]
+        return {text: ((x0 + x1) / 2.0, (y0 + y1) / 2.0) for text, x0, y0, x1, y1 in boxes}
+
+    show(page, page_server, on_the_plane([-0.2, 0.3]))
+    level = centres()
+    show(page, page_server, on_the_plane([-0.2, 0.3], heights={2: 0.1}))
+    raised, ((x0, y0), (x1, y1)) = centres(), drawn(page, "plane")["edge"]
+    assert raised["1"] == level["1"]
+    moved = [new - old for new, old in zip(raised["2"], level["2"], strict=True)]
+    assert moved == pytest.approx([0.1 * (y1 - y0), -0.1 * (x1 - x0)], abs=1.0)
+    assert moved[1] < -10.0
 
 
 def test_a_section_is_called_one_and_has_break_lines(page: Page, page_server: PageServer) -> None:

@@ -66,8 +66,9 @@ def hello_of(
         return hello
     plane, manifold = scenario.plane, scenario.manifold
     masses = [agent.mass for agent in scenario.initial_agents]
+    heights = {agent.id: agent.center_height for agent in scenario.agents if agent.center_height}
     of_plane = {
-        "plane": Plane(length=plane.length, inertia=plane.inertia, gravity=plane.gravity),
+        "plane": Plane(length=plane.length, inertia=plane.inertia, gravity=plane.gravity, heights=heights),
         "manifold": Manifold(curvature=manifold.curvature, offset=manifold.offset, torque_max=manifold.torque_max),
         "regions": regions(masses, plane.length, plane.gravity, manifold.torque_max),
     }

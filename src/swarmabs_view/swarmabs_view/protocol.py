@@ -88,6 +88,7 @@ class Plane(Part):
     length: float = Field(description="m")
     inertia: float = Field(description="kg m^2")
     gravity: float = Field(description="m/s^2")
+    heights: dict[int, float] = Field(default={}, description="m, of robots whose mass is not at the axis, by id")
 
 
 class Manifold(Part):

@@ -118,9 +118,14 @@ export class PlaneScene {
     }
     const section = hello.plane ? `section: ${short(2 * half, 2)} m of ${short(hello.plane.length, 3)} m` : "section: the length of the plane is not known";
     const notes = cut ? [section] : [];
+    // A robot is drawn where its mass is, so at its height above the lane.
+    const place = ([p], index) => {
+      const [[x, y], above] = [at(p, (index + 0.5) / count), hello.plane?.heights[hello.robots[index].id] ?? 0];
+      return [x - above * scale * Math.sin(angle), y - above * scale * Math.cos(angle)];
+    };
     const spots = crowded
       ? this.density(surface, hello, frame, at, half, deep.y, notes)
-      : drawRobots(surface, hello, frame, { at: ([p], index) => at(p, (index + 0.5) / count), lane: deep.y / count, ids });
+      : drawRobots(surface, hello, frame, { at: place, lane: deep.y / count, ids });
     context.font = font(unit);
     context.textAlign = "left";
     notes.forEach((note, index) => {
