@@ -27,6 +27,7 @@ from swarmabs_core.errors import InputError, RunError
 from swarmabs_run.orchestration.launcher_process import LauncherProcess
 from swarmabs_run.orchestration.plan import ProcessPlan
 from swarmabs_run.orchestration.realtime_run import RealtimeRun
+from swarmabs_run.orchestration.run_files import epoch_of
 from swarmabs_view.viewers import PageViewer
 
 if TYPE_CHECKING:
@@ -107,30 +108,36 @@ class Arrangement:
         return "front_left_wheel_joint" if self._rig.base == "rover" else "left_wheel_joint"
 
 
-class Told(NamedTuple):
-    """What the true states of a run tell: smallest and mean real-time factor, and the last angle (rad)."""
+class Shown(NamedTuple):
+    """What the true states of a run show: smallest and mean real-time factor, and the last angle (rad)."""
 
     slowest: float
     mean: float
     angle: float
 
 
-def told(truth: Path) -> Told | None:
-    """Return what the true states tell since the plank was released; None if it never was."""
-    rows = [row for row in true_states(truth) if not row["held"]]
-    if len(rows) < 2:
+def shown(states: Sequence[Mapping[str, float]]) -> Shown | None:
+    """Return what true states show since the plank was released; None if it never was."""
+    free = [state for state in states if not state["held"]]
+    if len(free) < 2:
         return None
-    passed = (rows[-1]["stamp"] - rows[0]["stamp"]) / 1e9
-    return Told(min(row["factor"] for row in rows), (rows[-1]["time"] - rows[0]["time"]) / passed, rows[-1]["angle"])
+    first, last = free[0], free[-1]
+    mean = (last["time"] - first["time"]) / ((last["stamp"] - first["stamp"]) / 1e9)
+    return Shown(min(state["factor"] for state in free), mean, last["angle"])
 
 
-def true_states(truth: Path) -> list[dict[str, float]]:
-    """Return the rows of a file of true states, as far as they are complete."""
-    if not truth.exists():
+def true_states(folder: Path, duration_ns: int) -> list[dict[str, float]]:
+    """Return the true states of a run up to its last step, by the names in the first line of the file.
+
+    Afterwards the robots stop, and the plank tilts if it is not balanced.
+    """
+    epoch = epoch_of(folder)
+    if epoch is None or not (folder / TRUTH).exists():
         return []
-    lines = truth.read_text(encoding="utf-8").splitlines(keepends=True)
-    whole = csv.DictReader(line for line in lines if line.endswith("\n"))
-    return [{name: float(text) for name, text in row.items()} for row in whole]
+    lines = (folder / TRUTH).read_text(encoding="utf-8").splitlines(keepends=True)
+    rows = csv.DictReader(line for line in lines if line.endswith("\n"))  # the last one may be incomplete
+    states = ({name: float(text) for name, text in row.items()} for row in rows)
+    return [state for state in states if state["stamp"] <= epoch + duration_ns]
 
 
 def run(asked: argparse.Namespace) -> int:
@@ -140,11 +147,11 @@ def run(asked: argparse.Namespace) -> int:
     with ExitStack() as stack:
         launcher = stack.enter_context(LauncherProcess("realtime", {"PYTHONPATH": path}))
         page = stack.enter_context(PageViewer(0)) if asked.view else None
-        truth: list[Path] = []
+        runs: list[tuple[Path, int]] = []
 
         def execute(scenario: Scenario, folder: RunFolder, options: RunOptions) -> Outcome:
-            truth.append(folder.path / TRUTH)
-            rig = replace(settings(asked), scenario_file=str(folder.scenario), truth=str(truth[0]))
+            runs.append((folder.path, scenario.duration_ns))
+            rig = replace(settings(asked), scenario_file=str(folder.scenario), truth=str(folder.path / TRUTH))
             plane = on_plane(scenario, "the rig")
             if page is not None:
                 page.start(folder.path)
@@ -170,22 +177,22 @@ def run(asked: argparse.Namespace) -> int:
             meanwhile=True,
             check=lambda scenario: end_stop_of(on_plane(scenario, "the rig").resolved(), settings(asked).setup),
         )
-        for text in map(summary, truth):
-            print(text)
+        for folder, duration_ns in runs:
+            print(summary(folder, duration_ns))
         if page is not None and sys.stdin.isatty():
             sys.stderr.write(f"view: {page.url} plays the bag until Ctrl-C\n")
             page.wait()
     return code
 
 
-def summary(truth: Path) -> str:
+def summary(folder: Path, duration_ns: int) -> str:
     """Return a line on what a run has shown."""
-    shown = told(truth)
-    if shown is None:
-        return "rig: the plank was never released; see the logs of the robots"
+    result = shown(true_states(folder, duration_ns))
+    if result is None:
+        return f"rig: the plank was never released; see the logs in {folder / 'logs'}"
     return (
-        f"rig: real-time factor {shown.mean:.2f}, at worst {shown.slowest:.2f} in a second; the true angle ended at "
-        f"{shown.angle:.4f} rad; {truth}"
+        f"rig: real-time factor {result.mean:.2f}, at worst {result.slowest:.2f} in a second; true angle at the end "
+        f"{result.angle:.4f} rad; {folder / TRUTH}"
     )
 
 
@@ -209,7 +216,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("scenario", nargs="?", default="arise_het_4", help="built-in scenario or YAML file")
     made.add_argument("-o", "--output", metavar="DIR", type=Path, help="folder of the results; default: in runs/")
     made.add_argument("--set", action="append", default=[], metavar="A.B=VALUE", help="change a value of the scenario")
-    made.add_argument("--duration", default="20", help="length, s")
+    made.add_argument("--duration", default="10", help="length, s")
     made.add_argument("--base", choices=BASES, default=default.base, help="base of the robots")
     made.add_argument("--plane-sensor", choices=tuple(SENSORS), default="encoder", help="what measures the plane")
     made.add_argument("--position", choices=tuple(POSITIONS), default="odometry", help="what measures the robots")

@@ -29,6 +29,9 @@ _BEARING = 1e-5
 """Damping (N m s/rad) and reflected inertia (kg m^2) of a wheel's motor."""
 
 
+_WOOD, _MARK = [0.78, 0.65, 0.47, 1.0], [0.45, 0.36, 0.25, 1.0]
+"""Colours of the plank, and of the lines between its lanes."""
+
 Friction = tuple[float, float, float, float, float, float]
 """g1 to g6 of the bearing."""
 
@@ -160,8 +163,8 @@ def _scenery(spec: Any, lanes: int) -> None:
     half = lanes * LANE / 2.0 + 0.03
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        fromto=[0.0, -half, -0.012, 0.0, half, -0.012],
-        size=[0.012, 0.0, 0.0],
+        fromto=[0.0, -half, -0.017, 0.0, half, -0.017],
+        size=[0.006, 0.0, 0.0],
         **seen,
     )
     for side in (-half, half):
@@ -197,10 +200,19 @@ def _plank(spec: Any, plank: Plank, physics: Physics, lanes: int) -> Any:
         size=[plank.length / 2.0 + OVERHANG, lanes * LANE / 2.0, THICKNESS / 2.0],
         pos=[0.0, 0.0, -THICKNESS / 2.0],
         friction=[physics.grip, 0.005, 0.0001],
-        rgba=[0.55, 0.57, 0.6, 1.0],
+        rgba=_WOOD,
         contype=1,
         conaffinity=2,
     )
+    for edge in range(1, lanes):
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[plank.length / 2.0, 0.001, 0.0002],
+            pos=[0.0, (edge - lanes / 2.0) * LANE, 0.0],
+            rgba=_MARK,
+            contype=0,
+            conaffinity=0,
+        )
     return body
 
 

@@ -1,21 +1,26 @@
 """The rig in MuJoCo as hardware: its pace, its messages, its place in a run, and a swarm that levels it over DDS."""
 
+import json
+import os
 import subprocess
+import sys
+from ctypes.util import find_library
 from math import cos, sin
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
+from PIL import Image
 from scipy.spatial.transform import Rotation
 from tests.docs.pages import ROOT
 from tests.swarmabs_core.helpers import builtin
-from tests.system.helpers import bag_file, swarm
+from tests.system.helpers import bag_messages, swarm
 
-from swarmabs_bag.arrays import load_arrays
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.graph import REALTIME
+from swarmabs_core.cdr import decode
+from swarmabs_core.messages import PlaneState
 from swarmabs_run.orchestration.plan import plan
 
 RIG = ROOT / "examples" / "mujoco" / "rig"
@@ -99,21 +104,55 @@ def test_the_processes_of_a_run_use_the_rig_instead_of_simulated_bodies(
     assert (ahead["drive.axis"], ahead["drive.source"]) == ("+x", "odometry")
 
 
-def test_true_states_that_are_being_written_are_read_as_far_as_they_are_complete(
+def test_true_states_are_read_up_to_the_last_step_as_far_as_they_are_complete(
     example: dict[str, Any], tmp_path: Path
 ) -> None:
-    live, file = example["mujoco_live"], tmp_path / "truth.csv"
-    assert live.told(file) is None
-    rows = [f"{number * SECOND},{0.5 * number},0.5,{float(number < 2)},{0.1 - 0.01 * number}" for number in range(5)]
-    file.write_text("stamp,time,factor,held,angle\n" + "\n".join(rows) + "\n9", encoding="utf-8")
-    shown = live.told(file)
-    assert (shown.slowest, shown.mean, shown.angle) == (0.5, 0.5, pytest.approx(0.06))
+    live = example["mujoco_live"]
+    (tmp_path / "logs").mkdir()
+    network = tmp_path / "logs" / "network.json"
+    network.write_text("{}", encoding="utf-8")
+    assert live.true_states(tmp_path, SECOND) == []
+    network.write_text(json.dumps({"epoch": 2 * SECOND}), encoding="utf-8")
+    assert live.true_states(tmp_path, SECOND) == []
+    rows = [f"{number * SECOND},{0.5 * number},0.5,{float(number < 2)},{0.1 - 0.01 * number}" for number in range(9)]
+    text = "stamp,time,factor,held,angle\n" + "\n".join(rows)
+    (tmp_path / "truth.csv").write_text(text, encoding="utf-8")
+    states = live.true_states(tmp_path, 4 * SECOND)
+    assert [state["stamp"] for state in states] == [number * SECOND for number in range(7)]
+    assert len(live.true_states(tmp_path, 100 * SECOND)) == 8  # the last line is still being written
+    assert live.shown(states) == (0.5, 0.5, pytest.approx(0.04))
+    assert live.shown(states[:2]) is None
+    assert "true angle at the end 0.0400 rad" in live.summary(tmp_path, 4 * SECOND)
+    assert "was never released" in live.summary(tmp_path, 0)
 
 
 def test_the_start_script_names_what_it_can_start() -> None:
     answer = subprocess.run([RIG, "fly"], capture_output=True, text=True, check=False)
     assert (answer.returncode, answer.stdout) == (2, "")
     assert answer.stderr.startswith("usage: rig live|trial|film")
+
+
+@pytest.mark.system
+@pytest.mark.skipif(find_library("EGL") is None, reason="EGL is not installed")
+@pytest.mark.usefixtures("mujoco_example")
+def test_a_film_shows_the_plank_and_its_reference(tmp_path: Path) -> None:
+    film = tmp_path / "film.webp"
+    words = [sys.executable, RIG.with_name("film.py"), "pd_si_4", "--duration", "0.2", "-o", film]
+    environment = {**os.environ, "MUJOCO_GL": "egl"}
+    environment.pop("PYTHONSAFEPATH", None)  # the tests have it, the shell of a user has not
+    said = subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout
+    assert said.startswith(f"{film}: 0.0")
+    with Image.open(film) as pictures:
+        assert (pictures.n_frames, pictures.size) == (3, (640, 400))
+        frame = np.asarray(pictures.convert("RGB"), dtype=int)
+    view = frame[40:320]  # below the words, above the curves
+    reddest = view[..., 0] - view[..., 1:].max(axis=2) > 90
+    columns = np.flatnonzero(reddest.any(axis=0))
+    rows = np.array([np.flatnonzero(reddest[:, column]).mean() for column in columns])
+    assert len(columns) > 300  # the line of the reference, which is level, from end to end of the plank
+    wooden = (view[..., 0] - view[..., 2] > 40) & ~reddest
+    assert wooden.sum() > 5_000
+    assert abs(np.polyfit(columns, rows, 1)[0]) < 0.1  # seen nearly from the side
 
 
 def test_the_lock_pins_what_the_tests_use() -> None:
@@ -142,18 +181,15 @@ swarm:
 @pytest.mark.system
 @pytest.mark.timeout(360)
 @pytest.mark.usefixtures("nothing_survives")
-def test_rovers_level_the_plank_over_dds_and_the_bag_verifies(
-    example: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rovers_level_the_plank_over_dds_and_the_bag_verifies(example: dict[str, Any], tmp_path: Path) -> None:
     """On a machine that is too busy the world is slow, and robots stop now and then: then the run is longer."""
-    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)  # the tests have it, the shell of a user has not
     live, scenario = example["mujoco_live"], tmp_path / "two_rovers.yaml"
     scenario.write_text(SCENARIO, encoding="utf-8")
     perfect = ["--mass-error=0", "--tilt-offset=0", "--delay=0", "--grip=1"]
     for duration in (10, 30, 90):
         folder = tmp_path / f"run_{duration}"
         assert live.main([str(scenario), "-o", str(folder), f"--duration={duration}", *perfect]) == 0
-        truth = live.true_states(folder / "truth.csv")
+        truth = live.true_states(folder, duration * SECOND)
         if max(abs(row["angle"]) for row in truth[-100:]) < 0.03:
             break
     else:
@@ -163,14 +199,13 @@ def test_rovers_level_the_plank_over_dds_and_the_bag_verifies(
     for robot in (1, 3):
         places = [row[f"position_{robot}"] for row in truth]
         assert max(places) - min(places) > 0.01  # both work
-    assert live.told(folder / "truth.csv").slowest > 0.0
+    assert live.shown(truth).slowest > 0.0
     verified = swarm("verify", folder)
     assert verified.code == 0, verified.err
     assert "the motion of robots 1, 3, which was measured" in verified.out
-    arrays = load_arrays(folder)
-    # What the nodes have recorded is what the world did, up to the noise of its sensors and to the time between.
-    recorded = float(np.mean(arrays.angle[-100:]))
-    assert recorded == pytest.approx(np.mean([row["angle"] for row in truth[-110:]]), abs=0.01)
-    with bag_file(folder).open("rb") as stream:
-        topics = {channel.topic for channel in make_reader(stream).get_summary().channels.values()}  # type: ignore[union-attr]
-    assert "/plane/state" in topics
+    # What the nodes have recorded is what the world did, up to the noise of its sensors and the age of the readings.
+    states = [(m.stamp, decode(PlaneState, m.payload)) for m in bag_messages(folder) if m.topic == "plane/state"]
+    stamps = [row["stamp"] for row in truth]
+    true_angles = np.interp([stamp for stamp, _ in states], stamps, [row["angle"] for row in truth])
+    errors = [state.angle - angle for (_, state), angle in zip(states, true_angles, strict=True)]  # type: ignore[attr-defined]
+    assert 1e-5 < np.median(np.abs(errors)) < 0.005
