@@ -230,7 +230,7 @@ def parser() -> argparse.ArgumentParser:
 def numbers() -> Mapping[str, str]:
     """Return the numbers among the settings of the rig, and what they mean."""
     return {
-        "height": "of the robots' centres of mass, m",
+        "height": "of the robots' centres of mass, m; default: that of the scenario, 0.03 where it is 0",
         "mass_error": "largest relative error of the masses that robots know",
         "tilt_offset": "largest offset of the plane's encoder, rad",
         "delay": "of measurements and commands, s",

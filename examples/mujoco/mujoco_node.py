@@ -68,7 +68,13 @@ class RigSettings(ScenarioFile):
     """Settings of the rig: how its world differs from the scenario."""
 
     base: str = setting("rover", "base of all robots", choices=BASES)
-    height: float = setting(Setup.height, "height of the robots' centres of mass", unit="m", minimum=0.0)
+    height: float | None = setting(
+        None,
+        "height of the robots' centres of mass; -1: that of the scenario, 3 cm where it is 0",
+        unit="m",
+        minimum=-1.0,
+        unset=-1.0,
+    )
     mass_error: float = setting(
         Setup.mass_error, "largest relative error of the masses that robots know", minimum=0.0, below=1.0
     )

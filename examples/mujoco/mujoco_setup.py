@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 BASES = tuple(base for base in get_args(Base) if base != "slider")
 """Bases with wheels."""
+HEIGHT = Chassis.height
+"""Height of a robot's centre of mass if the scenario has none, m."""
 END_STOP = Plank.end_stop
 """Angle of the end stops if the scenario has none, rad."""
 FAULTS = Faults(position_noise=0.001, velocity_noise=0.01, tilt_noise=0.001, delay=0.02)
@@ -33,8 +35,8 @@ class Setup:
     ----------
     base : str
         Base of all robots.
-    height : float
-        Height of the centres of mass, m.
+    height : float, optional
+        Height of the robots' centres of mass, m; None: `center_height` of the scenario, or `HEIGHT` where that is 0.
     mass_error : float
         Largest relative error of the masses that the robots know.
     tilt_offset : float
@@ -44,7 +46,7 @@ class Setup:
     """
 
     base: Base = "rover"
-    height: float = 0.03
+    height: float | None = None
     mass_error: float = 0.15
     tilt_offset: float = 0.005
     faults: Faults = FAULTS
@@ -71,12 +73,15 @@ def rig_of(scenario: PlaneScenario, setup: Setup, seed: int) -> MujocoRig:
         forced = agent.kind == "double_integrator"
         robot = Robot(agent.id, forced, agent.mass, agent.damping, agent.position, facing_of(agent.id))
         true_mass = agent.mass * (1.0 + draw(-setup.mass_error, setup.mass_error))
-        bodies.append(Chassis(robot, true_mass, setup.height, setup.base))
+        height = (agent.center_height or HEIGHT) if setup.height is None else setup.height
+        bodies.append(Chassis(robot, true_mass, height, setup.base))
     plane = scenario.plane
     faults = replace(setup.faults, tilt_offset=draw(-setup.tilt_offset, setup.tilt_offset))
     return MujocoRig(
         tuple(bodies),
-        Plank(plane.inertia, plane.length, end_stop=end_stop),
+        Plank(
+            plane.inertia, plane.length, plane.mass or Plank.mass, plane.center_height if plane.mass else 0.0, end_stop
+        ),
         replace(setup.physics, gravity=plane.gravity),
         plane.friction,
         plane.angle,

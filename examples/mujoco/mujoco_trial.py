@@ -79,7 +79,12 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("scenario", nargs="?", default="arise_het_4", help="built-in scenario or YAML file")
     parser.add_argument("--seeds", type=int, default=4, metavar="N", help="number of trials")
-    parser.add_argument("--height", type=float, default=0.03, metavar="M", help="of the centres of mass, m")
+    parser.add_argument(
+        "--height",
+        type=float,
+        metavar="M",
+        help="of the centres of mass, m; default: that of the scenario, 0.03 where it is 0",
+    )
     parser.add_argument("--mass-error", type=float, default=0.15, metavar="SHARE", help="largest error of the masses")
     parser.add_argument("--base", choices=BASES, default="rover", help="base of the robots")
     parser.add_argument("--duration", type=float, default=10.0, help="of a trial, s")

@@ -1,6 +1,6 @@
 """The rig in MuJoCo: its plank is that of the paper, its sensors are late, and the swarm levels it."""
 
-from math import sin
+from math import cos, sin
 from typing import Any
 
 import pytest
@@ -115,6 +115,29 @@ def test_wheels_count_the_way_forwards(example: dict[str, Any], base: str) -> No
         assert driven > 0.05
         for angle in angles:  # wheels slip a little, also sideways
             assert 0.02 * angle == pytest.approx(driven, abs=0.005)
+
+
+@pytest.mark.parametrize("override", [None, 0.02])
+@pytest.mark.parametrize("base", ["rover", "differential"])
+def test_masses_are_where_the_scenario_or_an_option_says(
+    example: dict[str, Any], base: str, override: float | None
+) -> None:
+    heights = {1: 0.05, 2: 0.03, 3: -0.01, 4: 0.03}  # 3 cm where the scenario says nothing
+    given = [f"swarm.agents.{robot - 1}.center_height={heights[robot]}" for robot in (1, 3)]
+    scenario = builtin("pd_si_4", *given, "plane.mass=2", "plane.center_height=-0.04")
+    setup = example["mujoco_setup"].Setup(base=base, height=override, mass_error=0.0)
+    rig = example["mujoco_setup"].rig_of(scenario, setup, 1)
+    c, s = cos(rig.angle), sin(rig.angle)
+    for robot, height in heights.items():
+        body = rig.model.body(f"robot_{robot}").id
+        x, _, z = rig.data.subtree_com[body]
+        assert rig.model.body_subtreemass[body] == pytest.approx(scenario.agents[robot - 1].mass)
+        assert c * z - s * x == pytest.approx(height if override is None else override)
+    plank = rig.model.body("plane").id
+    x, _, z = rig.data.xipos[plank]
+    assert (c * z - s * x, rig.model.body_mass[plank]) == pytest.approx((-0.04, 2.0))
+    about_axis = rig.model.body_inertia[plank][1] + 2.0 * 0.04**2
+    assert about_axis == pytest.approx(scenario.plane.inertia)
 
 
 @pytest.mark.parametrize(
