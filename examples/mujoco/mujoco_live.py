@@ -24,6 +24,7 @@ from swarmabs_config.graph import NODES, PLANE, PLANE_DRIVER, REALTIME, RECORDER
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import values_of
 from swarmabs_core.errors import InputError, RunError
+from swarmabs_core.realtime.instruments import PlaneInstrument
 from swarmabs_run.orchestration.launcher_process import LauncherProcess
 from swarmabs_run.orchestration.plan import ProcessPlan
 from swarmabs_run.orchestration.realtime_run import RealtimeRun
@@ -45,6 +46,8 @@ SENSORS = {"encoder": "joint_state", "imu": "imu"}
 """Sources of the plane's state by the name of their sensor."""
 POSITIONS = {"odometry": "odometry", "wheel": "joint_state"}
 """Sources of a robot's motion by the name of their sensor."""
+AGE_LIMIT = PlaneInstrument().age_limit
+"""Age above which the reading of a sensor without delay is too old, s."""
 
 
 class Arrangement:
@@ -80,7 +83,7 @@ class Arrangement:
                 PLANE_DRIVER,
                 NODES[PLANE_DRIVER].modules[REALTIME],
                 process.participant,
-                {**kept, "source": self._sensor, "joint": TILT},
+                {**kept, "source": self._sensor, "joint": TILT, "age_limit": AGE_LIMIT + self._rig.delay},
                 ends.publications,
                 tuple(ends.subscriptions),
             )
@@ -205,6 +208,7 @@ def settings(asked: argparse.Namespace) -> RigSettings:
         tilt_offset=asked.tilt_offset,
         delay=asked.delay,
         grip=asked.grip,
+        sim_speed_factor=asked.sim_speed_factor,
         seed=asked.seed,
     )
 
@@ -235,6 +239,7 @@ def numbers() -> Mapping[str, str]:
         "tilt_offset": "largest offset of the plane's encoder, rad",
         "delay": "of measurements and commands, s",
         "grip": "coefficient of friction of the wheels",
+        "sim_speed_factor": "time of the world by time of the clock that is aimed at",
         "seed": "of the errors and of the noise",
     }
 

@@ -86,6 +86,9 @@ class RigSettings(ScenarioFile):
         minimum=0.0,
     )
     grip: float = setting(GRIPPING.grip, "coefficient of sliding friction of the wheels", above=0.0)
+    sim_speed_factor: float = setting(
+        1.0, "time of the world by time of the clock that is aimed at", above=0.0, maximum=1.0
+    )
     seed: int = setting(1, "seed of the errors and of the noise", minimum=0)
     truth: str = setting("", "file for the true states; empty: none")
 
@@ -168,13 +171,15 @@ class RigProcess:
     rig : MujocoRig
         The world.
     period : float
-        Time between two measurements, s.
+        Time of the clock between two measurements, s.
+    speed : float
+        Time of the world by time of the clock that is aimed at.
     truth : Truth, optional
         File for the true states.
     """
 
-    def __init__(self, node: Node, rig: MujocoRig, period: float, truth: Truth | None) -> None:
-        self._rig, self._period, self._truth = rig, period, truth
+    def __init__(self, node: Node, rig: MujocoRig, period: float, speed: float, truth: Truth | None) -> None:
+        self._rig, self._period, self._speed, self._truth = rig, period, speed, truth
         self._log = node.get_logger()
         self._commands = {robot: Commands(node, body) for robot, body in rig.robots.items()}
         self._sensors = [
@@ -206,12 +211,12 @@ class RigProcess:
         """Run until stopped; the sensors are read shortly before each step that counts from the epoch, ns."""
         period, now = round(self._period * 1e9), time.time_ns()
         first = epoch_ns - (epoch_ns - now) // period * period
-        pacing = Pacing(first - round(BEFORE * period))
+        pacing = Pacing(first - round(BEFORE * period), speed=self._speed)
         ticks = max(1, round(self._period / TICK))
         tick = 0
         while not self._stopped:
             tick += 1
-            due = tick * self._period / ticks
+            due = tick * self._period * self._speed / ticks
             time.sleep(max(0.0, (pacing.due(due) - time.time_ns()) / 1e9))
             for robot, commands in self._commands.items():
                 for command in commands.take():
@@ -238,7 +243,7 @@ class RigProcess:
             return
         self._diagnosed = self._rig.time
         self._slowest = min(self._slowest, factor)
-        slow = factor < SLOW
+        slow = factor < SLOW * self._speed
         text = f"the world runs at {factor:.2f} of real time"
         if slow:
             self._log.warning(f"{text}: this machine is too slow for it")
@@ -298,7 +303,7 @@ def _serve(node: Node, settings: Settings, status: StatusChannel) -> None:
         truth = None
         if own.truth:
             truth = Truth(stack.enter_context(Path(own.truth).open("w", newline="", encoding="utf-8")), rig)
-        process = RigProcess(node, rig, scenario.period, truth)
+        process = RigProcess(node, rig, scenario.period, own.sim_speed_factor, truth)
         epoch = clock.epoch_ns
         if clock.await_epoch:
             status.send("ready")

@@ -22,15 +22,17 @@ class Pacing:
         Time of the clock at which the world is at `time`, ns.
     time : float
         Time of the world, s.
+    speed : float
+        Time of the world by time of the clock that is aimed at.
     """
 
-    def __init__(self, now: int, time: float = 0.0) -> None:
-        self._begin, self._time = now, time
+    def __init__(self, now: int, time: float = 0.0, speed: float = 1.0) -> None:
+        self._begin, self._time, self._speed = now, time, speed
         self._reached: deque[tuple[int, float]] = deque([(now, time)])
 
     def due(self, time: float) -> int:
         """Return the time of the clock, ns, at which the world must reach a time, s."""
-        return self._begin + round((time - self._time) * 1e9)
+        return self._begin + round((time - self._time) / self._speed * 1e9)
 
     def reached(self, time: float, now: int) -> None:
         """Note that the world has reached a time, s; the clock says `now`, ns."""

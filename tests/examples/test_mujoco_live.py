@@ -57,6 +57,12 @@ def test_the_world_of_a_slow_machine_loses_time_and_never_jumps(example: dict[st
     assert clock == pytest.approx(10e9, rel=0.01)
 
 
+def test_a_world_can_be_slow_on_purpose(example: dict[str, Any]) -> None:
+    pacing = paced(example["pacing"].Pacing(0, speed=0.25), [0] * 200)
+    assert pacing.due(2.0) == 8 * SECOND
+    assert pacing.factor == pytest.approx(0.25)
+
+
 def test_the_world_goes_on_where_it_was_after_a_pause(example: dict[str, Any]) -> None:
     pacing = paced(example["pacing"].Pacing(0), [0] * 200 + [3 * SECOND])
     assert pacing.due(2.02) == pytest.approx(5.0e9, abs=1e7)
@@ -93,7 +99,8 @@ def test_the_processes_of_a_run_use_the_rig_instead_of_simulated_bodies(
     assert "plane_sim" not in changed
     assert len({process.participant for process in changed.values()}) == len(changed) == len(processes) + 1
     assert changed["plane_driver"].module == "plane_sim.driver"
-    assert changed["plane_driver"].parameters["source"] == "imu"
+    sensor = changed["plane_driver"].parameters
+    assert (sensor["source"], sensor["age_limit"]) == ("imu", pytest.approx(0.05 + 0.02))
     assert changed["recorder"].parameters["driven"] == [1, 2, 3, 4]
     assert changed["recorder"].parameters["simulated_plane"] is False
     backwards = changed["agent_003"].parameters
