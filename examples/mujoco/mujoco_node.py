@@ -25,9 +25,10 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64
 
-from swarmabs_config.graph import DIAGNOSTICS, PLANE_DRIVER, agent_name
+from swarmabs_config.graph import DIAGNOSTICS, PLANE_DRIVER
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import same, setting
+from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.base import Health, Level, Schedule
 from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
 from swarmabs_ros.parameters import declare_values, read

@@ -49,6 +49,7 @@ CASES: dict[msg.Message, tuple[int, int]] = {
     msg.Basis(STAMP, STEP, 1, 2, 3, (), (), ()): (17, 3),
     msg.SwarmStates(STAMP, STEP, b"\x00\xff\x01"): (0, 0),
     msg.Steering(STAMP, STEP, 7, 1, 513, 1.0): (12, 4),
+    msg.Relay(STAMP, STEP, 513, 3, 1, 0, b"\x03\xff"): (6, 2),
     msg.Broadcast(STAMP, STEP, *PARTS): (18, 6),
     ROBOT: (44, 4),  # behind the length of the velocities
     msg.ParentState(STAMP, STEP, 5, (0.1, -0.25)): (12, 4),
@@ -98,7 +99,9 @@ def test_padding_is_ignored_and_records_hold_topic_robot_message_and_bytes(messa
     assert canonical(type(message), padded) == canon
     made = Record(
         topic,
-        {msg.AgentState: 258, msg.RobotState: 258, msg.SwarmEvent: 7, msg.Removal: 8}.get(type(message), 0),
+        {msg.AgentState: 258, msg.RobotState: 258, msg.SwarmEvent: 7, msg.Removal: 8, msg.Relay: 513}.get(
+            type(message), 0
+        ),
         message,
         canon,
     )

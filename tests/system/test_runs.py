@@ -17,9 +17,14 @@ from swarmabs_run.orchestration.plan import ProcessPlan
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 
-def same_as_simulated(folder: Path, scenario: str, *overrides: str, **options: Any) -> None:
-    """Run a scenario as processes, and prove that its digest is that of the simulation and of its bag."""
-    outcome = runs.lockstep(folder, scenario, *overrides, **options)
+def same_as_simulated(
+    folder: Path, scenario: str, *overrides: str, coordination: tuple[str, ...] = (), **options: Any
+) -> None:
+    """Run a scenario as processes, and prove that its digest is that of the simulation and of its bag.
+
+    The simulation has the usual coordination, whatever that of the run.
+    """
+    outcome = runs.lockstep(folder, scenario, *overrides, *coordination, **options)
     assert outcome.status == "ok", outcome.reason
     assert outcome.figures["digest"] == runs.simulated_digest(scenario, *overrides)
     assert outcome.figures["digest"] == runs.bag_digest(runs.bag_messages(folder))
@@ -69,9 +74,16 @@ SEVEN = ("swarm.agents=null", "swarm.generate={single_integrator: 3, double_inte
 NOISE = ("swarm.sensor.noise=[1.0e-4, 1.0e-3]", "plane.sensor.noise=[1.0e-4, 1.0e-3]")
 
 
-def test_all_kinds_of_faults_together_change_what_was_planned_and_verify(folder: Path) -> None:
+EACH_ROBOT = ("coordination=each_robot", "links={type: random, degree: 4, loss: 0.3, sensing: [5, 6]}")
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"coordination": EACH_ROBOT}, {"coordination": EACH_ROBOT, "agents_per_process": 3}], ids=str
+)
+def test_all_kinds_of_faults_together_change_what_was_planned_and_verify(folder: Path, options: dict[str, Any]) -> None:
     planned = f"faults=[{', '.join('{' + fault + '}' for fault in FAULTS)}]"
-    same_as_simulated(folder, "pd_het_4", runs.seconds(1.5), *SEVEN, *NOISE, planned)
+    swarm = (runs.seconds(1.5), *SEVEN, *NOISE, planned)
+    same_as_simulated(folder, "pd_het_4", *swarm, **options)
     membership = {EventKind.JOINED, EventKind.DEAD, EventKind.LEFT}
     recorded = [(event.step, event.agent_id, event.kind) for event in runs.events(folder) if event.kind in membership]
     assert recorded == sorted(filter(None, FAULTS.values()))

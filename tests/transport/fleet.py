@@ -25,7 +25,6 @@ from swarmabs_config.graph import (
     STANDBY_SUFFIX,
     Endpoints,
     Option,
-    agent_name,
     endpoints,
     standby_name,
     usual_topic,
@@ -33,6 +32,7 @@ from swarmabs_config.graph import (
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import decode, encode
 from swarmabs_core.messages import PLANE_STATE, TOPIC_OF, AgentState, Message, Mode, SwarmEvent, Topic
+from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig
 from swarmabs_core.realtime.base import AGENT_PHASE, CONTROLLER_PHASE, OBSERVER_PHASE, PLANE_PHASE, RealtimeBehaviour
 from swarmabs_core.realtime.controller import RealtimeController

@@ -8,9 +8,10 @@ import pytest
 from tests.swarmabs_core.helpers import FOUR_ROBOT_SCENARIOS, builtin
 from tests.transport.fleet import Network, VirtualFleet
 
-from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, agent_name, own_topic
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, own_topic
 from swarmabs_core import messages as msg
 from swarmabs_core.events import EventCode
+from swarmabs_core.nodes import agent_name
 from swarmabs_run.simulation import Simulation
 
 M = TypeVar("M", bound=msg.Message)

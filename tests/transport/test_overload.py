@@ -8,8 +8,9 @@ from tests.transport.fleet import VirtualFleet
 from tests.transport.test_fleet import active
 from tests.transport.test_leadership import PRIMARIES, STANDBYS, longest_stop, speakers
 
-from swarmabs_config.graph import CONTROLLER, PLANE, agent_name, standby_name
+from swarmabs_config.graph import CONTROLLER, PLANE, standby_name
 from swarmabs_core.messages import NEVER, AbstractState, AgentState, DesiredAbstractState, Mode
+from swarmabs_core.nodes import agent_name
 
 LONGEST_LOAD = 6.0
 WITHIN, CALM = 1.5, 0.5

@@ -19,10 +19,11 @@ from swarmabs_bag.run.realtime_gatherer import RealtimeCollector
 from swarmabs_bag.run.step import Step
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
-from swarmabs_config.graph import CONTROLLER, agent_name
+from swarmabs_config.graph import CONTROLLER
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import NEVER, TOPIC_OF, AgentState, Status
+from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 from swarmabs_core.realtime.modes import RESET_SECONDS
 from swarmabs_core.record import Record

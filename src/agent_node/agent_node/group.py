@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, ROBOT, Option
-from swarmabs_core.behaviours import AgentGroup
+from swarmabs_core.behaviours import Agent, AgentGroup, PeerGroup, Steered
 from swarmabs_core.declaration import setting
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import PLANE_STATE
@@ -32,15 +32,22 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     """Return behaviour and endpoints; reject ids that are not in the scenario."""
     hosted, variant = settings.declared(GroupConfig), settings.declared(Variant)
     scenario = hosted.load()
-    configs = {config.agent_id: config for config in configure.agent_configs(scenario)}
-    missing = [agent_id for agent_id in hosted.agent_ids if agent_id not in configs]
-    if missing:
-        raise InputError(f"parameter agent_ids: the scenario has no robot {missing[0]}")
+    if strangers := sorted({*hosted.agent_ids} - {*configure.members(scenario)}):
+        raise InputError(f"parameter agent_ids: the scenario has no robot {strangers[0]}")
+    also = configure.options_for(scenario)
+    if scenario.decentralised:
+        peers = PeerGroup(configure.peers(scenario, hosted.agent_ids, steered=variant.steered))
+        ends = configure.peer_endpoints(scenario, hosted.agent_ids, steered=variant.steered)
+        return NodeSpec(Steered(peers) if variant.steered else peers, ends)
     group = AgentGroup(
-        [configs[agent_id] for agent_id in hosted.agent_ids], packed=variant.packed, steered=variant.steered
+        [
+            Agent(config, packed=variant.packed, steered=variant.steered)
+            for config in configure.agent_configs(scenario)
+            if config.agent_id in hosted.agent_ids
+        ]
     )
     feeling = (Option.FEELING,) if PLANE_STATE in group.needs else ()
-    return NodeSpec(group, settings.endpoints(ROBOT, LOCKSTEP, *feeling, *configure.options_for(scenario)))
+    return NodeSpec(group, settings.endpoints(ROBOT, LOCKSTEP, *feeling, *also))
 
 
 main = LockstepProgram("agent_group", PARAMETERS, make)

@@ -11,6 +11,7 @@ from swarmabs_config.graph import Option
 from swarmabs_config.model.controllers import settings_of
 from swarmabs_config.model.fields import LARGEST
 from swarmabs_config.model.scenario import PlaneScenario
+from swarmabs_core.behaviours import Peer
 from swarmabs_core.controllers import CONTROLLERS, OffsetController, ParentLaw
 from swarmabs_core.declaration import gathered
 from swarmabs_core.faults import (
@@ -22,6 +23,7 @@ from swarmabs_core.faults import (
     SettingFault,
 )
 from swarmabs_core.heights import CenterHeights
+from swarmabs_core.links import Links
 from swarmabs_core.membership import ALWAYS, SETTLING_NS, Change, ChangeKind
 from swarmabs_core.messages import Kind
 from swarmabs_core.models import (
@@ -42,7 +44,7 @@ from swarmabs_core.systems.check import constants_of
 from swarmabs_core.systems.interface import SYSTEMS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Collection, Container, Iterator
     from typing import TypeAlias
 
     from swarmabs_config.model.agents import Agent
@@ -348,6 +350,44 @@ def agent_configs(scenario: Scenario) -> tuple[AgentConfig | SystemAgentConfig, 
             faults=robot_faults(scenario, config.agent_id),
         )
         for config in _nodes(scenario).agents()
+    )
+
+
+def links(scenario: Scenario) -> Links:
+    """Return which robots hear each other, where each of them coordinates the swarm; raise `InputError` if some do not.
+
+    Robots that join later pass on messages from the start.
+    """
+    return Links(scenario.links, members(scenario))
+
+
+def peers(
+    scenario: Scenario, robots: Container[int], *, recorded: bool = True, steered: bool = False
+) -> tuple[Peer, ...]:
+    """Return the robots with these ids, each with an observer and a parent controller of its own.
+
+    The run may be `recorded`, and never ahead of its bag by more than a window, and `steered`.
+    """
+    observer = observer_config(scenario)
+    controller = controller_config(scenario, recording_window=recording_window(scenario) if recorded else 0)
+    between = links(scenario)
+    return tuple(
+        Peer(observer, controller, config, between, steered=steered)
+        for config in agent_configs(scenario)
+        if config.agent_id in robots
+    )
+
+
+def peer_endpoints(scenario: Scenario, robots: Collection[int], *, steered: bool) -> graph.Endpoints:
+    """Return the endpoints of a process with these robots, each of which coordinates the swarm by itself."""
+    between = links(scenario)
+    also = {Option.SENSING: any(map(between.senses, robots)), Option.STEERED: steered, Option.CHANGING: steered}
+    return graph.endpoints(
+        graph.PEER,
+        graph.LOCKSTEP,
+        options_for(scenario) | {option for option, given in also.items() if given},
+        members=robots,
+        neighbours=sorted({near for robot in robots for near in between.of(robot)}),
     )
 
 

@@ -43,6 +43,7 @@ from swarmabs_core.messages import (
     PLANE_STATE,
     RECORDER_NODE,
     RECORDING_PROGRESS,
+    RELAY,
     REMOVALS,
     ROBOT_STATE,
     STANDING,
@@ -55,7 +56,9 @@ from swarmabs_core.messages import (
     SYSTEM,
     TOPIC_OF,
     Topic,
+    relay_topic,
 )
+from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime import leadership
 from swarmabs_core.steering import STEERER
 
@@ -63,6 +66,8 @@ from swarmabs_core.steering import STEERER
 PLANE = PLANE_FAMILY.node  # under another parent system its process has the name of that family
 PLANE_DRIVER, OBSERVER, CONTROLLER = "plane_driver", OBSERVER_NODE, CONTROLLER_NODE
 RECORDER, ROBOT = RECORDER_NODE, "agent_node"
+PEER = "peer_node"
+"""A robot that sums up and controls the swarm by itself, or several of them in one process."""
 
 
 class Driver(Enum):
@@ -98,17 +103,9 @@ NODES = {
     RECORDER: Node(3, {LOCKSTEP: "swarmabs_bag.recorder.node", REALTIME: "swarmabs_bag.recorder.realtime"}),
     STEERER: Node(None, {LOCKSTEP: "swarmabs_run.steering.node"}),
     ROBOT: Node(COORDINATORS, {LOCKSTEP: "agent_node.node", REALTIME: "agent_node.realtime"}),
+    PEER: Node(COORDINATORS, {LOCKSTEP: "agent_node.group"}),
 }
 """Every kind of node."""
-
-
-ROBOT_PREFIX = "agent_"
-"""What the name of a robot's node begins with."""
-
-
-def agent_name(agent_id: int) -> str:
-    """Return the node name of a robot."""
-    return f"{ROBOT_PREFIX}{agent_id:03d}"
 
 
 STANDBY_SUFFIX = pair_role.STANDBY_SUFFIX
@@ -140,6 +137,8 @@ class Option(Enum):
     """In real time some coordinator has a standby: what standbys publish is read too."""
     STANDBY = "standby"
     """In real time this coordinator is a standby: it publishes on topics of its own."""
+    SENSING = "sensing"
+    """Among robots that sum up the swarm by themselves, this one hears the parent's state."""
     OWN_TOPICS = "own topics"
     """In real time each robot publishes on topics below its own name, so that permissions can tell robots apart."""
 
@@ -275,7 +274,7 @@ GRAPH = (
     Link(
         AGENT_STATE,
         _both(Qos("best_effort", 10), Qos("best_effort", 1, lease=LEASE)),
-        (End(ROBOT),),
+        (End(ROBOT), End(PEER)),
         (
             End(PLANE, _gathered, unless=Option.PACKED),
             End(OBSERVER, _gathered),
@@ -294,13 +293,14 @@ GRAPH = (
             *_recorder(),
             End(STEERER),
             End(ROBOT, only=Option.FEELING),
+            End(PEER, only=Option.SENSING),
         ),
         system=PARENT_STATE,
     ),
     Link(
         ABSTRACT_STATE,
         _STATE,
-        (End(OBSERVER),),
+        (End(OBSERVER), End(PEER)),
         (
             End(CONTROLLER, driver=LOCKSTEP, only=Option.PACKED),
             End(CONTROLLER, driver=REALTIME),
@@ -313,7 +313,7 @@ GRAPH = (
     Link(
         AUXILIARY_STATE,
         _STATE,
-        (End(OBSERVER),),
+        (End(OBSERVER), End(PEER)),
         (
             End(CONTROLLER, only=Option.PACKED),
             *_recorder(),
@@ -324,14 +324,14 @@ GRAPH = (
     Link(
         DESIRED_ABSTRACT_STATE,
         _STATE,
-        (End(CONTROLLER),),
+        (End(CONTROLLER), End(PEER)),
         (_peer(CONTROLLER), *_recorder(), End(ROBOT, unless=Option.PACKED)),
         system=SWARM_DESIRED,
     ),
     Link(
         EVENTS,
         _both(Qos("reliable", 1000, "transient_local"), Qos("reliable", 1000, "transient_local")),
-        (End(PLANE), End(PLANE_DRIVER), End(OBSERVER), End(CONTROLLER), End(ROBOT)),
+        (End(PLANE), End(PLANE_DRIVER), End(OBSERVER), End(CONTROLLER), End(ROBOT), End(PEER)),
         (
             End(PLANE, 1000, reliable=True, driver=LOCKSTEP),
             End(OBSERVER, 1000, reliable=True, driver=REALTIME, of_robots=True),
@@ -345,7 +345,7 @@ GRAPH = (
         RECORDING_PROGRESS,
         {LOCKSTEP: Qos("best_effort", 10)},
         (End(RECORDER),),
-        (End(CONTROLLER, 1, only=Option.CREDITED),),
+        (End(CONTROLLER, 1, only=Option.CREDITED), End(PEER, 1)),
         system=RECORDING_PROGRESS,
     ),
     Link(
@@ -378,6 +378,7 @@ GRAPH = (
             End(CONTROLLER, 100, only=Option.STEERED),
             End(RECORDER, 1000, only=Option.STEERED),
             End(ROBOT, only=Option.STEERED),
+            End(PEER, 100, only=Option.STEERED),
         ),
         system=STEERING,
     ),
@@ -397,7 +398,11 @@ GRAPH = (
     Link(
         STANDING,
         _STATE,
-        (End(OBSERVER, driver=LOCKSTEP, only=Option.CHANGING), End(OBSERVER, driver=REALTIME)),
+        (
+            End(OBSERVER, driver=LOCKSTEP, only=Option.CHANGING),
+            End(OBSERVER, driver=REALTIME),
+            End(PEER, driver=LOCKSTEP, only=Option.CHANGING),
+        ),
         (
             End(CONTROLLER, driver=LOCKSTEP, only=Option.CHANGING),
             End(CONTROLLER, driver=REALTIME),
@@ -405,6 +410,13 @@ GRAPH = (
             End(RECORDER, _RECORDED, reliable=True, driver=REALTIME),
         ),
         system=STANDING,
+    ),
+    Link(
+        RELAY,
+        {LOCKSTEP: Qos("best_effort", 100)},
+        (End(PEER),),
+        (End(PEER, 100),),
+        system=RELAY,
     ),
 )
 """Every topic of the swarm, in the order of `swarmabs_core.messages.TOPICS`."""
@@ -480,10 +492,12 @@ def endpoints(
     *,
     robots: int = 0,
     members: Collection[int] = (),
+    neighbours: Collection[int] = (),
 ) -> Endpoints:
     """Return the endpoints of a node; some depths depend on the number of robots that ever take part.
 
     `members` are the robots whose own topics it uses with `Option.OWN_TOPICS`: all members, or for a robot only itself.
+    A `PEER` publishes the relays of `members`, and reads those of `neighbours`.
     """
     if driver is not REALTIME:
         options -= _REALTIME_ONLY
@@ -495,14 +509,14 @@ def endpoints(
             for topic, link in links
             for end in link.writers
             if _is(end, node, driver, options)
-            for written in _written(topic, end, options, members)
+            for written in (map(relay_topic, members) if topic is RELAY else _written(topic, end, options, members))
         ),
         {
             read: requested(read, driver, depth=_depth(end, 1 if read.agent_id else robots), reliable=end.reliable)
             for topic, link in links
             for end in link.readers
             if _is(end, node, driver, options)
-            for read in _read(topic, link, end, options, members)
+            for read in (map(relay_topic, neighbours) if topic is RELAY else _read(topic, link, end, options, members))
         },
     )
 

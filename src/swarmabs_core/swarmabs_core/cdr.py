@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import FRAME_ID, TOPICS, AgentState, Field, RobotState, SwarmEvent, fields_of
+from swarmabs_core.messages import FRAME_ID, TOPICS, AgentState, Field, Relay, RobotState, SwarmEvent, fields_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -399,7 +399,7 @@ def split(message_type: type[Message], data: bytes) -> list[bytes]:
 
 def agent_id_of(message: Message) -> int:
     """Return the id of the robot that a message concerns, 0 for messages of the coordinators."""
-    return message.agent_id if isinstance(message, (AgentState, RobotState, SwarmEvent)) else 0
+    return message.agent_id if isinstance(message, (AgentState, RobotState, SwarmEvent, Relay)) else 0
 
 
 def misplaced(message: Message, topic: Topic) -> str:

@@ -15,7 +15,7 @@ from swarmabs_core.events import EventCode
 from swarmabs_core.messages import EventKind
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
 SILENT = EventCode.SILENT.text
 """Reason for the end of a robot that was dropped because it did not answer."""
@@ -130,6 +130,10 @@ class Membership:
     def __contains__(self, agent_id: object) -> bool:
         return agent_id in self._spans
 
+    def __iter__(self) -> Iterator[int]:
+        """Return the ids of all robots that ever take part, ascending."""
+        return iter(self._spans)
+
     def publishing(self, step: int) -> tuple[int, ...]:
         """Return the ids, ascending, of the robots that publish a state in a step."""
         return self._around(step).ids
@@ -150,6 +154,11 @@ class Membership:
         """Return whether a robot publishes its state of a step."""
         span = self._spans.get(agent_id)
         return span is not None and span.covers(step)
+
+    def lasts(self, agent_id: int, step: int) -> bool:
+        """Return whether a robot has not ended before a step; it may have yet to join."""
+        last = self._spans[agent_id].last
+        return last is None or step <= last
 
     def constant_until(self, step: int) -> int:
         """Return the first step after a step in which other robots publish; later than any run if there is none."""

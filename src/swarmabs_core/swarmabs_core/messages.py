@@ -11,7 +11,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cache
 from typing import Annotated, Literal, NamedTuple, TypeAlias, get_type_hints
+
+from swarmabs_core.nodes import agent_name
 
 NEVER = 2**64 - 1
 """A step field that refers to no step (``AgentState.broadcast_step``, ``RecordingProgress.written_step``)."""
@@ -416,6 +419,21 @@ class SwarmBroadcast(NamedTuple):
     desired: SwarmDesired
 
 
+class Relay(NamedTuple):
+    """What a robot passes on to its neighbours in a round of a step, where each robot sums up the swarm by itself.
+
+    `swarmabs_core.relays` reads and writes the content.
+    """
+
+    stamp: Stamp
+    step: StepNumber
+    agent_id: RobotId
+    round: Annotated[int, Field("uint16", meaning="round of the step, from 0 on")]
+    complete: Annotated[int, Field("uint8", meaning="1: it knows all states of the step, else 0")]
+    last: Annotated[int, Field("uint8", meaning="1: it passes on nothing more in this step, else 0")]
+    content: Annotated[bytes, Field("byte[]", "", "states of robots and parent, in a compact form")]
+
+
 class SystemDescription(NamedTuple):
     """Description of the parent system, sent once: JSON with names, units and scales; `system` is its hash."""
 
@@ -445,6 +463,7 @@ Message = (
     | SwarmBroadcast
     | SystemDescription
     | StandingState
+    | Relay
 )
 """Any message of the swarm."""
 
@@ -513,6 +532,7 @@ SWARM_BROADCAST = _topic("swarm/packed", SwarmBroadcast)
 SYSTEM = _topic("parent/system", SystemDescription)
 REMOVALS = Topic("swarm/removals", Removal, EVENTS.ros_type)
 STANDING = _topic("swarm/standing", StandingState)
+RELAY = _topic("swarm/relay", Relay)
 
 
 OBSERVER_NODE, CONTROLLER_NODE, RECORDER_NODE = "abstraction_observer", "parent_controller", "recorder"
@@ -623,7 +643,18 @@ TOPICS = (
     *MAIN_TOPICS,
     *(EVENTS, RECORDING_PROGRESS, BROADCAST, SWARM_STATES, BASIS, STEERING),
     *(*SYSTEM_FAMILY.main, SWARM_BROADCAST, SYSTEM),
-    *(REMOVALS, STANDING),
+    *(REMOVALS, STANDING, RELAY),
 )
 TOPIC_OF: dict[type[Message], Topic] = {topic.message: topic for topic in TOPICS}
 """The topic on which a message of a class is published, unless nodes publish it on topics of their own."""
+
+
+@cache
+def relay_topic(agent_id: int) -> Topic:
+    """Return the topic on which a robot passes on what it knows to its neighbours."""
+    return Topic(f"{agent_name(agent_id)}/relay", Relay, RELAY.ros_type, agent_id)
+
+
+def topic_of(message: Message) -> Topic:
+    """Return the topic on which a message is published in lockstep."""
+    return relay_topic(message.agent_id) if isinstance(message, Relay) else TOPIC_OF[type(message)]

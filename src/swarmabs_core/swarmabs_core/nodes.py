@@ -7,6 +7,14 @@ from typing import NamedTuple
 
 from swarmabs_core.errors import InputError
 
+ROBOT_PREFIX = "agent_"
+"""What the name of a robot's node begins with."""
+
+
+def agent_name(agent_id: int) -> str:
+    """Return the node name of a robot."""
+    return f"{ROBOT_PREFIX}{agent_id:03d}"
+
 
 class NodeKind(str, Enum):
     """The function of what publishes messages in the swarm."""

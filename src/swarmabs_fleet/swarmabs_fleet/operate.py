@@ -29,7 +29,6 @@ from swarmabs_config.graph import (
     REALTIME,
     RECORDER,
     SILENCE,
-    agent_name,
     own_topic,
     requested,
     standby_name,
@@ -39,6 +38,7 @@ from swarmabs_core.cdr import decode, encode, misplaced
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
 from swarmabs_core.events import EventCode
 from swarmabs_core.messages import AGENT_STATE, REMOVALS, AgentState, Removal, Status
+from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.base import Level
 from swarmabs_fleet.check import expiring
 from swarmabs_fleet.host_plan import HostPlan

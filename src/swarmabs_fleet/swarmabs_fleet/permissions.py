@@ -12,13 +12,13 @@ from swarmabs_config.graph import (
     PLANE_DRIVER,
     REALTIME,
     RECORDER,
-    ROBOT_PREFIX,
     endpoints,
     options_of,
     services,
     usual_topic,
 )
 from swarmabs_core.messages import REMOVALS, Kind
+from swarmabs_core.nodes import ROBOT_PREFIX
 from swarmabs_core.realtime.instruments import MEASURED, TopicSettings
 
 if TYPE_CHECKING:

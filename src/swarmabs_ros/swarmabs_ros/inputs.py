@@ -22,20 +22,22 @@ SEVERAL = (EVENTS, RECORDING_PROGRESS)
 
 
 @cache
-def _offset_of_agent_id(topic: Topic) -> int | None:
-    """Return where messages of a topic have the robot whose place they take; None if a step has one message."""
+def _place_in_step(topic: Topic) -> slice:
+    """Return where messages of a topic have robot and round, whose place they take; empty if a step has one message."""
     if topic is STEERING:  # a step has one order, whichever robot it names
-        return None
-    offset = 0
+        return slice(0)
+    offset, ends = 0, {}
     for place in places(topic.message):
-        if place.name == "agent_id":
-            return offset
+        ends[place.name] = offset, offset + place.size
         offset += place.size
-    return None
+    if "agent_id" not in ends:
+        return slice(0)
+    first, end = ends["agent_id"]
+    return slice(first, ends.get("round", (0, end))[1])
 
 
 class Inputs:
-    """The first message in each place, that is of each topic, step and robot, of the latest steps.
+    """The first message in each place, that is of each topic, step, robot and round, of the latest steps.
 
     Parameters
     ----------
@@ -59,16 +61,15 @@ class Inputs:
         """
         if topic in SEVERAL:
             return
-        step, offset = step_of(data, topic.type_name), _offset_of_agent_id(topic)
-        robot = b"" if offset is None else data[offset : offset + 2]
+        step, place = step_of(data, topic.type_name), data[_place_in_step(topic)]
         messages = self._steps.get(step)
         if messages is None:
             messages = self._steps[step] = {}
             if len(self._steps) > self._most:
                 del self._steps[next(iter(self._steps))]
-        first = messages.setdefault((topic, robot), data)
+        first = messages.setdefault((topic, place), data)
         if first is data or first == data:
             return
         if canonical(topic.message, first) != canonical(topic.message, data):
-            of = f" of agent {int.from_bytes(robot, 'little')}" if robot else ""
+            of = f" of agent {int.from_bytes(place[:2], 'little')}" if place else ""
             raise ConflictError(topic.name + of, step)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config.graph import KEPT_STEPS
 from swarmabs_core.cdr import decode, encode
-from swarmabs_core.messages import TOPIC_OF, SwarmEvent
+from swarmabs_core.messages import SwarmEvent, topic_of
 from swarmabs_ros.announcements import send_events
 from swarmabs_ros.inputs import Inputs
 
@@ -291,7 +291,7 @@ class Lockstep:
     def _publish(self, messages: Messages) -> None:
         send_events(self._status, "publishes", [message for message in messages if isinstance(message, SwarmEvent)])
         for message in messages:
-            topic = TOPIC_OF[type(message)]
+            topic = topic_of(message)
             data = encode(message)
             self._publishers[topic].publish(data)
             self._sent.append((message.step, topic, data))

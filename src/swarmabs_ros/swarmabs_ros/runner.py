@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, cast
 from swarmabs_config.graph import LOCKSTEP, Endpoints, endpoints, options_of
 from swarmabs_core.declaration import DeclarationT, made_of, parameters_of
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_core.messages import TOPICS
 from swarmabs_core.parameters import SettingError
 from swarmabs_ros.endpoints import Receiver, advertise
 from swarmabs_ros.lockstep import INTERRUPTED, SLICE, Lockstep
@@ -132,7 +131,7 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
         signal.signal(number, stop)
     problem: str | None = "the node failed"
     try:
-        expected = _expected(common.match)
+        expected = _expected(common.match, (*ends.publications, *ends.subscriptions))
         begun = time.monotonic()
         while not stopped and not _matched(expected, publishers, inbox):
             time.sleep(_look_again(time.monotonic() - begun))
@@ -157,16 +156,16 @@ def _look_again(waited: float) -> float:
     return min(max(SLICE / 20.0, waited / 10.0), SLICE)
 
 
-def _expected(match: Iterable[str]) -> dict[Topic, int]:
-    """Return the number of counterparts by topic from the values of the parameter."""
-    topics = {topic.name: topic for topic in TOPICS}
+def _expected(match: Iterable[str], used: Iterable[Topic]) -> dict[Topic, int]:
+    """Return the number of counterparts by topic, among those that the node uses, from the values of the parameter."""
+    topics = {topic.name: topic for topic in used}
     expected = {}
     for text in match:
         try:
             name, number = text.split()
             expected[topics[name]] = int(number)
         except (ValueError, KeyError):
-            raise InputError(f"parameter match: {text!r} is not 'TOPIC NUMBER' with a topic of the swarm") from None
+            raise InputError(f"parameter match: {text!r} is not 'TOPIC NUMBER' with a topic of this node") from None
     return expected
 
 

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmabs_bag.recorder.swarm_summary import SwarmSummary
+    from swarmabs_config.scenario import Scenario
 
 Phase = Literal["starting", "running", "paused", "closing"]
 Figures: TypeAlias = dict[str, Any]
@@ -90,9 +91,11 @@ class RunOptions:
     paused: bool = False
     restarts: bool = False
 
-    def packs(self, robots: int) -> bool:
-        """Return whether messages are packed in a swarm of this size."""
-        return robots >= PACKED_FROM if self.packed is None else self.packed
+    def packs(self, scenario: Scenario) -> bool:
+        """Return whether messages are packed: never where the robots sum up the swarm by themselves."""
+        if scenario.decentralised:
+            return False
+        return len(scenario.agents) >= PACKED_FROM if self.packed is None else self.packed
 
 
 PACKED_FROM = 8

@@ -21,7 +21,7 @@ from swarmabs_core.arrays import RunArrays, RunEvent, run_arrays, run_event, tab
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
-from swarmabs_core.messages import EVENTS, PLANE_STATE, TOPIC_OF
+from swarmabs_core.messages import EVENTS, PLANE_STATE, TOPIC_OF, Relay, topic_of
 from swarmabs_core.nodes import NodeKind, NodeName
 from swarmabs_run.swarm_columns import NotVectorisableError
 from swarmabs_run.vector_simulation import VectorSimulation, vectorised
@@ -49,6 +49,8 @@ class NodeInProcess(NamedTuple):
 def nodes_in_process(scenario: Scenario, division: int | None = None) -> dict[NodeName, NodeInProcess]:
     """Return all nodes of a scenario by name: observer, plane, parent controller, robots.
 
+    Whatever its coordination, they publish what the nodes of its runs do.
+
     The `division` is the number of steps from a change on in which the observer tells how the abstract state divides,
     by default that of the scenario.
     """
@@ -61,12 +63,24 @@ def nodes_in_process(scenario: Scenario, division: int | None = None) -> dict[No
     also = configure.options_for(scenario) | ({Option.WATCHING} if PLANE_STATE in observer.awaits() else set())
     nodes = {
         NodeName(NodeKind.OBSERVER): _node(observer, OBSERVER, also),
-        NodeName(NodeKind.PARENT): _node(Parent(configure.parent_config(scenario)), PLANE, also),
+        NodeName(NodeKind.PARENT): _parent(scenario),
         NodeName(NodeKind.CONTROLLER): _node(controller, CONTROLLER, also),
     }
     for config in configure.agent_configs(scenario):
         nodes[NodeName(NodeKind.AGENT, config.agent_id)] = _robot(config)
     return nodes
+
+
+def peers_in_process(scenario: Scenario) -> dict[NodeName, NodeInProcess]:
+    """Return plane and robots by name, where each robot coordinates the swarm by itself."""
+    peers = configure.peers(scenario, configure.members(scenario), recorded=False)
+    robots = {NodeName(NodeKind.AGENT, peer.agent_id): NodeInProcess(peer, peer.needs) for peer in peers}
+    return {NodeName(NodeKind.PARENT): _parent(scenario)} | robots
+
+
+def _parent(scenario: Scenario) -> NodeInProcess:
+    """Return the node of the plane, or of another parent system."""
+    return _node(Parent(configure.parent_config(scenario)), PLANE, configure.options_for(scenario))
 
 
 def behaviour_of(nodes: Mapping[NodeName, NodeInProcess], name: NodeName, kind: type[Machine]) -> Machine:
@@ -103,7 +117,7 @@ class Network:
         self._subscribers: dict[Topic, list[Callable[[Message], Messages]]] = {topic: [] for topic in OFFERED[LOCKSTEP]}
         for node in self._nodes:
             for topic in node.hears:
-                self._subscribers[topic].append(node.behaviour.handle)
+                self._subscribers.setdefault(topic, []).append(node.behaviour.handle)
         self.pending: deque[Message] = deque()
 
     def start(self) -> None:
@@ -125,7 +139,7 @@ class Network:
                 held.append(message)
                 continue
             yield message
-            for handle in self._subscribers[TOPIC_OF[type(message)]]:
+            for handle in self._subscribers[topic_of(message)]:
                 self.pending.extend(handle(message))
         self.pending.extend(held)
 
@@ -133,7 +147,8 @@ class Network:
 class Simulation:
     """The nodes of a scenario, connected by a queue.
 
-    The nodes start and answer in the given order, by default that of `nodes_in_process`; `division` is as for that.
+    The nodes start and answer in the given order, by default that of `nodes_in_process`, or `peers_in_process` if each
+    robot coordinates the swarm by itself; `division` is as for `nodes_in_process`.
     """
 
     def __init__(
@@ -142,7 +157,10 @@ class Simulation:
         nodes: Iterable[NodeInProcess] | None = None,
         division: int | None = None,
     ) -> None:
-        self._network = Network(nodes_in_process(scenario, division).values() if nodes is None else nodes)
+        if nodes is None:
+            named = peers_in_process(scenario) if scenario.decentralised else nodes_in_process(scenario, division)
+            nodes = named.values()
+        self._network = Network(nodes)
         self._collector = RunCollector(
             configure.members(scenario),
             configure.schedule(scenario),
@@ -161,6 +179,8 @@ class Simulation:
         sent = _Sent()
         try:
             for message in self._network.deliver():
+                if isinstance(message, Relay):  # not part of a bag
+                    continue
                 sent.add(message)
                 if sent.full:
                     yield from sent.collected_by(self._collector)

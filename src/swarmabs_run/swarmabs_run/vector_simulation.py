@@ -58,7 +58,7 @@ def vectorised(scenario: Scenario) -> Swarm[Any] | None:
     has a message of the observer more, which arrays do not provide; nor do they provide further topics that are not the
     controller's.
     """
-    if scenario.faults or configure.division(scenario) >= ALWAYS:
+    if scenario.faults or scenario.decentralised or configure.division(scenario) >= ALWAYS:
         return None
     if isinstance(scenario, PlaneScenario):
         return PlaneSwarm(scenario) if on_columns(scenario) else None

@@ -17,7 +17,6 @@ from swarmabs_config.graph import (
     DIAGNOSTICS,
     OFFERED,
     OWN,
-    ROBOT_PREFIX,
     Driver,
     Qos,
     own_topic,
@@ -27,6 +26,7 @@ from swarmabs_config.graph import (
 from swarmabs_core.cdr import decode, misplaced
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import BASIS, EVENTS, FAMILIES, SwarmEvent, Topic
+from swarmabs_core.nodes import ROBOT_PREFIX
 from swarmabs_core.pair_role import ROLE
 from swarmabs_ros.endpoints import Receiver
 

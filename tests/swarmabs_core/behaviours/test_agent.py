@@ -260,7 +260,7 @@ def test_last_state_is_that_of_the_end_step(end: ChangeKind) -> None:
 
 def test_a_group_does_what_its_robots_do() -> None:
     configs = [config(SI), config(DI, agent_id=5, feels_gravity=True, last_step=1)]
-    group, alone = AgentGroup(configs), [Agent(each) for each in configs]
+    group, alone = AgentGroup([Agent(each) for each in configs]), [Agent(each) for each in configs]
     assert group.needs == alone[1].needs
     assert group.start() == tuple(state(each.start()) for each in alone)
     for step in range(3):

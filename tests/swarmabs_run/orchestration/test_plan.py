@@ -26,7 +26,6 @@ from swarmabs_config.graph import (
     REALTIME,
     RECORDER,
     Driver,
-    agent_name,
 )
 from swarmabs_config.scenario import Scenario
 from swarmabs_config.scenarios import builtin_scenarios
@@ -41,6 +40,7 @@ from swarmabs_core.messages import (
     SWARM_STATES,
 )
 from swarmabs_core.models import AgentConfig, ObserverConfig, PlaneConfig
+from swarmabs_core.nodes import agent_name
 from swarmabs_core.parameters import resolve
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.observer import RealtimeObserverConfig

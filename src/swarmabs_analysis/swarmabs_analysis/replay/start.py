@@ -9,10 +9,10 @@ from swarmabs_analysis.replay.playback import namespace_of
 from swarmabs_analysis.verification.trial import check_nodes
 from swarmabs_bag.attached import attached_scenario
 from swarmabs_bag.run_folder import RunFolder
-from swarmabs_config.graph import CONTROLLER, OBSERVER, agent_name
+from swarmabs_config.graph import CONTROLLER, OBSERVER
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import STANDING
-from swarmabs_core.nodes import NodeKind
+from swarmabs_core.nodes import NodeKind, agent_name
 from swarmabs_run.orchestration.plan import plan
 from swarmabs_run.run import RunOptions
 

@@ -20,10 +20,10 @@ from swarmabs_config.graph import (
     REALTIME,
     RECORDER,
     ROBOT,
-    agent_name,
     standby_name,
 )
 from swarmabs_config.ports import DATA_OFFSET, METATRAFFIC_OFFSET, metatraffic_port
+from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY
 
 if TYPE_CHECKING:

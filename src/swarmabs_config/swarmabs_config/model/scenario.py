@@ -9,6 +9,7 @@ from swarmabs_core.cdr import SECOND
 from swarmabs_core.declaration import setting_of
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import FAULTS, Fault, JoinFault, SystemReferenceFault
+from swarmabs_core.links import EACH_ROBOT, Coordination, LinkSettings
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import PLANE_FAMILY, SYSTEM_FAMILY, Family
@@ -163,6 +164,10 @@ class CommonScenario(Model):
     duration: Duration = measured(30.0, "simulated time, a multiple of step", "s")
     step: Duration = measured(0.01, "control period", "s")
     seed: Annotated[int, Like(Run, "seed")] = like(Run, "seed")
+    coordination: Annotated[str, Like(Coordination, "coordination")] = like(Coordination, "coordination")
+    links: Annotated[LinkSettings, Declared()] = declared_field(
+        LinkSettings, "which robots hear each other, where each of them coordinates the swarm by itself"
+    )
 
     if TYPE_CHECKING:  # the subclasses determine the types, and the order in files
         swarm: AnySwarm
@@ -177,6 +182,11 @@ class CommonScenario(Model):
         """Return the same scenario with every robot listed, in order of ids, and nothing left to generate."""
         swarm = self.swarm.model_copy(update={"agents": self.agents, "generate": None})
         return self.model_copy(update={"swarm": swarm})
+
+    @property
+    def decentralised(self) -> bool:
+        """Whether each robot sums up and controls the swarm by itself."""
+        return self.coordination == EACH_ROBOT
 
     @cached_property
     def step_ns(self) -> int:

@@ -66,6 +66,22 @@ def _timing(scenario: "Scenario") -> Iterator[Finding]:
         )
 
 
+def _links(scenario: "Scenario") -> Iterator[Finding]:
+    if not scenario.decentralised:
+        return
+    try:
+        configure.links(scenario)
+    except InputError as error:
+        yield Finding.of(("links",), error.problem, error.remedy)
+    if scenario.lockstep.on_stall == "drop":
+        yield Finding.of(
+            ("lockstep", "on_stall"),
+            "robots that coordinate the swarm by themselves do not agree on dropping a silent one",
+            "use `fail`, or `coordination: central`",
+            see=("coordination",),
+        )
+
+
 def _generated(scenario: "SystemScenario") -> Iterator[Finding]:
     """Draw the robots, which the other checks need."""
     if scenario.swarm.generate is None:
@@ -313,10 +329,10 @@ _CHECKS: dict[Family, tuple[tuple[Callable[..., Iterator[Finding]], ...], ...]] 
         (_number, _ids, _positions, faults, _plane),
         (_distinct_positions,),
         (_preimage,),
-        (_constructed,),
+        (_constructed, _links),
         (offset_law,),
     ),
-    SYSTEM_FAMILY: ((_timing, _generated), (_ids, faults), (_system,), (system_settings,)),
+    SYSTEM_FAMILY: ((_timing, _generated), (_ids, faults), (_system, _links), (system_settings,)),
 }
 """The checks by what the scenario is about, in groups."""
 _WARNINGS: dict[Family, tuple[Callable[..., Iterator[str]], ...]] = {

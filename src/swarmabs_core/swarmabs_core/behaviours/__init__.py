@@ -5,6 +5,7 @@ from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller
 from swarmabs_core.behaviours.observer import Observer
 from swarmabs_core.behaviours.parent import Parent
+from swarmabs_core.behaviours.peer import Peer, PeerGroup
 from swarmabs_core.behaviours.steering import Decision, Request, Steered, SteeringConfig, SteeringController
 
 __all__ = [
@@ -15,6 +16,8 @@ __all__ = [
     "Decision",
     "Observer",
     "Parent",
+    "Peer",
+    "PeerGroup",
     "Request",
     "Steered",
     "SteeringConfig",

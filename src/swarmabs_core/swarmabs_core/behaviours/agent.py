@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 from swarmabs_core.behaviours.base import (
+    Behaviour,
     UnexpectedMessageError,
     packed_broadcasts,
     refuse_conflict,
@@ -30,6 +31,7 @@ from swarmabs_core.messages import (
     Steering,
     SwarmEvent,
     Topic,
+    topic_of,
 )
 from swarmabs_core.robot_controller import RESET, STOPPED
 from swarmabs_core.settings import LifeSpan
@@ -38,6 +40,16 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from swarmabs_core.model import AgentConfig, Body
+
+
+class Robot(Behaviour, Protocol):
+    """A robot as a state machine, with the topics to which it subscribes."""
+
+    @property
+    def needs(self) -> tuple[Topic, ...]:
+        """The topics."""
+        ...
+
 
 UNLIMITED_NS = 500_000_000
 """Time without a limited command, ns, after which limits are reported as over: one event each, however it dithers."""
@@ -238,7 +250,7 @@ class Agent:
 class AgentGroup:
     """Several robots in one process, for swarms with too many robots for one process each.
 
-    They share only their subscriptions: each is a separate state machine that receives nothing but the broadcasts.
+    They share only their subscriptions: each is a separate state machine that receives nothing but what it needs.
 
     Attributes
     ----------
@@ -246,8 +258,8 @@ class AgentGroup:
         The topics to which the robots subscribe.
     """
 
-    def __init__(self, configs: Sequence[AgentConfig], *, packed: bool = False, steered: bool = False) -> None:
-        self._agents = [Agent(config, packed=packed, steered=steered) for config in configs]
+    def __init__(self, robots: Sequence[Robot]) -> None:
+        self._agents = robots
         self.needs = tuple(dict.fromkeys(topic for agent in self._agents for topic in agent.needs))
         self._listeners = {topic: [a for a in self._agents if topic in a.needs] for topic in self.needs}
 
@@ -257,7 +269,7 @@ class AgentGroup:
 
     def handle(self, message: Message) -> Messages:
         """Pass a broadcast to every robot; return their next states when the broadcasts of the step are complete."""
-        listeners = self._listeners[TOPIC_OF[type(message)]]
+        listeners = self._listeners[topic_of(message)]
         return tuple(answer for agent in listeners for answer in agent.handle(message))
 
     def awaits(self) -> tuple[Topic, ...]:

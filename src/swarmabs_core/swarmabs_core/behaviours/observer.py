@@ -69,6 +69,11 @@ class Observer:
         return self._gathering.step
 
     @property
+    def membership(self) -> Membership:
+        """Who takes part in which step, as far as it is known."""
+        return self._membership
+
+    @property
     def standing(self) -> tuple[AnyRobotState, ...]:
         """The robots that are assumed at rest."""
         return tuple(self._standing.values())

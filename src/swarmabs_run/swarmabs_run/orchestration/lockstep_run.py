@@ -50,7 +50,7 @@ class LockstepRun(ProcessRun):
         """Drive the processes to their end; afterwards the run can no longer be steered."""
         try:
             outcome = super().drive(machine, end_asked, domain, begun)
-            return replace(outcome, packed=self._options.packs(len(self._scenario.agents)))
+            return replace(outcome, packed=self._options.packs(self._scenario))
         finally:
             (self._folder.path / SOCKET).unlink(missing_ok=True)
 
@@ -76,7 +76,9 @@ class LockstepRun(ProcessRun):
     def _inject_faults(self) -> None:
         """End or stop the processes of faulty robots once their last state is recorded; no node uses them later."""
         self._apply_steering()
-        while self._faults and self._faults[0].step <= self._recorded():
+        # Where robots pass on states, all others know the last one of a robot once the next step is recorded.
+        behind = int(self._scenario.decentralised)
+        while self._faults and self._faults[0].step + behind <= self._recorded():
             fault = self._faults.pop(0)
             name = self._own_process.get(fault.agent_id)
             if name is None:  # its state machine falls silent; the others in the process continue

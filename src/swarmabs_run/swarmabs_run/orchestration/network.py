@@ -1,6 +1,7 @@
 """The network of a run on this machine: its ROS domain, its Fast DDS profile and the environment of its processes.
 
-The profile uses loopback only and fixed participant ids; robots never discover each other.
+The profile uses loopback only and fixed participant ids; robots never discover each other, unless they sum up the swarm
+by themselves: then each participant announces itself to all, and a robot's messages go to its neighbours one by one.
 
 Every participant announces itself to the coordinators only, so discovery grows linearly with the number of robots, not
 quadratically: 200 processes discover each other in seconds. The only transport is UDP, so a killed process leaves no

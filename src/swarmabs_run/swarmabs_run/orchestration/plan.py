@@ -18,19 +18,20 @@ from swarmabs_config.graph import (
     LOCKSTEP,
     NODES,
     OBSERVER,
+    PEER,
     PLANE,
     REALTIME,
     RECORDER,
     ROBOT,
     Driver,
     Option,
-    agent_name,
     endpoints,
     options_of,
 )
 from swarmabs_core.declaration import values_of
 from swarmabs_core.membership import UNPLANNED
 from swarmabs_core.messages import FAMILIES, Topic
+from swarmabs_core.nodes import agent_name
 from swarmabs_core.steering import STEERER
 from swarmabs_ros.lockstep import FIRST
 from swarmabs_ros.settings import LockstepSettings, Variant
@@ -140,7 +141,7 @@ def _lockstep_plan(
     scenario: Scenario, folder: RunFolder, recorder: Parameters, options: RunOptions
 ) -> tuple[ProcessPlan, ...]:
     window = configure.recording_window(scenario)
-    packed = options.packs(len(scenario.agents))
+    packed = options.packs(scenario)
     common: Parameters = {
         **values_of(
             LockstepSettings(
@@ -161,6 +162,8 @@ def _lockstep_plan(
         RECORDER: obeying | recorder,
     }
     also = options_for(scenario)
+    if scenario.decentralised:
+        del coordinators[OBSERVER], coordinators[CONTROLLER]
     if options.steered:
         coordinators[STEERER] = common | {
             "scenario_file": str(folder.scenario),
@@ -241,6 +244,14 @@ def _agent_processes(
     for index, first in enumerate(range(0, len(configs), options.agents_per_process)):
         hosted = configs[first : first + options.agents_per_process]
         ids = tuple(config.agent_id for config in hosted)
+        if scenario.decentralised:
+            yield _peers(
+                scenario,
+                COORDINATORS + index,
+                common | {"scenario_file": str(folder.scenario), "steered": options.steered},
+                ids,
+            )
+            continue
         if options.agents_per_process == 1:
             name, module = agent_name(ids[0]), NODES[ROBOT].modules[LOCKSTEP]
             parameters = values_of(hosted[0]) | common
@@ -256,6 +267,21 @@ def _agent_processes(
         yield ProcessPlan(
             name, module, COORDINATORS + index, parameters, ends.publications, tuple(ends.subscriptions), ids
         )
+
+
+def _peers(scenario: Scenario, participant: int, parameters: Parameters, ids: tuple[int, ...]) -> ProcessPlan:
+    """Return the process of robots that coordinate the swarm by themselves."""
+    name = agent_name(ids[0]) if len(ids) == 1 else group_name(ids)
+    ends = configure.peer_endpoints(scenario, ids, steered=parameters["steered"] is True)
+    return ProcessPlan(
+        name,
+        NODES[PEER].modules[LOCKSTEP],
+        participant,
+        parameters | {"agent_ids": ids},
+        ends.publications,
+        tuple(ends.subscriptions),
+        ids,
+    )
 
 
 def expect_counterparts(processes: Collection[ProcessPlan]) -> None:

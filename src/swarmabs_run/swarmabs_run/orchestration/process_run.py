@@ -88,8 +88,10 @@ class ProcessRun:
             asked = stack.enter_context(end_asked())
             stack.enter_context(tracing_files_removed())
             domain = stack.enter_context(claimed_domain(participants))
-            peers = [*range(COORDINATORS), *(p.participant for p in self._plan if not p.agents)]
-            text = profile_xml(domain, peers=dict.fromkeys(peers), multicast=multicast_works(), realtime=realtime)
+            apart = not self._scenario.decentralised
+            peers = [*range(COORDINATORS), *(p.participant for p in self._plan if not (apart and p.agents))]
+            multicast = apart and multicast_works()
+            text = profile_xml(domain, peers=dict.fromkeys(peers), multicast=multicast, realtime=realtime)
             profile.write_text(text, encoding="utf-8")
             write_network(self._folder.logs, domain, participants, realtime=realtime)
             stack.callback(self._progress_file.over)

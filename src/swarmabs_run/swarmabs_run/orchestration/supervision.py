@@ -7,8 +7,9 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from swarmabs_config.graph import RECORDER, agent_name, writers
+from swarmabs_config.graph import RECORDER, writers
 from swarmabs_core.messages import EVENTS, FAMILIES, EventKind, word_of
+from swarmabs_core.nodes import agent_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
