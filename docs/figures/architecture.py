@@ -34,7 +34,7 @@ BOXES = (
     Box(-0.15, 1.5, 2.8, 2.2, "agent_001 ... agent_NNN", "one process per robot:\nlaw, drive, own state", VERMILION),
     Box(4.7, 4.0, 2.5, 1.2, "abstraction_observer", "sums over the swarm,\nmembership"),
     Box(4.7, 0.0, 2.5, 1.2, "plane_sim", "the plane (an encoder\non hardware)"),
-    Box(9.4, 0.0, 2.5, 1.2, "parent_controller", "PD, LQR or ARISE,\nfilter, manifold"),
+    Box(9.4, 0.0, 2.5, 1.2, "parent_controller", "PD, LQR, PID, ARISE,\nfilter, manifold"),
     Box(4.7, 2.0, 2.5, 1.2, "recorder", "orders, checks and\nwrites the bag", GREY),
 )
 

@@ -14,6 +14,7 @@ _SHORT = 0.42  # m; robots come to its ends now and then
 _CONTROLLERS: tuple[dict[str, Any], ...] = (
     {"type": "pd"},
     {"type": "lqr"},
+    {"type": "pid"},
     {"type": "arise", "trajectory": {"type": "sine"}},
     {"type": "arise", "trajectory": {"type": "constant"}},
 )

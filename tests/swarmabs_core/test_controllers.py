@@ -7,7 +7,17 @@ from hypothesis import given, settings, strategies as st
 from scipy.interpolate import make_interp_spline
 from tests.swarmabs_core.helpers import taylor
 
-from swarmabs_core.controllers import CONTROLLERS, Arise, AriseGains, ParentContext, StateFeedback, lqr_gains, regressor
+from swarmabs_core.controllers import (
+    CONTROLLERS,
+    Arise,
+    AriseGains,
+    ParentContext,
+    Pid,
+    PidSettings,
+    StateFeedback,
+    lqr_gains,
+    regressor,
+)
 from swarmabs_core.errors import InputError
 from swarmabs_core.manifold import Manifold
 from swarmabs_core.messages import PlaneState
@@ -56,10 +66,13 @@ def test_laws_take_their_settings() -> None:
 @pytest.mark.parametrize(
     ("name", "settings", "text"),
     [
-        ("pid", {}, r"no parent controller 'pid'; available: arise, lqr, pd"),
+        ("mpc", {}, r"no parent controller 'mpc'; available: arise, lqr, pd, pid"),
         ("pd", {"gain": (1.0, 2.0)}, r"parent controller 'pd' has no parameter 'gain'; it has gains"),
         ("pd", {"gains": (1.0,)}, "2 elements"),
         ("lqr", {"r": 0.0}, "more than 0"),
+        ("pid", {"gains": (1.0, 2.0)}, "3 elements"),
+        ("pid", {"gains": (1.0, 2.0, -1.0)}, "at least 0"),
+        ("pid", {"integral_limit": -0.1}, "at least 0"),
         ("lqr", {"q": (0.0, 1.0)}, r"q\.0: 0 is out of range"),
         ("arise", {"trajectory.type": "square"}, "one of sine, constant"),
         ("arise", {"smoothing": 0.0}, "more than 0"),
@@ -68,6 +81,53 @@ def test_laws_take_their_settings() -> None:
 def test_names_and_settings_that_are_refused(name: str, settings: dict[str, float], text: str) -> None:
     with pytest.raises(InputError, match=text):
         CONTROLLERS.make(name, settings, CONTEXT)
+
+
+def test_the_gains_of_pid_repeat_the_slow_pole_of_pd() -> None:
+    """The poles of the paper's PD gains, with inertia 0.525 and viscous friction 1; the gains have three digits."""
+    fast, slow = sorted(np.roots([0.525, 3.2859 + 1.0, 3.1623]))
+    expected = 0.525 * np.poly([fast, slow, slow]) - [0.0, 1.0, 0.0, 0.0]
+    k1, k2, k3 = PidSettings().gains
+    assert [k2, k1, k3] == pytest.approx(expected[1:], rel=2e-3)
+
+
+def test_the_integral_of_pid_is_a_sum_over_the_history() -> None:
+    """As long as angle and torque are small; the sum is that of NumPy, the offset part of the error."""
+    law = Pid(PidSettings((2.0, 3.0, 5.0), 4.0), 0.01, 9.0)
+    th, w, offset = 0.3 * np.cos(np.arange(300) / 40.0), 0.1 * np.sin(np.arange(300) / 20.0), 0.05
+    torques = [law.offset_torque(0.0, plane(a, b), offset) for a, b in zip(th, w, strict=True)]
+    error = th - offset
+    np.testing.assert_allclose(torques, 2.0 * error + 3.0 * w + 0.05 * (np.cumsum(error) - error), rtol=1e-12)
+    assert law.reference(3.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("angle", "angular_velocity", "grows"),
+    [
+        (0.2, 0.0, True),
+        (0.2, 2.0, True),  # torque 2.6 of 3
+        (0.2, 2.5, False),  # the torque is limited
+        (0.24, 0.0, True),
+        (0.26, 0.0, False),  # k1 th exceeds the limit of the integral
+        (-0.26, 0.0, False),
+        (-0.2, -2.0, True),
+    ],
+)
+def test_the_integral_of_pid_grows_only_where_it_can_help(angle: float, angular_velocity: float, grows: bool) -> None:  # noqa: FBT001
+    law = Pid(PidSettings((2.0, 1.1, 5.0), 0.5), 0.01, 3.0)
+    first, second = (law.torque(0.0, plane(angle, angular_velocity)) for _ in range(2))
+    assert second - first == pytest.approx(0.05 * angle if grows else 0.0, abs=1e-15)
+
+
+def test_the_integral_of_pid_is_bounded_and_shrinks_everywhere() -> None:
+    """It reaches 0.5 N m after 25 steps at 0.2 rad; far on the other side each step takes 0.05 N m/rad off."""
+    law = Pid(PidSettings((2.0, 0.0, 10.0), 0.5), 0.01, 3.0)
+    torques = [law.torque(0.0, plane(0.2, 0.0)) for _ in range(40)]
+    assert torques[10] == pytest.approx(0.4 + 10 * 0.02)
+    assert torques[25:] == pytest.approx([0.9] * 15)
+    far = [law.torque(0.0, plane(-1.0, 0.0)) + 2.0 for _ in range(7)]
+    assert far == pytest.approx([0.5, 0.4, 0.3, 0.2, 0.1, 0.0, 0.0], abs=0.1 + 1e-12)
+    assert far[:5] == pytest.approx([0.5, 0.4, 0.3, 0.2, 0.1])
 
 
 @settings(max_examples=30)

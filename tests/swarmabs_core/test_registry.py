@@ -60,9 +60,9 @@ def test_installed_packages_are_not_looked_at_for_what_is_built_in(monkeypatch: 
 
 def test_an_unknown_name_is_answered_with_all_names_and_loads_nothing(packages: Path, registry: Laws) -> None:
     install(packages, "controller", "broken", "raise RuntimeError", package="broken-one")
-    with pytest.raises(InputError, match=r"no parent controller 'pid'; available: arise, broken, lqr, pd"):
-        registry.find("pid")
-    assert "pid" not in registry
+    with pytest.raises(InputError, match=r"no parent controller 'mpc'; available: arise, broken, lqr, pd, pid"):
+        registry.find("mpc")
+    assert "mpc" not in registry
     assert "broken" in registry
     assert "broken_one" not in sys.modules
     source = f"{PART}PART = ControllerType('idle', (), lambda settings, context: 7)"
@@ -125,7 +125,7 @@ def test_two_packages_with_one_name_and_one_with_a_built_in_name_are_refused(pac
         registry.find("bang_bang")
     install(packages, "controller", "pd", f"{PART}PART = ControllerType('pd', (), print)", package="usurper")
     assert isinstance(registry.make("pd", {}, CONTEXT), StateFeedback)
-    for ask in (registry.__iter__, lambda: registry.find("pid")):
+    for ask in (registry.__iter__, lambda: registry.find("mpc")):
         with pytest.raises(PluginError, match=r"package usurper 1\.5 provides a parent controller 'pd'"):
             list(ask())
 

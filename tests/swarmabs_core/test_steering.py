@@ -69,7 +69,9 @@ def test_an_ordered_change_begins_with_the_step_of_the_order() -> None:
     assert {action: change_of(msg.Steering(70_000_000, 7, 1, action, 3, 0.0)) for action in changes} == changes
 
 
-@pytest.mark.parametrize(("name", "law"), [("pd_het_4", "pd"), ("pd_het_4", "lqr"), ("arise_het_4", "arise")])
+@pytest.mark.parametrize(
+    ("name", "law"), [("pd_het_4", "pd"), ("pd_het_4", "lqr"), ("pd_het_4", "pid"), ("arise_het_4", "arise")]
+)
 def test_the_step_from_which_an_offset_holds(name: str, law: str) -> None:
     """The desired state of the step is the first to differ; the robots' commands of the step follow it at once."""
     common = (name, "duration=0.4", f"controller.type={law}")

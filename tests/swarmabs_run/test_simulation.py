@@ -161,7 +161,7 @@ def strained() -> Scenario:
 @pytest.mark.parametrize(
     ("scenario", "events"),
     [
-        *((swarm(n, n, controller=name), False) for n in (2, 3, 17, 60) for name in ("pd", "lqr", "arise")),
+        *((swarm(n, n, controller=name), False) for n in (2, 3, 17, 60) for name in ("pd", "lqr", "pid", "arise")),
         (of_one_kind("single_integrator"), False),
         (of_one_kind("double_integrator"), False),
         (strained(), True),

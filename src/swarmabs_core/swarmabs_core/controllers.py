@@ -161,6 +161,71 @@ LQR = ControllerType(
 
 
 @dataclass(frozen=True, slots=True)
+class PidSettings:
+    """State feedback with an integral of the angle, which compensates a constant torque."""
+
+    gains: tuple[float, float, float] = setting(
+        (6.68, 3.72, 2.59),
+        "[k1, k2, k3]: k1 in N m/rad, k2 in N m s/rad, k3 in N m/(rad s)",
+        minimum=0.0,
+        length=3,
+    )
+    integral_limit: float = setting(
+        0.5,
+        "largest torque of the integral, which grows only while |k1 th| is not above it",
+        unit="N m",
+        minimum=0.0,
+    )
+
+
+class Pid:
+    r"""State feedback with an integral, tau_raw = k1 th + k2 w + z, for a control period in s.
+
+    .. math::
+
+        \dot z = k_3 \theta \quad \text{if } z \theta < 0, \text{ or }
+        k_1 |\theta| \le Z \text{ and } |\tau_{raw}| \le \tau_{max}; \qquad \dot z = 0 \quad \text{otherwise}
+
+    and z stays within +-Z, the integral's limit. A torque that the swarm does not exert, because of the limit of the
+    torque, the ends of the lanes or missing robots, moves the plane away from its reference. Then :math:`k_1 |\theta|`
+    exceeds Z, the integral no longer grows, and on the way back it has not grown either. A constant torque up to Z is
+    compensated, because the plane would come to rest where :math:`k_1 |\theta|` is not above it.
+    Euler's method advances the integral.
+    """
+
+    def __init__(self, settings: PidSettings, period: float, torque_max: float) -> None:
+        self.gains = settings.gains
+        self.integral_limit = settings.integral_limit
+        self._torque_max = torque_max
+        self._period = period
+        self._integral = 0.0
+
+    def reference(self, time: float) -> float:  # noqa: ARG002
+        """Return 0 rad: this law is a regulator."""
+        return 0.0
+
+    def torque(self, time: float, plane: PlaneState) -> float:
+        """Return tau_raw, N m, and advance the integral by one period."""
+        return self.offset_torque(time, plane, 0.0)
+
+    def offset_torque(self, time: float, plane: PlaneState, offset: float) -> float:  # noqa: ARG002
+        """Return tau_raw, N m, that regulates the plane to the offset, rad, and advance the integral by one period."""
+        k1, k2, k3 = self.gains
+        error, integral, limit = plane.angle - offset, self._integral, self.integral_limit
+        tau = k1 * error + k2 * plane.angular_velocity + integral
+        if integral * error < 0.0 or (k1 * abs(error) <= limit and abs(tau) <= self._torque_max):
+            self._integral = min(max(integral + self._period * k3 * error, -limit), limit)
+        return tau
+
+
+def _make_pid(settings: Settings, context: ParentContext) -> Pid:
+    return Pid(made_of(PidSettings, settings), context.period, context.manifold.torque_max)
+
+
+PID = ControllerType("pid", parameters_of(PidSettings), _make_pid, "tau_raw = k1 th + k2 w + the integral of k3 th")
+
+
+@dataclass(frozen=True, slots=True)
 class AriseGains:
     """Gains of the ARISE controller."""
 
@@ -281,7 +346,7 @@ ARISE = ControllerType(
 
 
 CONTROLLERS = Registry(
-    "parent controller", "swarmabs.parent_controllers", ControllerType, (PD, LQR, ARISE), ("torque", "reference")
+    "parent controller", "swarmabs.parent_controllers", ControllerType, (PD, LQR, PID, ARISE), ("torque", "reference")
 )
 
 

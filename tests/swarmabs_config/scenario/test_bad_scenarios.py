@@ -127,7 +127,7 @@ ADDED = [
     # Controllers.
     ("controller: pd", "4: controller: expected a mapping, found the text 'pd'; write {type: pd, ...}"),
     ("controller: {type: lrq}", "4: controller.type: unknown type 'lrq'; did you mean 'lqr'?"),
-    ("controller: {type: [pd]}", "4: controller.type: unknown type (a list of 1); known: pd, lqr, arise"),
+    ("controller: {type: [pd]}", "4: controller.type: unknown type (a list of 1); known: pd, lqr, pid, arise"),
     ("controller: {type: pd, gain: 1}", "4: controller.gain: unknown key 'gain'; did you mean 'gains'?"),
     ("controller: {trajectory: {type: sine}}", "4: controller.trajectory: …; remove 'trajectory', or use 'type: ari"),
     ("controller: {type: lqr, trajectory: 0}", "4: controller.trajectory: the lqr controller follows no trajectory"),

@@ -103,7 +103,7 @@ def test_robots_and_faults() -> None:
         ("name=!!python/name:os.system x", "the tag 'tag:yaml.org,2002:pyt"),
         ("step=0.007", "step: the duration 30.0 s is not a multiple of the step 0.007 s (see line 2)"),
         ("duration.x=1", "duration: it is the number 30.0 and has no parts; set the whole"),
-        ("controller.type=pid", "controller.type: unknown type 'pid'; did you mean 'pd'?"),
+        ("controller.type=pdd", "controller.type: unknown type 'pdd'; did you mean 'pd'?"),
         ("controller.gains.2=1", "controller.gains: expected a list of 2 numbers, found"),
         ("controller.gains.3=1", "controller.gains: '3' is not an index of this list of 2; use 0 to 1, or 2 to append"),
         ("controller.gains.x=1", "controller.gains: 'x' is not an index of this list of 2; use"),

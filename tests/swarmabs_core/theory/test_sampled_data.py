@@ -55,6 +55,8 @@ def test_loops_without_a_limit_or_without_any_stable_period_are_told() -> None:
         ("arise", "si", 0.0, "false"),
         ("pd", "di", 0.03, "false"),
         ("arise", "si", 0.02, "true"),
+        ("pid", "di", 0.0, "false"),
+        ("pid", "si", 0.02, "false"),
     ],
 )
 def test_runs_converge_below_and_diverge_above_the_limit(
@@ -64,7 +66,11 @@ def test_runs_converge_below_and_diverge_above_the_limit(
     delay = 4
     swarm = (10.0, None) if kind == "si" else (10.0, 5.0)
     # Of ARISE (ks + 1) (alpha1, 1) and ((ks + 1) alpha2 + beta/smoothing) (alpha1, 1).
-    feedback, integral = ((3.1623, 3.2859), (0.0, 0.0)) if controller == "pd" else ((2.0, 2.0), (62 / 3, 62 / 3))
+    feedback, integral = {
+        "pd": ((3.1623, 3.2859), (0.0, 0.0)),
+        "pid": ((6.68, 3.72), (2.59, 0.0)),
+        "arise": ((2.0, 2.0), (62 / 3, 62 / 3)),
+    }[controller]
     weight, inertia = 9.81 * (4 * 0.5 * height + 2.0 * height), 0.525 + 4 * 0.5 * height**2
     feedback = feedback[0] + weight * (compensated == "true"), feedback[1]
     loop = sampled_data.parent_loop(inertia, 1.0, feedback, integral, swarm, (weight, height / 9.81))
@@ -77,6 +83,7 @@ def test_runs_converge_below_and_diverge_above_the_limit(
     robots = [{"id": number, "mass": 0.5, "position": p, **robot} for number, p in enumerate(positions, start=1)]
     common = [
         f"plane={{angle: 1.0e-7, friction: [0, 1000, 700, 0, 1000, 1], mass: 2.0, center_height: {height}}}",
+        *(["controller.type=pid"] if controller == "pid" else []),
         f"controller.height_compensation={compensated}",
         f"faults=[{{kind: delay, steps: {delay}}}]",
         f"swarm={{agents: {json.dumps(robots)}, gains: {{ksd: 0.0}}}}",
@@ -86,7 +93,11 @@ def test_runs_converge_below_and_diverge_above_the_limit(
     def growth(factor: float) -> float:
         step = round(factor * limit, 6)
         times = [f"step={step}", f"duration={round(1000 * step, 6)}"]
-        angles = np.abs(Run(builtin(f"{controller}_{kind}_4", *times, *common)).column(PlaneState, "angle"))
+        angles = np.abs(
+            Run(builtin(f"{'arise' if controller == 'arise' else 'pd'}_{kind}_4", *times, *common)).column(
+                PlaneState, "angle"
+            )
+        )
         return float(angles[-300:].max() / angles[400:700].max())
 
     assert growth(0.98) < 0.9

@@ -71,6 +71,7 @@ SCENARIOS = {
     **{name: (name, ()) for name in builtin_scenarios()},
     "faulty": ("pd_het_4", FAULTY),
     "lqr": ("pd_het_4", ("controller={type: lqr, q: [3, 0.1], r: 7}",)),
+    "pid": ("pd_het_4", ("controller={type: pid, gains: [5, 3, 0.1], integral_limit: 0.7}",)),
     "small": ("pd_het_4", ("plane.friction=[5e-324, 0, 1e-310, 1e12, 1, 2.2250738585072014e-308]",)),
 }
 

@@ -11,7 +11,7 @@ from swarmabs_config import configure
 from swarmabs_config.model.fields import SMALLEST, Finding, Location
 from swarmabs_core import behaviours
 from swarmabs_core.cdr import SECOND
-from swarmabs_core.controllers import PD
+from swarmabs_core.controllers import PD, PID
 from swarmabs_core.errors import InputError
 from swarmabs_core.faults import JoinFault, MembershipFault
 from swarmabs_core.membership import ChangeKind
@@ -270,7 +270,7 @@ def _underdamped(scenario: "PlaneScenario") -> Iterator[str]:
 
 def _wrong_feedback(scenario: "PlaneScenario") -> Iterator[str]:
     gains = configure.controller_settings(scenario).get("gains")
-    if scenario.controller.type == PD.name and isinstance(gains, tuple) and float(gains[0]) <= 0.0:
+    if scenario.controller.type in {PD.name, PID.name} and isinstance(gains, tuple) and float(gains[0]) <= 0.0:
         yield f"controller.gains: k1 = {gains[0]!r} does not level the plane; use a positive gain"
 
 

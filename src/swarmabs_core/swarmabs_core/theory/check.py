@@ -9,6 +9,7 @@ from swarmabs_core.swarm_law import PAPER
 from swarmabs_core.theory.arise import FRICTION_ALONE, check_arise
 from swarmabs_core.theory.error_dynamics import inertia_swing
 from swarmabs_core.theory.general_theorems import abstract_states, constrained_conditions, constraints
+from swarmabs_core.theory.pid import check_pid
 from swarmabs_core.theory.report import Report, Theorem, plain
 from swarmabs_core.theory.sampled_data import sampled_conditions
 from swarmabs_core.theory.state_feedback import check_feedback
@@ -67,7 +68,7 @@ def _parent_check(setting: Setting) -> ParentCheck | None:
 
 
 def _swarm_theorems(setting: Setting, parent: ParentCheck | None) -> Iterator[Theorem]:
-    """Yield the theorems for controllers and swarms in the paper's order."""
+    """Yield the theorems for controllers and swarms in the paper's order, and what is proven of PID if it is used."""
     for kind, robots in _SWARMS.items():
         for name, law in (("LQR", "state feedback"), ("ARISE", "ARISE")):
             label, title = f"{name}_{kind}_sys", f"{law} with {robots}"
@@ -79,6 +80,8 @@ def _swarm_theorems(setting: Setting, parent: ParentCheck | None) -> Iterator[Th
                 yield Theorem(label, title, note=f"the swarm has {_SWARMS[setting.kind]}")
             else:
                 yield Theorem(label, title, parent.conditions, _DROPPED if kind == "noHomo" else "")
+    if setting.swarm_law == PAPER.name and (pid := check_pid(setting)):
+        yield pid
 
 
 def _general_theorems(setting: Setting, bounds: Constraints, parent: ParentCheck | None) -> Iterator[Theorem]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from swarmabs_core.controllers import Arise, StateFeedback
+from swarmabs_core.controllers import Arise, Pid, StateFeedback
 from swarmabs_core.desired_state import BANDWIDTH
 from swarmabs_core.drive import DoubleIntegratorDrive
 from swarmabs_core.theory.linear_algebra import Matrix, exponential
@@ -277,6 +277,9 @@ def _linear_law(setting: Setting) -> tuple[Pair, Pair, str] | None:
     law = setting.law
     if isinstance(law, StateFeedback):
         return (law.k1, law.k2), (0.0, 0.0), "state feedback"
+    if isinstance(law, Pid):
+        k1, k2, k3 = law.gains
+        return (k1, k2), (k3, 0.0), "PID"
     if isinstance(law, Arise):
         # e2 = -(w + alpha1 th) for a reference at rest, where Y_d and therefore the adaptation vanish.
         g = law.gains
