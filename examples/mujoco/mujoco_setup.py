@@ -40,7 +40,7 @@ class Setup:
     mass_error : float
         Largest relative error of the masses that the robots know.
     tilt_offset : float
-        Largest offset of the plane's encoder, rad.
+        Largest offset of the plane's encoder beside that of `faults`, rad.
     faults, physics : Faults, Physics
         Sensors and motors; wheels and engine.
     """
@@ -76,7 +76,8 @@ def rig_of(scenario: PlaneScenario, setup: Setup, seed: int) -> MujocoRig:
         height = (agent.center_height or HEIGHT) if setup.height is None else setup.height
         bodies.append(Chassis(robot, true_mass, height, setup.base))
     plane = scenario.plane
-    faults = replace(setup.faults, tilt_offset=draw(-setup.tilt_offset, setup.tilt_offset))
+    offset = setup.faults.tilt_offset + draw(-setup.tilt_offset, setup.tilt_offset)
+    faults = replace(setup.faults, tilt_offset=offset)
     return MujocoRig(
         tuple(bodies),
         Plank(
