@@ -12,6 +12,7 @@ from swarmabs_config.graph import (
     LOCKSTEP,
     NODES,
     OBSERVER,
+    PEER,
     PLANE,
     PLANE_DRIVER,
     REALTIME,
@@ -180,7 +181,7 @@ def test_nodes_in_real_time() -> None:
     assert [ports.domains_spanned(participants) for participants in (0, 203, 244, 245)] == [5, 5, 5, 10]
 
 
-PACKED, STEERED, CREDITED, WATCHING, FEELING, CHANGING, SYSTEM, PAIRED, STANDBY, OWN_TOPICS = Option
+PACKED, STEERED, CREDITED, WATCHING, FEELING, CHANGING, SYSTEM, PAIRED, STANDBY, SENSING, OWN_TOPICS = Option
 STATE, ABSTRACT, AUXILIARY, DESIRED = (topic.name for topic in (AGENT_STATE, *BROADCASTS))
 STATES = "swarm/states"
 MEMBERS = (7, 1234)
@@ -189,6 +190,8 @@ STANDS = "swarm/standing"
 BY_PAIRS = (ABSTRACT, AUXILIARY, STANDS, DESIRED, "recording/basis")
 SUMS = {ABSTRACT, AUXILIARY, STANDS, "swarm/events", "recording/basis", "swarm/removals"}
 OWN_STATES, OWN_EVENTS = ({f"agent_{i:03d}/{name}" for i in MEMBERS} for name in ("state", "events"))
+ALONE = {STATE, ABSTRACT, AUXILIARY, DESIRED, "swarm/events", *(f"agent_{i:03d}/relay" for i in MEMBERS)}
+NEAR = {"agent_008/relay", "agent_1234/relay"}
 
 
 def both(*names: str) -> set[str]:
@@ -225,6 +228,11 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
     (ROBOT, LOCKSTEP, set(), {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED}),
     (ROBOT, LOCKSTEP, {FEELING}, {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED, "plane/state"}),
     (ROBOT, LOCKSTEP, {PACKED, STEERED}, {STATE, "swarm/events"}, {"swarm/broadcast", "swarm/steering"}),
+    (PEER, LOCKSTEP, set(), ALONE, {"recording/progress", *NEAR}),
+    (
+        *(PEER, LOCKSTEP, {SENSING, STEERED, CHANGING}, ALONE | {STANDS}),
+        {"plane/state", "swarm/steering", "recording/progress", *NEAR},
+    ),
     (PLANE, REALTIME, set(), {"plane/state", "swarm/events", "recording/basis"}, {STATE}),
     (PLANE_DRIVER, REALTIME, set(), {"plane/state", "swarm/events"}, set()),
     (OBSERVER, REALTIME, set(), SUMS, {STATE, "swarm/events", "swarm/removals"}),
@@ -272,7 +280,7 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
 
 def test_endpoints_are_those_of_the_contract() -> None:
     for node, driver, options, *expected in CASES:
-        ends = endpoints(node, driver, frozenset(options), robots=len(MEMBERS), members=MEMBERS)
+        ends = endpoints(node, driver, frozenset(options), robots=len(MEMBERS), members=MEMBERS, neighbours=(8, 1234))
         found = [{topic.name for topic in topics} for topics in (ends.publications, ends.subscriptions)]
         assert found == expected, (node, driver, options)
 
@@ -288,7 +296,7 @@ def test_a_standby_must_take_over_before_robots_stop() -> None:
 def test_every_topic_is_there_once_in_the_order_of_the_messages_and_every_node_that_it_names_can_be_started() -> None:
     assert {topic for link in GRAPH for topic in link.topics} == {*TOPICS}
     assert {end.node for link in GRAPH for end in (*link.writers, *link.readers)} == {*NODES} > {*SERVICES}
-    assert [writers(topic) for topic in (AGENT_STATE, PLANE_STATE)] == [(ROBOT,), (PLANE, PLANE_DRIVER)]
+    assert [writers(topic) for topic in (AGENT_STATE, PLANE_STATE)] == [(ROBOT, PEER), (PLANE, PLANE_DRIVER)]
     for node in NODES.values():
         for module in node.modules.values():
             assert callable(importlib.import_module(module).main)
@@ -298,8 +306,8 @@ def test_all_options_can_be_asked_for_by_parameters() -> None:
     given = {"packed": True, "steered": True, "recording_window": 100}
     given |= {"type": "parent_response", "feels_gravity": True, "kind": "double_integrator"}
     given |= {"paired": True, "pair": "standby", "own_topics": True}
-    assert options_of({**given, "system.type": "ship"}) == {*Option}
-    assert options_of({**given, "kind": "single_integrator"}) == {*Option} - {FEELING, SYSTEM}
+    assert options_of({**given, "system.type": "ship"}) == {*Option} - {SENSING}
+    assert options_of({**given, "kind": "single_integrator"}) == {*Option} - {FEELING, SYSTEM, SENSING}
     assert options_of({"packed": False, "recording_window": 0, "type": "sum"}) == frozenset()
     # Robots never hear each other, whatever is asked for.
     for driver in Driver:

@@ -540,7 +540,7 @@ def _read(
 ) -> tuple[Topic, ...]:
     """Return the topics that are read at an end: the usual one, those of robots or of standbys, or several of them."""
     if Option.OWN_TOPICS in options and topic in OWN:
-        shared = not end.of_robots and any(writer.node != ROBOT for writer in link.writers)
+        shared = not end.of_robots and any(writer.node not in {ROBOT, PEER} for writer in link.writers)
         return (*((topic,) if shared else ()), *(own_topic(topic, member) for member in members))
     if Option.PAIRED not in options:
         return (topic,)
