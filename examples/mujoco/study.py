@@ -22,7 +22,7 @@ from study_trials import SCENARIOS, Case, Deviation, Outcome, run
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-MAP_SEEDS = 3
+MAP_SEEDS = 2
 """Seeds of each cell of a map."""
 NONE = "none"
 """Name of the imperfection of trials by seed, which have those of `SEEDED`."""
