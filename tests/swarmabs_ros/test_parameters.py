@@ -113,10 +113,10 @@ UNIT = re.compile(r"\b(ns|s|m|kg|rad|N|steps)\b|1/|0 to 1|probability|smoothing|
 EITHER_SIGN = {
     *("position", "velocity", "angular_velocity", "gains", "controller.gains", "adaptive_initial"),
     *("amplitude", "angular_frequency", "disturbance.amplitude", "disturbance.angular_frequency"),
-    *("offset", "imu.offset", "scale", "joint.scale"),
+    *("offset", "imu.offset", "scale", "joint.scale", "center_height", "plane.moment"),
     *("trajectory.amplitude", "trajectory.angular_frequency", "trajectory.value", "trajectory.angle"),
 }
-"""Coordinates, amplitudes and gains: all other numbers have a bound."""
+"""Coordinates, heights, amplitudes and gains: all other numbers have a bound."""
 
 
 @pytest.mark.parametrize("name", TABLES)

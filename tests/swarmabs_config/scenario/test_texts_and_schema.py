@@ -44,7 +44,9 @@ FILLED = """
                       {id: 2, kind: double_integrator, mass: 1.0, damping: 0.0, position: 0.0, velocity: 0.0,
                        center_height: 0.0}],
              sensor: {noise: [0.0, 0.0], resolution: [0.0, 0.0]}, actuator_lag: 0.0},
-     observer: {type: sum}, limits: {velocity: null, force: 2.0}, lockstep: {on_stall: drop, stall_timeout: 5.0},
+     observer: {type: sum}, limits: {velocity: null, force: 2.0},
+     coordination: central, links: {type: all, degree: 6, seed: 1, pairs: [], loss: 0.0, sensing: []},
+     lockstep: {on_stall: drop, stall_timeout: 5.0},
      realtime: {broadcast_age_limit: 0.1, state_age_limit: 0.1, plane_age_limit: 0.1, clock_tolerance: 0.02,
                 takeover_after: 0.04, lane_margin: 0.02, start: wait, quorum: null},
      faults: [{kind: kill, at: 1.0, agent: 1}, {kind: delay, from: 0.0, to: null, agents: null, steps: 2}]}"""

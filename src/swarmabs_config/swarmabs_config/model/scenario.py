@@ -62,6 +62,7 @@ FaultT = TypeVar("FaultT", bound=Fault)
 
 
 DEFAULT_OBSERVER = "sum"
+LINKS = "which robots hear each other, where each of them coordinates the swarm by itself"
 OBSERVERS = {observer.type: model_of(observer, tag="type") for observer in (SumObserver, ParentResponse)}
 """The model of each ``observer.type``."""
 FAULT_KINDS = {kind: model_of(fault, tag="kind") for kind, fault in FAULTS.items()}  # type: ignore[arg-type]  # classes are hashable
@@ -164,13 +165,11 @@ class CommonScenario(Model):
     duration: Duration = measured(30.0, "simulated time, a multiple of step", "s")
     step: Duration = measured(0.01, "control period", "s")
     seed: Annotated[int, Like(Run, "seed")] = like(Run, "seed")
-    coordination: Annotated[str, Like(Coordination, "coordination")] = like(Coordination, "coordination")
-    links: Annotated[LinkSettings, Declared()] = declared_field(
-        LinkSettings, "which robots hear each other, where each of them coordinates the swarm by itself"
-    )
 
     if TYPE_CHECKING:  # the subclasses determine the types, and the order in files
         swarm: AnySwarm
+        coordination: str
+        links: LinkSettings
         lockstep: Lockstep
         faults: tuple[Fault, ...]
 
@@ -255,6 +254,8 @@ class PlaneScenario(CommonScenario):
         json_schema_extra={"default": {"type": DEFAULT_OBSERVER}},
     )
     limits: Annotated[Limits, Declared()] = declared_field(Limits, "limits of the robots' drives")
+    coordination: Annotated[str, Like(Coordination, "coordination")] = like(Coordination, "coordination")
+    links: Annotated[LinkSettings, Declared()] = declared_field(LinkSettings, LINKS)
     lockstep: Annotated[Lockstep, Declared()] = declared_field(Lockstep, "what happens when a robot does not answer")
     realtime: Annotated[Realtime, Declared()] = declared_field(Realtime, "settings of runs in real time")
     faults: Annotated[tuple[Annotated[Fault, _FAULT], ...], AsTuple] = Field(
@@ -285,6 +286,8 @@ class SystemScenario(CommonScenario):
     swarm: SystemSwarm = Field(description="the robots and their gains")
     sensor: Annotated[ParentSensor, Declared()] = declared_field(ParentSensor, "how the parent's state is measured")
     requests: Annotated[Requests, Declared()] = declared_field(Requests, "limits and filter of the controller's needs")
+    coordination: Annotated[str, Like(Coordination, "coordination")] = like(Coordination, "coordination")
+    links: Annotated[LinkSettings, Declared()] = declared_field(LinkSettings, LINKS)
     lockstep: Annotated[Lockstep, Declared()] = declared_field(Lockstep, "what happens when a robot does not answer")
     faults: Annotated[tuple[Annotated[Fault, _SYSTEM_FAULT], ...], AsTuple] = Field(
         default=(), description="faults and membership changes"
