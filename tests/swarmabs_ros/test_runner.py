@@ -38,7 +38,7 @@ MAINS = {
         ("plane_sim", {"members": "[1, 70000]"}, "members"),
         ("plane_sim", {"schedule": "['kill 3']"}, "kill 3"),
         ("abstraction_observer", {"on_stall": "shrug"}, "on_stall"),
-        ("parent_controller", {"controller__type": "pid"}, "pid"),
+        ("parent_controller", {"controller__type": "mpc"}, "mpc"),
         ("parent_controller", {"controller__gains": "[1.0]"}, "controller.gains"),
         ("agent_node", {"agent_id": "0"}, "agent_id"),
         ("agent_node", {"damping": "1.0"}, "damping"),

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from random import Random
+from itertools import count as counted
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.declaration import setting
 from swarmabs_core.errors import InputError
+from swarmabs_core.faults import fraction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
 Pair = tuple[int, int]
 
@@ -88,10 +89,7 @@ class Links:
     def __init__(self, settings: LinkSettings, members: Iterable[int]) -> None:
         self._loss, self._seed = settings.loss, settings.seed
         ids = tuple(sorted(members))
-        self._neighbours: dict[int, set[int]] = {robot: set() for robot in ids}
-        for one, other in _pairs(settings, ids):
-            self._neighbours[one].add(other)
-            self._neighbours[other].add(one)
+        self._neighbours = _neighbours(ids, _pairs(settings, ids))
         self._sensing = frozenset(settings.sensing or ids)
         if strangers := sorted({*self._sensing} - {*ids}):
             raise InputError(f"links.sensing: there is no robot {strangers[0]}")
@@ -110,20 +108,11 @@ class Links:
 
     def apart(self, robots: Iterable[int]) -> tuple[int, ...]:
         """Return those robots that the first one does not reach through the others, ascending."""
-        left = {*robots}
-        reached = [min(left)] if left else []
-        left -= {*reached}
-        while reached:
-            near = self._neighbours[reached.pop()] & left
-            left -= near
-            reached += near
-        return tuple(sorted(left))
+        return _apart(self._neighbours, robots)
 
     def loses(self, step: int, turn: int, sender: int, receiver: int) -> bool:
         """Return whether the message of a round of a step is lost on its way."""
-        if not self._loss:
-            return False
-        return Random(f"{self._seed}:{step}:{turn}:{sender}:{receiver}").random() < self._loss  # noqa: S311 - repeatable, not secret
+        return self._loss > 0.0 and fraction(f"{self._seed}:{step}:{turn}:{sender}:{receiver}") < self._loss
 
 
 def _pairs(settings: LinkSettings, ids: tuple[int, ...]) -> Iterator[Pair]:
@@ -159,21 +148,21 @@ def _random_pairs(count: int, degree: int, seed: int) -> list[Pair]:
         raise InputError(
             f"links.degree: {count} robots cannot each hear {degree} others", f"use {degree + 1}, an even number"
         )
-    draw = Random(f"links:{seed}")  # noqa: S311 - repeatable, not secret
+    draws = (fraction(f"links:{seed}:{number}") for number in counted())
     while True:
         pairs = _circle(count, degree)
         present = {*pairs}
         for _ in range(_MIXING * len(pairs)):
-            m, n = draw.randrange(len(pairs)), draw.randrange(len(pairs))
+            m, n = int(next(draws) * len(pairs)), int(next(draws) * len(pairs))
             (a, b), (c, d) = pairs[m], pairs[n]
-            if draw.random() < 0.5:
+            if next(draws) < 0.5:
                 c, d = d, c
             one, other = _ordered(a, d), _ordered(c, b)
             if len({a, b, c, d}) == 4 and one not in present and other not in present:
                 present -= {pairs[m], pairs[n]}
                 present |= {one, other}
                 pairs[m], pairs[n] = one, other
-        if _connected(count, pairs):
+        if not _apart(_neighbours(range(count), pairs), range(count)):
             return sorted(pairs)
 
 
@@ -189,14 +178,22 @@ def _ordered(one: int, other: int) -> Pair:
     return (one, other) if one < other else (other, one)
 
 
-def _connected(count: int, pairs: Iterable[Pair]) -> bool:
-    group = list(range(count))
-
-    def root(n: int) -> int:
-        while group[n] != n:
-            n = group[n]
-        return n
-
+def _neighbours(robots: Iterable[int], pairs: Iterable[Pair]) -> dict[int, set[int]]:
+    """Return the robots that each robot hears."""
+    neighbours: dict[int, set[int]] = {robot: set() for robot in robots}
     for one, other in pairs:
-        group[root(one)] = root(other)
-    return len({root(n) for n in range(count)}) == 1
+        neighbours[one].add(other)
+        neighbours[other].add(one)
+    return neighbours
+
+
+def _apart(neighbours: Mapping[int, set[int]], robots: Iterable[int]) -> tuple[int, ...]:
+    """Return those robots that the first one does not reach through the others, ascending."""
+    left = {*robots}
+    reached = [min(left)] if left else []
+    left -= {*reached}
+    while reached:
+        near = neighbours[reached.pop()] & left
+        left -= near
+        reached += near
+    return tuple(sorted(left))

@@ -80,7 +80,10 @@ class Content:
 
     def set_of(self, robots: Iterable[int]) -> int:
         """Return a set of robots as bits by rank."""
-        return sum(self._bit[robot] for robot in robots)
+        bits = 0
+        for robot in robots:
+            bits |= self._bit[robot]
+        return bits
 
     def robots_in(self, bits: int) -> tuple[int, ...]:
         """Return the ids of the robots in a set, ascending."""
@@ -150,13 +153,13 @@ class Content:
         unknown = [robot for robot in robots if robot not in before]
         if unknown:
             raise self._malformed(f"motion of robot {unknown[0]}, whose constants are not known")
-        lengths = [len(coordinates_of(before[robot])) for robot in robots]
-        numbers = _numbers(2 * sum(lengths))
+        numbers = _numbers(2 * sum(len(coordinates_of(before[robot])) for robot in robots))
         end = place + numbers.size
         if len(content) != end + introduced + measured:
             raise self._malformed(f"{len(content)} bytes")
         values, states, first = numbers.unpack_from(content, place), list[AnyRobotState](), 0
-        for robot, length in zip(robots, lengths, strict=True):
+        for robot in robots:
+            length = len(coordinates_of(before[robot]))
             middle, last = first + length, first + 2 * length
             if not known & self._bit[robot]:
                 states.append(_continued(before[robot], relay, values[first:middle], values[middle:last]))
