@@ -189,3 +189,23 @@ def test_parameters_are_what_a_node_of_ros_reads(tmp_path: Path, ros: None) -> N
     drive = {name.removeprefix("drive."): value for name, value in given.items() if name.startswith("drive.")}
     assert (list(drive.pop("axes")), drive.pop("words")) == ([1.5, 2.0], ["1", "no"])
     assert drive == {"type": "rail.x", "port": "0", "speed": 3, "bus.rate": 1.5, "on": True}
+
+
+def test_every_node_of_ros_reads_its_parameters(tmp_path: Path, ros: None) -> None:
+    files = sorted(
+        (deployed(load_fleet(edited(tmp_path / "f.yaml", ONE_HOST)), tmp_path / "out") / "base").rglob("nodes/*.yaml")
+    )
+    assert {file.stem for file in files} >= {
+        "plane_sim",
+        "abstraction_observer",
+        "parent_controller",
+        "recorder",
+        "agent_001",
+    }
+    for file in files:
+        context = rclpy.Context()
+        rclpy.init(args=["--ros-args", "--params-file", str(file)], context=context)
+        node = rclpy.create_node(file.stem, context=context, automatically_declare_parameters_from_overrides=True)
+        assert node.get_parameters_by_prefix("")
+        node.destroy_node()
+        rclpy.shutdown(context=context)

@@ -83,6 +83,8 @@ def parameter_file(values: Mapping[str, object]) -> str:
     """Return the text of a parameter file for ``--params-file`` that applies to a node of any name."""
     tree: dict[str, Plain] = {}
     for name, value in values.items():
+        if value in ((), []):  # ROS cannot tell the type of an empty array, and the node has it as its default
+            continue
         *parents, last = name.split(".")
         branch = tree
         for parent in parents:
@@ -106,8 +108,9 @@ def _recorder(fleet: Fleet) -> Parameters:
     """Return what checks of the bag need in addition to the scenario."""
     real = {robot.id for robot in fleet.robots if not isinstance(robot.drive, SimulatedDrive)}
     limited = {robot.id for robot in fleet.robots if any(limit is not None for _, limit in robot.limits)}
-    lists = {name: sorted(ids) for name, ids in (("driven", real), ("own_limits", limited)) if ids}
-    return {"simulated_plane": fleet.coordinators.plane.type == "simulated", "paired": fleet.paired, **lists}
+    simulated = fleet.coordinators.plane.type == "simulated"
+    lists = {"driven": sorted(real), "own_limits": sorted(limited)}
+    return {"simulated_plane": simulated, "paired": fleet.paired, **lists}
 
 
 def _robot(config: RealtimeAgentConfig, robot: Robot) -> RealtimeAgentConfig:
