@@ -453,7 +453,8 @@ def test_calibrations_talk_to_the_base(
         assert rows[-1][0] >= 0.1
         assert {round(after - before, 6) for (before, *_), (after, *_) in pairwise(rows)} == {0.007}
         assert moved[0] > 0.01 > -0.01 > moved[1]
-        assert rows[-1][1] == pytest.approx(sum(moved), abs=0.001)
+        # After each drive the base may roll on until its watchdog stops it: 0.2 s at 0.2 m/s.
+        assert rows[-1][1] == pytest.approx(sum(moved), abs=0.04)
         running.communicate(timeout=LONGEST)
     assert calibrate.main(["delay", device]) == 1
     assert "cannot be opened" in capsys.readouterr().err
