@@ -31,8 +31,7 @@ from swarmabs_core.declaration import same, setting
 from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.base import Health, Level, Schedule
 from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
-from swarmabs_ros.parameters import declare_values, read
-from swarmabs_ros.runner import Settings
+from swarmabs_ros.runner import Settings, declared_settings
 from swarmabs_ros.scenario_file import ScenarioFile
 from swarmabs_ros.settings import RealtimeSettings
 from swarmabs_ros.start import SwarmNode, run_program
@@ -318,9 +317,7 @@ def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM; return the exit code."""
 
     def body(node: SwarmNode, status: StatusChannel) -> None:
-        table, values = read(node, (), PARAMETERS)
-        declare_values(node, table, values)
-        _serve(node, Settings(values, node.get_namespace()), status)
+        _serve(node, declared_settings(node, PARAMETERS), status)
 
     return run_program(RIG, SwarmNode, body, args)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from math import inf
 from typing import TYPE_CHECKING, Any, overload
 
@@ -358,7 +359,10 @@ def links(scenario: Scenario) -> Links:
 
     Robots that join later pass on messages from the start.
     """
-    return Links(scenario.links, members(scenario))
+    return _links(scenario.links, members(scenario))
+
+
+_links = lru_cache(maxsize=4)(Links)  # drawing those of a large swarm takes long, and each of its processes needs them
 
 
 def peers(

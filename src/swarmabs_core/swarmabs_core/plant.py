@@ -506,7 +506,7 @@ def acceleration(
     torque: Any
     inertia: Any
     rate: Any
-    other: Any = extra
+    other: Any
 
     def accelerated(s: Any, th: Any, w: Any) -> Any:
         nonlocal place, torque, inertia, rate, other
@@ -515,10 +515,9 @@ def acceleration(
             torque = t0 + s * (t1 + s * (t2 + s * t3))
             inertia = total + s * (j1 + s * (j2 + s * (j3 + s * (j4 + s * (j5 + s * j6)))))
             rate = (j1 + s * (k2 + s * (k3 + s * (k4 + s * (k5 + s * k6))))) / period
-            if disturbance is not None:
-                other = extra + disturbance(s * period)
+            other = extra if disturbance is None else extra + disturbance(s * period)
             if height is not None:
-                other = (other if disturbance is not None else extra) - (r0 + s * r1)
+                other = other - (r0 + s * r1)
         if height is None:
             tilting = -cosine(th) * torque
         else:

@@ -28,6 +28,7 @@ from swarmabs_core.messages import (
     RobotState,
     Vector,
     coordinates_of,
+    vector_of,
 )
 
 if TYPE_CHECKING:
@@ -185,9 +186,7 @@ def _numbers(count: int) -> struct.Struct:
 
 
 def _motion(state: AnyRobotState) -> Vector:
-    if isinstance(state, AgentState):
-        return (state.position, state.velocity)
-    return (*state.coordinates, *state.velocities)
+    return (*vector_of(state, "coordinates"), *vector_of(state, "velocities"))
 
 
 def _continues(state: AnyRobotState, before: AnyRobotState | None) -> bool:
@@ -196,9 +195,7 @@ def _continues(state: AnyRobotState, before: AnyRobotState | None) -> bool:
 
 
 def _constants(state: AnyRobotState) -> tuple[object, ...]:
-    if isinstance(state, AgentState):
-        return state.kind, state.status, state.mass, state.damping
-    return state.kind, state.status, state.constants, len(state.coordinates)
+    return state.kind, state.status, vector_of(state, "constants"), len(coordinates_of(state))
 
 
 def _continued(before: AnyRobotState, relay: Relay, coordinates: Vector, velocities: Vector) -> AnyRobotState:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from swarmabs_config.graph import Driver, Option
     from swarmabs_core.messages import Topic
-    from swarmabs_core.parameters import Value
+    from swarmabs_core.parameters import Parameter, Value
     from swarmabs_ros.lockstep import NodeSpec
     from swarmabs_ros.parameters import BySystem, Table
     from swarmabs_ros.status import StatusChannel
@@ -77,6 +77,13 @@ class Settings:
         return endpoints(node, driver, options_of(self._values) | {*also}, robots=count, members=members)
 
 
+def declared_settings(node: Node, own: Table, common: tuple[Parameter, ...] = ()) -> Settings:
+    """Return the settings of a node, whose parameters it declares; errors and tables are those of `read`."""
+    table, values = read(node, common, own)
+    declare_values(node, table, values)
+    return Settings(values, node.get_namespace())
+
+
 @dataclass(frozen=True, slots=True)
 class LockstepProgram:
     """The program of a node in lockstep.
@@ -100,9 +107,7 @@ class LockstepProgram:
         return run_program(self.name, SwarmNode, self._run, args)
 
     def _run(self, node: Node, status: StatusChannel) -> None:
-        table, values = read(node, COMMON, self.parameters)
-        declare_values(node, table, values)
-        settings = Settings(values, node.get_namespace())
+        settings = declared_settings(node, self.parameters, COMMON)
         _run(self.name, node, settings, self.make(settings, status), status)
 
 

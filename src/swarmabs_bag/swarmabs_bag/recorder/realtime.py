@@ -29,9 +29,8 @@ from swarmabs_core.settings import Run
 from swarmabs_ros.endpoints import Receiver
 from swarmabs_ros.lockstep import INTERRUPTED
 from swarmabs_ros.managed import DIAGNOSTICS_PERIOD, diagnostic_array
-from swarmabs_ros.parameters import declare_values, read
 from swarmabs_ros.realtime import arrived
-from swarmabs_ros.runner import Settings
+from swarmabs_ros.runner import Settings, declared_settings
 from swarmabs_ros.settings import RealtimeSettings, RobotTopics
 from swarmabs_ros.start import SwarmNode, run_program
 from swarmabs_ros.status import Heartbeat, notify
@@ -203,9 +202,7 @@ def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of `last_step`; return the exit code."""
 
     def body(node: Node, status: StatusChannel) -> None:
-        table, values = read(node, (), PARAMETERS)
-        declare_values(node, table, values)
-        _record(node, Settings(values, node.get_namespace()), status)
+        _record(node, declared_settings(node, PARAMETERS), status)
 
     return run_program(RECORDER, SwarmNode, body, args)
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 from swarmabs_core.controllers import Pid
 from swarmabs_core.theory.error_dynamics import gain_conditions
 from swarmabs_core.theory.report import Condition, Form, Theorem
-from swarmabs_core.theory.state_feedback import least_viscous
+from swarmabs_core.theory.state_feedback import least_viscous, undisturbed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -80,13 +80,7 @@ def check_pid(setting: Setting) -> Theorem | None:
                 {"integral_limit": limit, "torque_max": manifold.torque_max, "admissible_torque": reach},
                 "admissible: all positions with this torque and its inertia are on the plane",
             ),
-            Condition(
-                "disturbance",
-                None,
-                Form("no disturbance torque", abs(plane.disturbance.amplitude), 0.0, "<="),
-                {"amplitude": plane.disturbance.amplitude},
-                "the integral compensates a constant torque; a sine leaves an error",
-            ),
+            undisturbed(setting, "the integral compensates a constant torque; a sine leaves an error"),
             *(replace(condition, printed=None) for condition in gain_conditions(setting)),
             Condition(
                 "initial state",

@@ -252,6 +252,13 @@ def _against_weight(setting: Setting, k1: float) -> Iterator[Condition]:
         )
 
 
+def undisturbed(setting: Setting, otherwise: str) -> Condition:
+    """Return the condition that no disturbance acts, with what happens otherwise."""
+    amplitude = setting.plane.disturbance.amplitude
+    form = Form("no disturbance torque", abs(amplitude), 0.0, "<=")
+    return Condition("disturbance", None, form, {"amplitude": amplitude}, otherwise)
+
+
 def check_feedback(setting: Setting) -> ParentCheck | None:
     """Evaluate the theorem; return None if the parent controller is not state feedback."""
     law, ball = setting.law, estimate(setting)
@@ -310,13 +317,7 @@ def check_feedback(setting: Setting) -> ParentCheck | None:
             "M is not symmetric and its symmetric part is indefinite, so the printed V_p can grow; corrected: "
             "V = k1 (th sin th + cos th - 1) + (J + Js) w^2/2 + kappa V_a",
         ),
-        Condition(
-            "disturbance",
-            None,
-            Form("no disturbance torque", abs(plane.disturbance.amplitude), 0.0, "<="),
-            {"amplitude": plane.disturbance.amplitude},
-            "state feedback has no integral part: a disturbance leaves an error",
-        ),
+        undisturbed(setting, "state feedback has no integral part: a disturbance leaves an error"),
         Condition(
             "torque limit",
             None,
