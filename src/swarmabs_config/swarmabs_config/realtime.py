@@ -38,6 +38,7 @@ def check_realtime(scenario: Scenario) -> PlaneScenario:
         ("swarm.actuator_lag", supported.swarm.actuator_lag > 0.0),
         ("swarm.sensor", not supported.swarm.sensor.perfect),
         ("observer.type", supported.observer.type != "sum"),
+        ("coordination", supported.decentralised),
         ("faults", bool(supported.faults)),
     )
     for name, given in lockstep_only:
