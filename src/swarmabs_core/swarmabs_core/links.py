@@ -95,7 +95,7 @@ class Links:
             raise InputError(f"links.sensing: there is no robot {strangers[0]}")
         if cut := self.apart(ids):
             raise InputError(
-                f"links: robot {cut[0]} hears robot {ids[0]} on no way", "add links, or use `type: all` or `ring`"
+                f"robot {cut[0]} hears robot {ids[0]} on no way", "add links, or use `type: all` or `ring`"
             )
 
     def of(self, robot: int) -> tuple[int, ...]:
