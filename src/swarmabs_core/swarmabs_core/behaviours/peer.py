@@ -3,7 +3,8 @@
 It hosts the state machines of observer, parent controller and robot, and passes messages between them. Robots exchange
 what they know of a step in rounds. A robot sends the message of a round once it has those of the round before from all
 neighbours, so rounds are the clock of the network: a lost message costs its content, not its round. In a step it stops
-once it knows all, and all its neighbours do.
+once it knows all, and all its neighbours do; only then it goes on to the next step. Which messages it sends therefore
+depends on nothing but the links, and every robot's messages of a step end with one that says so.
 
 A step opens at a robot that hears the parent with the parent's state, which exists once all robots have moved on to the
 step; at other robots with the first message of the step that a neighbour sends.
@@ -197,10 +198,10 @@ class Peer:
         """Do the next thing, and return what is published; None if a message is awaited."""
         if not self._open:
             return self._enter() if self._opens(self._step) else None
-        if self._complete and self._opens(self._step + 1):
-            self._leave_behind()
-            return ()
         if self._silent:
+            if self._opens(self._step + 1):
+                self._leave_behind()
+                return ()
             self._over = self._step == self._last_step and not self._controller.awaits()
             return None
         if not self._sent:
