@@ -127,6 +127,9 @@ def test_a_large_swarm_is_fewer_steps_ahead_of_its_recorder() -> None:
     for robots, window in ((4, 100), (200, 100), (1000, 20), (2000, 10), (20_000, 4)):
         halves = [f"swarm.generate.{kind}_integrator={robots // 2}" for kind in ("single", "double")]
         assert configure.recording_window(builtin("arise_het_200", *halves)) == window
+    relayed = {"pd_het_4": 100, "arise_het_200": 10}  # 10 messages of a robot in a step
+    for name, window in relayed.items():
+        assert configure.recording_window(builtin(name, "coordination=each_robot", "links.type=random")) == window
 
 
 @pytest.mark.parametrize(("step", "steps"), [(0.01, 200), (0.03, 67)])
@@ -215,15 +218,15 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
         {DESIRED, "swarm/events", "swarm/broadcast"},
         {"plane/state", ABSTRACT, AUXILIARY, "swarm/steering"},
     ),
-    (RECORDER, LOCKSTEP, set(), {"recording/progress"}, {*MAIN, "swarm/events"}),
-    (RECORDER, LOCKSTEP, {STEERED}, {"recording/progress"}, {*MAIN, "swarm/events", "swarm/steering"}),
+    (RECORDER, LOCKSTEP, set(), {"recording/progress"}, {*MAIN, *NEAR, "swarm/events"}),
+    (RECORDER, LOCKSTEP, {STEERED}, {"recording/progress"}, {*MAIN, *NEAR, "swarm/events", "swarm/steering"}),
     (
         *(RECORDER, LOCKSTEP, {PACKED}, {"recording/progress"}),
-        {*MAIN, STATES, "swarm/broadcast", "swarm/events"} - {STATE},
+        {*MAIN, *NEAR, STATES, "swarm/broadcast", "swarm/events"} - {STATE},
     ),
     (OBSERVER, LOCKSTEP, {CHANGING}, {ABSTRACT, AUXILIARY, STANDS, "swarm/events"}, {STATE}),
     (CONTROLLER, LOCKSTEP, {CHANGING}, {DESIRED, "swarm/events"}, {"plane/state", STANDS}),
-    (RECORDER, LOCKSTEP, {CHANGING}, {"recording/progress"}, {*MAIN, STANDS, "swarm/events"}),
+    (RECORDER, LOCKSTEP, {CHANGING}, {"recording/progress"}, {*MAIN, *NEAR, STANDS, "swarm/events"}),
     (STEERER, LOCKSTEP, set(), {"swarm/steering"}, {"plane/state", "swarm/events"}),
     (ROBOT, LOCKSTEP, set(), {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED}),
     (ROBOT, LOCKSTEP, {FEELING}, {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED, "plane/state"}),

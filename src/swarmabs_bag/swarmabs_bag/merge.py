@@ -35,10 +35,10 @@ from swarmabs_bag.run.step import ORDER
 from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import ONE_FILE, Split, find_bag
 from swarmabs_config import configure
-from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
+from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME, usual_topic
 from swarmabs_config.model.errors import show
 from swarmabs_core.errors import InputError, MalformedMessageError, RunError
-from swarmabs_core.messages import EVENTS, SwarmEvent
+from swarmabs_core.messages import EVENTS, Relay, SwarmEvent
 from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from swarmabs_bag.realtime_world import RealtimeWorld
     from swarmabs_bag.repair.bag import RepairReport
     from swarmabs_bag.repair.completeness import Gap
-    from swarmabs_core.messages import Topic
+    from swarmabs_core.messages import Message, Topic
 
 _OF_RECORDER = ("machine", "byte_order", "libm_fingerprint", "standby")
 """What the provenance says of the recorder and its host, which may differ."""
@@ -183,7 +183,7 @@ class _Received(NamedTuple):
     def order(self) -> tuple[object, ...]:
         """A key that differs for different messages: in lockstep in the order of a bag, in real time of receipt."""
         topic, agent_id, message, payload, *_ = self.record
-        return self.time, _rank(topic), agent_id, message.step, payload, self.published
+        return self.time, _rank(topic), _round(message), agent_id, message.step, payload, self.published
 
 
 class _Source:
@@ -215,7 +215,7 @@ class _Source:
             return "it lacks a recorder's scenario or provenance; name the bag itself, not a conversion"
         recorded = OFFERED[REALTIME if is_realtime(self.bag) else LOCKSTEP]
         for channel in self.bag.channels:
-            if channel.message_count and channel.topic not in recorded:
+            if channel.message_count and (channel.topic is None or usual_topic(channel.topic) not in recorded):
                 return f"{show(channel.name)} is not a topic that a recorder of the swarm writes"
         return contradiction(self.bag)
 
@@ -327,7 +327,14 @@ class _Examined:
 
 def _rank(topic: Topic) -> tuple[int, str]:
     """Return the place of a topic among those of the same time."""
+    if topic.message is Relay:  # those of a round follow one another
+        return min(ORDER.values()) - 1, ""
     return ORDER.get(topic, len(ORDER)), topic.name
+
+
+def _round(message: Message) -> int:
+    """Return the round of a relay, of which a robot sends several in a step; 0 for other messages."""
+    return message.round if isinstance(message, Relay) else 0
 
 
 class _Agreed:
@@ -342,7 +349,7 @@ class _Agreed:
         """Return the record if it is to be written."""
         topic, agent_id, message, payload, *_ = received.record
         of_step = self._known.setdefault(message.step, {})
-        place = topic, payload if topic is EVENTS else agent_id
+        place = topic, payload if topic is EVENTS else (agent_id, _round(message))
         if place not in of_step:
             of_step[place] = payload
             self._forget()

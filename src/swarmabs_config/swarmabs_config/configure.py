@@ -123,7 +123,7 @@ def step_changes(scenario: Scenario, kind: str) -> tuple[StepChange, ...]:
 
 def recording_window(scenario: Scenario) -> int:
     """Return how many steps a recorded run may be ahead of the bag on disk."""
-    return graph.recording_window(len(scenario.agents))
+    return graph.recording_window(len(scenario.agents), relayed=scenario.decentralised)
 
 
 def may_change(scenario: Scenario, *, steered: bool) -> bool:
@@ -393,6 +393,11 @@ def peer_endpoints(scenario: Scenario, robots: Collection[int], *, steered: bool
         members=robots,
         neighbours=sorted({near for robot in robots for near in between.of(robot)}),
     )
+
+
+def relaying(scenario: Scenario) -> tuple[int, ...]:
+    """Return the ids of the robots that pass on what they know to others, ascending."""
+    return members(scenario) if scenario.decentralised else ()
 
 
 def swarm_law(scenario: PlaneScenario) -> dict[str, object]:

@@ -220,7 +220,7 @@ class Endpoints:
 
 RECORDING_STEPS = 100
 RECORDING_MESSAGES = 20_000
-"""How many steps, and how many robot states, a recorded run may be ahead of the bag on disk."""
+"""How many steps, and how many messages of robots, a recorded run may be ahead of the bag on disk."""
 SHORTEST_RECORDING_WINDOW = 4
 
 
@@ -230,9 +230,14 @@ KEPT_STEPS = 128
 """Largest number of steps that a receiver keeps and a sender repeats: a run is less ahead of its recorder."""
 
 
-def recording_window(robots: int) -> int:
+_RELAYED_ROUNDS = 9
+"""Relays of a robot in a step that the recorder must be able to take."""
+
+
+def recording_window(robots: int, *, relayed: bool = False) -> int:
     """Return how many steps a recorded run may be ahead of the bag on disk: fewer if a step has many messages."""
-    return max(SHORTEST_RECORDING_WINDOW, min(RECORDING_STEPS, RECORDING_MESSAGES // max(1, robots)))
+    messages = max(1, robots) * (1 + _RELAYED_ROUNDS * relayed)
+    return max(SHORTEST_RECORDING_WINDOW, min(RECORDING_STEPS, RECORDING_MESSAGES // messages))
 
 
 LEASE = 0.5
@@ -415,7 +420,7 @@ GRAPH = (
         RELAY,
         {LOCKSTEP: Qos("best_effort", 100)},
         (End(PEER),),
-        (End(PEER, 100),),
+        (End(PEER, 100), End(RECORDER, 1000)),
         system=RELAY,
     ),
 )
@@ -497,7 +502,7 @@ def endpoints(
     """Return the endpoints of a node; some depths depend on the number of robots that ever take part.
 
     `members` are the robots whose own topics it uses with `Option.OWN_TOPICS`: all members, or for a robot only itself.
-    A `PEER` publishes the relays of `members`, and reads those of `neighbours`.
+    A `PEER` publishes the relays of `members`, and reads those of `neighbours`, as the recorder does.
     """
     if driver is not REALTIME:
         options -= _REALTIME_ONLY

@@ -160,6 +160,10 @@ class Membership:
         last = self._spans[agent_id].last
         return last is None or step <= last
 
+    def lasting(self, step: int) -> tuple[int, ...]:
+        """Return the ids, ascending, of the robots that have not ended before a step."""
+        return tuple(agent_id for agent_id in self._spans if self.lasts(agent_id, step))
+
     def constant_until(self, step: int) -> int:
         """Return the first step after a step in which other robots publish; later than any run if there is none."""
         return self._around(step).end

@@ -8,13 +8,14 @@ lockstep it is exactly ``step`` times the control period.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cache
 from typing import Annotated, Literal, NamedTuple, TypeAlias, get_type_hints
 
-from swarmabs_core.nodes import agent_name
+from swarmabs_core.nodes import ROBOT_PREFIX, agent_name
 
 NEVER = 2**64 - 1
 """A step field that refers to no step (``AgentState.broadcast_step``, ``RecordingProgress.written_step``)."""
@@ -658,3 +659,13 @@ def relay_topic(agent_id: int) -> Topic:
 def topic_of(message: Message) -> Topic:
     """Return the topic on which a message is published in lockstep."""
     return relay_topic(message.agent_id) if isinstance(message, Relay) else TOPIC_OF[type(message)]
+
+
+_RELAY = re.compile(rf"(?:.*/)?{ROBOT_PREFIX}(\d{{3,5}})/relay")
+
+
+def relay_topic_in(name: str) -> Topic | None:
+    """Return the topic of a robot's relays with which a full name of a topic ends, None if it is none."""
+    found = _RELAY.fullmatch(name)
+    topic = None if found is None else relay_topic(int(found[1]))
+    return topic if topic is not None and name.endswith(topic.name) else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.cdr import agent_id_of, canonical, decode, encode
-from swarmabs_core.messages import TOPIC_OF
+from swarmabs_core.messages import topic_of
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Message, Topic
@@ -37,7 +37,7 @@ class Record(NamedTuple):
         MalformedMessageError
             If a field does not fit its type.
         """
-        return cls(TOPIC_OF[type(message)], agent_id_of(message), message, encode(message))
+        return cls(topic_of(message), agent_id_of(message), message, encode(message))
 
     @classmethod
     def heard(cls, topic: Topic, data: bytes) -> Record:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar, cast
 
 from swarmabs_core.cdr import decode, encode, split
 from swarmabs_core.errors import MalformedMessageError
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 _SIZES = struct.Struct("<II")
+
+T = TypeVar("T")
 
 
 class Knowledge(NamedTuple):
@@ -178,6 +180,42 @@ class Content:
     @staticmethod
     def _malformed(problem: str) -> MalformedMessageError:
         return MalformedMessageError(Relay.__name__, f"content: {problem}")
+
+
+class StepRelays(Generic[T]):
+    """The relays of a step, in any form, by robot and round.
+
+    A robot's relays are whole if that of each round is there up to one that is its last.
+    """
+
+    def __init__(self) -> None:
+        self._by_robot: dict[int, dict[int, T]] = {}
+        self._ends: dict[int, int] = {}
+        self._whole: set[int] = set()
+
+    def put(self, relay: Relay, form: T) -> T:
+        """Add a relay in a form unless there is one in its place; return the one there is."""
+        robot = relay.agent_id
+        rounds = self._by_robot.setdefault(robot, {})
+        there = rounds.setdefault(relay.round, form)
+        if relay.last:
+            self._ends.setdefault(robot, relay.round)
+        if len(rounds) == self._ends.get(robot, -2) + 1:
+            self._whole.add(robot)
+        return there
+
+    def __len__(self) -> int:
+        """Return the number of relays."""
+        return sum(map(len, self._by_robot.values()))
+
+    def lacking(self, robots: Iterable[int]) -> list[int]:
+        """Return those of the robots whose relays are not whole."""
+        return [robot for robot in robots if robot not in self._whole]
+
+    def ordered(self) -> list[T]:
+        """Return the relays by round and robot."""
+        places = ((number, robot, form) for robot, rounds in self._by_robot.items() for number, form in rounds.items())
+        return [form for _, _, form in sorted(places, key=lambda place: place[:2])]
 
 
 @lru_cache(maxsize=1024)

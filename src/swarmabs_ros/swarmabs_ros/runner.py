@@ -64,17 +64,20 @@ class Settings:
         *also: Option,
         robots: int | None = None,
         members: Collection[int] | None = None,
+        neighbours: Collection[int] = (),
     ) -> Endpoints:
         """Return the publications and subscriptions of a node with these parameters, by its name in the graph.
 
         The options `also` apply in addition to those from the parameters. `robots` is the number of robots that ever
         take part, by default that of the members. These are by default those in the parameters, or the robot itself.
+        `neighbours` are the robots whose relays it reads.
         """
         if members is None:
             own = self._values.get("agent_id")
             members = cast("tuple[int, ...]", self._values.get("members", () if own is None else (own,)))
         count = len(members) if robots is None else robots
-        return endpoints(node, driver, options_of(self._values) | {*also}, robots=count, members=members)
+        options = options_of(self._values) | {*also}
+        return endpoints(node, driver, options, robots=count, members=members, neighbours=neighbours)
 
 
 def declared_settings(node: Node, own: Table, common: tuple[Parameter, ...] = ()) -> Settings:

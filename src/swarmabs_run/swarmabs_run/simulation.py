@@ -21,7 +21,7 @@ from swarmabs_core.arrays import RunArrays, RunEvent, run_arrays, run_event, tab
 from swarmabs_core.behaviours import Agent, Controller, Observer, Parent
 from swarmabs_core.cdr import encode
 from swarmabs_core.errors import RunError
-from swarmabs_core.messages import EVENTS, PLANE_STATE, TOPIC_OF, Relay, topic_of
+from swarmabs_core.messages import EVENTS, PLANE_STATE, topic_of
 from swarmabs_core.nodes import NodeKind, NodeName
 from swarmabs_run.swarm_columns import NotVectorisableError
 from swarmabs_run.vector_simulation import VectorSimulation, vectorised
@@ -168,6 +168,7 @@ class Simulation:
             memory=2,
             division=configure.division(scenario) if division is None else division,
             family=scenario.family,
+            relayed=scenario.decentralised,
         )
 
     def steps(self) -> Iterator[Step]:
@@ -179,8 +180,6 @@ class Simulation:
         sent = _Sent()
         try:
             for message in self._network.deliver():
-                if isinstance(message, Relay):  # not part of a bag
-                    continue
                 sent.add(message)
                 if sent.full:
                     yield from sent.collected_by(self._collector)
@@ -211,7 +210,7 @@ class _Sent:
         if not self._size:
             self._begun = time.monotonic()
         payload = encode(message)
-        self._payloads.setdefault(TOPIC_OF[type(message)], []).append(payload)
+        self._payloads.setdefault(topic_of(message), []).append(payload)
         self._size += len(payload)
 
     def collected_by(self, collector: RunCollector) -> Iterator[Step]:

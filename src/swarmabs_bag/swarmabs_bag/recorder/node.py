@@ -32,6 +32,8 @@ from swarmabs_core.messages import (
     Steering,
     SwarmEvent,
     Topic,
+    relay_topic,
+    topic_of,
 )
 from swarmabs_ros.announcements import send_events
 from swarmabs_ros.lockstep import INTERRUPTED, NodeSpec
@@ -157,6 +159,7 @@ class Recorder:
             division=configure.division(scenario),
             family=family,
             system=scenario.system_hash,
+            relayed=scenario.decentralised,
         )
         states = SWARM_STATES if packed else family.robot
         # What robots act on is compared with what is recorded.
@@ -166,6 +169,7 @@ class Recorder:
             *((STEERING,) if steered else ()),
             *(EVENTS, *broadcast, states, *family.stepwise[1:], *family.once),
             *((STANDING,) if configure.may_change(scenario, steered=steered) else ()),
+            *map(relay_topic, configure.relaying(scenario)),
         )
         window = configure.recording_window(scenario)
         self._credit_every = max(1, window // CREDITS)
@@ -180,7 +184,7 @@ class Recorder:
 
     def handle(self, message: Message) -> Messages:
         """Record a message created in this process; see `hear_all`."""
-        topic = TOPIC_OF[type(message)]
+        topic = topic_of(message)
         if topic not in self._topics:
             raise UnexpectedMessageError(RECORDER_NODE, message)
         return self.hear_all(topic, [encode(message)])
@@ -294,7 +298,13 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     )
     return NodeSpec(
         recorder,
-        settings.endpoints(RECORDER, LOCKSTEP, *configure.options_for(scenario), robots=len(scenario.agents)),
+        settings.endpoints(
+            RECORDER,
+            LOCKSTEP,
+            *configure.options_for(scenario),
+            robots=len(scenario.agents),
+            neighbours=configure.relaying(scenario),
+        ),
         on_exit=lambda problem: reporter.done(problem, complete=recorder.finished),
         lingers=False,
         gather=recorder.gathering,

@@ -17,7 +17,7 @@ from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_config.realtime import bounds
 from swarmabs_config.scenario import PlaneScenario
-from swarmabs_core.messages import EVENTS, STANDING
+from swarmabs_core.messages import EVENTS, STANDING, relay_topic
 from swarmabs_core.realtime.base import Health, Level
 
 if TYPE_CHECKING:
@@ -117,7 +117,8 @@ class Recording(_Recording[RunFigures]):
         stated = provenance(scenario, driver=driver, packed=packed, steered=steered)
         figures, family = RunFigures(self._reference, tracking_of(scenario)), scenario.family
         divides = (STANDING,) if configure.may_change(scenario, steered=steered) else ()
-        topics = (*family.once, *family.main, *family.further, *divides, EVENTS)
+        relays = map(relay_topic, configure.relaying(scenario))
+        topics = (*family.once, *family.main, *family.further, *divides, EVENTS, *relays)
         super().__init__(
             scenario, folder, figures, stated, topics=topics, qos=OFFERED[LOCKSTEP], namespace=namespace, split=split
         )

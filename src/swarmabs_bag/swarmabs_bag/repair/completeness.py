@@ -30,11 +30,14 @@ from swarmabs_core.messages import (
     DesiredAbstractState,
     Mode,
     PlaneState,
+    Relay,
     Source,
     Status,
     SwarmEvent,
     Topic,
+    relay_topic,
 )
+from swarmabs_core.relays import StepRelays
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -87,9 +90,13 @@ class LockstepCompleteness:
         self._members = configure.members(scenario)
         self._membership = Membership(self._members, configure.schedule(scenario))
         self._found: dict[Place, Spans] = {}
+        self._relays: dict[tuple[int, int], StepRelays[None]] = {}
 
     def add(self, topic: Topic, message: Message) -> None:
         """Add a message of the bag."""
+        if isinstance(message, Relay):
+            self._add_relay(topic, message)
+            return
         if isinstance(message, SwarmEvent):
             self._membership.apply(message.kind, message.agent_id, message.step, message.detail)
             return
@@ -98,11 +105,23 @@ class LockstepCompleteness:
         if agent and agent in self._membership and getattr(message, "status", None) == Status.LEFT:
             self._membership.end(agent, message.step, stays=False, reason="left")
 
+    def _add_relay(self, topic: Topic, relay: Relay) -> None:
+        """Add a relay; a step has those of a robot once they are whole."""
+        place = relay.agent_id, relay.step
+        of_robot = self._relays.setdefault(place, StepRelays())
+        of_robot.put(relay, None)
+        spans = self._spans(topic, 0)
+        if not of_robot.lacking((relay.agent_id,)):
+            spans.add(relay.step)
+            del self._relays[place]
+
     @property
     def topics(self) -> tuple[Topic, ...]:
         """The topics with messages in every step; a bag of an earlier version may lack further ones."""
         family = self._family
-        return tuple(topic for topic in family.stepwise if topic not in family.further or (topic, 0) in self._found)
+        main = tuple(topic for topic in family.stepwise if topic not in family.further or (topic, 0) in self._found)
+        relayed = any(topic.message is Relay for topic, _ in self._found)
+        return (*main, *map(relay_topic, self._members if relayed else ()))
 
     def _spans(self, topic: Topic, agent: int) -> Spans:
         return self._found.setdefault((topic, agent), Spans())
@@ -110,8 +129,10 @@ class LockstepCompleteness:
     def _expected(self, topic: Topic) -> Iterator[tuple[int, int, int]]:
         """Yield each robot of a topic (0: none) with the first and last step in which it publishes."""
         for agent in self._members if topic is self._family.robot else (0,):
-            span = self._membership.span(agent) if agent else Span()
-            yield agent, span.first, self._planned if span.last is None else min(span.last, self._planned)
+            robot = agent or topic.agent_id
+            span = self._membership.span(robot) if robot else Span()
+            first = span.first if agent else 0  # a robot passes on messages before it joins
+            yield agent, first, self._planned if span.last is None else min(span.last, self._planned)
 
     @property
     def first(self) -> int:

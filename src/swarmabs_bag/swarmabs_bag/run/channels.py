@@ -12,7 +12,7 @@ from swarmabs_bag.run.realtime_gatherer import RECORDED
 from swarmabs_bag.run.schemas import message_schema
 from swarmabs_config.graph import STANDBY_TOPICS, USUAL_TOPICS
 from swarmabs_config.model.errors import printable, shorten
-from swarmabs_core.messages import FAMILIES, TOPICS, Topic
+from swarmabs_core.messages import FAMILIES, RELAY, TOPICS, Topic, relay_topic_in
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 _MOST_NAMED = 5
 
 RECORDED_TYPES = tuple(
-    dict.fromkeys(topic.ros_type for topic in (*(topic for family in FAMILIES for topic in family.recorded), *RECORDED))
+    dict.fromkeys(
+        topic.ros_type for topic in (*(topic for family in FAMILIES for topic in family.recorded), *RECORDED, RELAY)
+    )
 )
 """The types of recorded messages."""
 FORMER_HASHES: dict[str, tuple[str, ...]] = {}
@@ -98,7 +100,8 @@ def _ros_type(channel: Channel, index: FileIndex) -> str:
 
 
 def _swarm_topic(channel: Channel, index: FileIndex, names: Collection[str]) -> tuple[str, Topic] | None:
-    for topic in (*STANDBY_TOPICS.values(), *TOPICS):
+    relayed = relay_topic_in(channel.topic)
+    for topic in (*STANDBY_TOPICS.values(), *TOPICS, *(() if relayed is None else (relayed,))):
         if topic in USUAL_TOPICS and channel.topic.removesuffix(topic.name) + USUAL_TOPICS[topic].name not in names:
             continue  # a swarm whose namespace ends like that
         if channel.topic.endswith(f"/{topic.name}") and channel.message_encoding == "cdr":

@@ -30,15 +30,18 @@ from swarmabs_core.messages import (
     AnyRobotState,
     EventKind,
     Family,
+    Relay,
     Status,
     Steering,
     SwarmEvent,
     SwarmStates,
     Topic,
+    relay_topic,
     said,
 )
 from swarmabs_core.nodes import NodeKind
 from swarmabs_core.record import Record
+from swarmabs_core.relays import StepRelays
 from swarmabs_core.steering import STEERER, change_of
 
 if TYPE_CHECKING:
@@ -85,6 +88,8 @@ class RunCollector:
         The topics of the run.
     system : int, optional
         Hash of the parent system, if it is not the plane.
+    relayed : bool
+        Whether robots pass on to each other what they know. Then a step is complete only with all their relays.
     """
 
     def __init__(
@@ -99,7 +104,9 @@ class RunCollector:
         division: int = 0,
         family: Family = PLANE_FAMILY,
         system: int | None = None,
+        relayed: bool = False,
     ) -> None:
+        self._relays: dict[int, StepRelays[tuple[Topic, bytes]]] | None = {} if relayed else None
         self._family, self._stepwise = family, family.stepwise
         self._system = system
         ids = sorted(members)
@@ -209,6 +216,8 @@ class RunCollector:
         topic, message = record.topic, record.message
         if isinstance(message, ROBOT_STATES):
             self._hold_state(record, message)
+        elif isinstance(message, Relay):
+            self._hold_relay(record, message)
         elif topic in self._stepwise:
             if not self._arrivals.put(topic, 0, message.step, record.payload):
                 raise ConflictError(topic.name, message.step)
@@ -227,6 +236,16 @@ class RunCollector:
             raise ConflictError(f"{topic.name} of agent {agent_id}", step)
         if there is None and state.status == Status.LEFT:
             self._membership.end(agent_id, step, stays=False, reason="left")
+
+    def _hold_relay(self, record: Record, relay: Relay) -> None:
+        """Hold a relay; those of complete steps are forgotten, because they are many."""
+        if relay.agent_id not in self._membership:
+            raise UnknownAgentError(relay.agent_id)
+        if self._relays is None or relay.step < self._step:
+            return
+        form = (relay_topic(relay.agent_id), record.payload)
+        if self._relays.setdefault(relay.step, StepRelays()).put(relay, form) != form:
+            raise ConflictError(f"{form[0].name} in round {relay.round}", relay.step)
 
     def _add_event(self, payload: bytes, event: SwarmEvent) -> list[Step]:
         """Add an event; return it as a step of its own if its step is already complete."""
@@ -257,8 +276,12 @@ class RunCollector:
         count = 0 if self.finished else self._arrivals.complete(step)
         if not count or not self._others_there(step) or not (orders is None or self._announced(step, orders)):
             return 0
+        if self._silent(step):
+            return 0
         end = min(step + count, self._last_step + 1, self._membership.constant_until(step))
         end = min(end, *(at + 1 for at, events in self._events.items() if at >= step and events), end)
+        if self._relays is not None:
+            end = step + 1
         if orders is not None:
             end = min(end, orders.known + 1, *(at for at in self._settings if at > step), end)
         if not step and self._family.once:
@@ -273,6 +296,12 @@ class RunCollector:
             divided += 1
         return divided - step
 
+    def _silent(self, step: int) -> list[int]:
+        """Return the robots of which a step lacks relays."""
+        if self._relays is None:
+            return []
+        return self._relays.get(step, StepRelays()).lacking(self._membership.lasting(step))
+
     def _others_there(self, step: int) -> bool:
         """Return whether the messages of a step on topics that have none in other steps have arrived."""
         others = self._others.get(step, {})
@@ -286,6 +315,7 @@ class RunCollector:
             if topic not in self._stepwise:
                 payloads = [self._others[number][topic] for number in range(step, step + count)]
                 tables[topic] = rows_of(topic, payloads)
+        relays = [] if self._relays is None else self._relays.pop(step, StepRelays()).ordered()
         events = self._events.get(step + count - 1, {})
         told = tuple(payload for payload, event in sorted(events.items()) if not self._is_void(event))
         self._step += count
@@ -293,7 +323,7 @@ class RunCollector:
         for number in range(step - self._memory, step - self._memory + count):
             self._others.pop(number, None)
             self._events.pop(number, None)
-        return Step(step, tables, told)
+        return Step(step, tables, told, relays=relays)
 
     def _admit(self) -> None:
         """Hold the messages that were far ahead when they arrived and no longer are."""
@@ -343,7 +373,8 @@ class RunCollector:
             if topic not in others and self._arrivals.get(topic, 0, step) is None
         ]
         ordered = self._orders is None or step <= self._orders.known
-        return (*(() if ordered else (STEERER,)), *(f"agent {i}" for i in self.missing_agents()), *topics)
+        robots = {*self.missing_agents(), *self._silent(step)}
+        return (*(() if ordered else (STEERER,)), *(f"agent {i}" for i in sorted(robots)), *topics)
 
     def _coordinated(self, step: int) -> tuple[Topic, ...]:
         """Return the topics with one message in a step, in the order of a bag after the robots' states."""

@@ -40,6 +40,9 @@ _PARENTS = [family.parent for family in FAMILIES]
 class Step:
     """K >= 1 consecutive steps of a run with the same N robots: messages as arrays by topic, events of the last step.
 
+    Where robots pass on to each other what they know, it is one step, with their relays, which a bag holds before the
+    other messages.
+
     A step has one message of each coordinator and one of each robot that takes part. One from a damaged bag may lack
     some; one of late events has no others. `step`, `parent` and `states` are those of the last step. The constructor
     checks nothing; use `of` for the messages of a step, and `whole` for bytes of uncertain form.
@@ -54,12 +57,14 @@ class Step:
         layout of `swarmabs_core.arrays`; on others they are plain bytes.
     told : tuple of bytes
         The events in canonical CDR.
+    relays : sequence of (Topic, bytes)
+        The relays in canonical CDR by round and robot, with their topics; K is 1 if there are any.
     time : int, optional
         Time of a step without a state of the parent, ns; by default that of its first message.
 
     Attributes
     ----------
-    first, told
+    first, told, relays
         As given.
     tables : dict of Topic to ndarray
         As given, in the order in which a bag holds the topics within a step.
@@ -67,12 +72,17 @@ class Step:
         Times of the steps, ns: the stamps of the parent's states, which are the log times of all messages.
     """
 
-    __slots__ = ("first", "tables", "times", "told")
+    __slots__ = ("first", "relays", "tables", "times", "told")
 
     def __init__(
-        self, first: int, tables: Mapping[Topic, Rows], told: tuple[bytes, ...] = (), time: int | None = None
+        self,
+        first: int,
+        tables: Mapping[Topic, Rows],
+        told: tuple[bytes, ...] = (),
+        time: int | None = None,
+        relays: Sequence[tuple[Topic, bytes]] = (),
     ) -> None:
-        self.first = first
+        self.first, self.relays = first, relays
         self.tables = {topic: tables[topic] for topic in sorted(tables, key=ORDER.__getitem__)}
         self.told = told
         parents = next((self.tables[topic] for topic in _PARENTS if topic in self.tables), None)
@@ -146,7 +156,7 @@ class Step:
         chosen = range(len(self))[steps]
         told = self.told if chosen.stop == len(self) else ()
         tables = {topic: table[steps] for topic, table in self.tables.items()}
-        return Step(self.first + chosen.start, tables, told, int(self.times[-1]))
+        return Step(self.first + chosen.start, tables, told, int(self.times[-1]), self.relays)
 
     def __eq__(self, other: object) -> bool:
         """Return whether these are the same messages at the same times."""
@@ -158,7 +168,7 @@ class Step:
     def __repr__(self) -> str:
         """Return the numbers of the steps and of the messages on each topic."""
         counts = ", ".join(f"{topic.name}: {table.size}" for topic, table in self.tables.items())
-        return f"Step({self.first} to {self.step}; {counts}; {len(self.told)} events)"
+        return f"Step({self.first} to {self.step}; {counts}; {len(self.told)} events, {len(self.relays)} relays)"
 
     def singly(self) -> Iterator[Step]:
         """Return the steps one after the other."""
@@ -193,7 +203,7 @@ class Step:
     @property
     def messages(self) -> int:
         """Number of messages."""
-        return sum(table.size for table in self.tables.values()) + len(self.told)
+        return sum(table.size for table in self.tables.values()) + len(self.told) + len(self.relays)
 
     @property
     def parents(self) -> tuple[AnyParentState, ...]:
@@ -249,6 +259,8 @@ class Step:
 
     def stored(self) -> Iterator[tuple[Topic, int, bytes]]:
         """Return topic, time (ns) and bytes of every message, in the order of a bag."""
+        for topic, payload in self.relays:
+            yield topic, int(self.times[-1]), payload
         for place, stamp in enumerate(self.times.tolist()):
             for topic in self.tables:
                 for payload in self._payloads(topic, place):

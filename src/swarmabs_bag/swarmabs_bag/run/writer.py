@@ -28,7 +28,7 @@ from swarmabs_bag.run.metadata import (
 )
 from swarmabs_bag.run.schemas import message_schema
 from swarmabs_bag.run_folder import ONE_FILE, Split
-from swarmabs_config.graph import LOCKSTEP, OFFERED
+from swarmabs_config.graph import LOCKSTEP, OFFERED, usual_topic
 from swarmabs_config.installation import own_version
 from swarmabs_core.messages import EVENTS
 
@@ -88,6 +88,8 @@ class BagWriter:
         Attachments written first, by name: the resolved scenario, the provenance.
     namespace : str
         Namespace of the swarm; by default the bag contains ``/plane/state``.
+    qos : mapping of Topic to Qos
+        What the publishers of the topics offer; those of robots' own topics what they do on the usual ones.
     chunk_seconds : float
         Longest time in s, by the `monotonic` clock, until a message is passed to the operating system; call `poll` if
         there are pauses between writes.
@@ -138,7 +140,7 @@ class BagWriter:
                 name=f"{namespace.rstrip('/')}/{topic.name}",
                 ros_type=topic.ros_type,
                 type_hash=schemas[topic.ros_type].type_hash,
-                qos_profiles=dump_yaml([qos_profile(qos[topic])]),
+                qos_profiles=dump_yaml([qos_profile(qos[topic] if topic in qos else qos[usual_topic(topic)])]),
             )
             for topic in topics
         ]
@@ -222,6 +224,8 @@ class BagWriter:
     def write_step(self, step: Step) -> None:
         """Write the messages of a step of lockstep, or of several, as `write` does singly; errors as for `write`."""
         self._check_open()
+        for topic, payload in step.relays:
+            self.write(topic, int(step.times[-1]), payload)
         left = step
         while left.tables:
             self._turn(int(left.times[0]))

@@ -227,7 +227,8 @@ def _coordinator(
     if participant is None:
         assert spare is not None  # noqa: S101 - only nodes in lockstep have no id of their own
         participant = next(spare)
-    ends = endpoints(node, driver, options_of(parameters) | also, robots=len(scenario.agents))
+    options, relaying = options_of(parameters) | also, configure.relaying(scenario)
+    ends = endpoints(node, driver, options, robots=len(scenario.agents), neighbours=relaying)
     name = scenario.family.node if node == PLANE else node
     return ProcessPlan(
         name, kind.modules[driver], participant, parameters, ends.publications, tuple(ends.subscriptions)
