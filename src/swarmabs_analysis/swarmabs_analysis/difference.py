@@ -7,7 +7,7 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, cast
 
 from swarmabs_core.cdr import agent_id_of, canonical, encode
-from swarmabs_core.messages import ROBOT_STATES, TOPIC_OF
+from swarmabs_core.messages import ROBOT_STATES, topic_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -57,7 +57,7 @@ class Difference(NamedTuple):
     @classmethod
     def of(cls, message: Message, field: str, a: Value, b: Value, reason: str = "") -> Difference:
         """Return a difference at the place of a message."""
-        return cls(TOPIC_OF[type(message)].name, message.step, agent_id_of(message) or None, field, a, b, reason)
+        return cls(topic_of(message).name, message.step, agent_id_of(message) or None, field, a, b, reason)
 
     @property
     def missing(self) -> Side | None:

@@ -35,7 +35,7 @@ from swarmabs_config.scenario import on_plane
 from swarmabs_core.arithmetic import ARITHMETIC, FORMER, FORMER_INTEGRATOR, FORMER_TOLERANCE, VERIFIED_FORMER
 from swarmabs_core.declaration import tree_of
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import EVENTS, STANDING
+from swarmabs_core.messages import EVENTS, STANDING, Relay
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -131,6 +131,7 @@ class BagToVerify:
                 of_plane=of_plane,
                 division=None if STANDING in self._bag.topics() else 0,
                 absent=self._absent(),
+                relayed=bool(self._relays()),
                 earlier=are_earlier(events_in(self._bag), self.scenario),
                 trial=trial,
             )
@@ -163,6 +164,10 @@ class BagToVerify:
         result.notes = (*result.notes, *self._notes(result))
         return result
 
+    def _relays(self) -> list[Topic]:
+        """Return the topics on which robots pass on what they know."""
+        return [topic for topic in self._bag.topics() if topic.message is Relay] if self.scenario.decentralised else []
+
     def _absent(self) -> list[Topic]:
         """Return the further topics that the bag lacks."""
         return [topic for topic in self._bag.family.further if topic not in self._bag.topics()]
@@ -171,7 +176,7 @@ class BagToVerify:
         """Return the names of the swarm's topics with messages that are not compared with anything."""
         further = self._bag.family.further
         read: set[Topic | None] = (
-            {*self._bag.family.recorded, EVENTS}
+            {*self._bag.family.recorded, *self._relays(), EVENTS}
             if self._realtime is None
             else {topic for topic in RECORDED if usual_topic(topic) not in further}
         )
@@ -191,6 +196,8 @@ class BagToVerify:
         else:
             yield from self._from_outside
             yield from (f"not checked: {topic.name}, which the bag does not have" for topic in self._absent())
+            if self.scenario.decentralised and not self._relays():
+                yield "not checked: what the robots passed on, which the bag does not have"
             if not self._provenance:
                 yield f"the bag has no readable {PROVENANCE_FILE}: its versions are unknown, and lockstep is assumed"
         then = self._provenance.get("versions")
@@ -206,7 +213,7 @@ class BagToVerify:
         """Feed the bag's messages to the verification until it is decided; return the damage of the file, if any."""
         try:
             family = self.scenario.family
-            topics = RECORDED if self._realtime else (*family.recorded, EVENTS)
+            topics = RECORDED if self._realtime else (*family.recorded, *self._relays(), EVENTS)
             for part in self._bag.published(topics) if self._realtime else self._bag.whole_steps(topics):
                 if isinstance(part, Step):
                     verification.add_steps(part)

@@ -15,6 +15,7 @@ from swarmabs_analysis.difference import MESSAGE, Difference, judge, missing, su
 from swarmabs_analysis.verification.base import Verification
 from swarmabs_analysis.verification.earlier import EarlierEnds
 from swarmabs_analysis.verification.recomputation import Recomputation
+from swarmabs_analysis.verification.relays import RelayVerification
 from swarmabs_bag.run.digest import Digest
 from swarmabs_bag.run.step import Step
 from swarmabs_config import configure
@@ -31,16 +32,18 @@ from swarmabs_core.messages import (
     TOPIC_OF,
     AgentState,
     EventKind,
+    Relay,
     SwarmEvent,
     Topic,
 )
 from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.record import Record
+from swarmabs_core.relays import StepRelays
 from swarmabs_run.simulation import behaviour_of, nodes_in_process
 from swarmabs_run.swarm_columns import on_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Generator, Iterator
+    from collections.abc import Callable, Collection, Generator, Iterable, Iterator
 
     from swarmabs_analysis.verification.base import Finding
     from swarmabs_analysis.verification.trial import Trial
@@ -55,17 +58,23 @@ _MOST_PER_MEMBER = 8
 
 
 class Slot:
-    """The recorded messages of one step by topic, and malformed ones; `present` counts those that a step has once."""
+    """The recorded messages of one step by topic, and malformed ones; `present` counts those that a step has once.
 
-    __slots__ = ("by_topic", "malformed", "present")
+    `relays` are those of each robot and round; `repeated` has further ones in their places.
+    """
+
+    __slots__ = ("by_topic", "malformed", "present", "relays", "repeated")
 
     def __init__(self) -> None:
+        self.relays: StepRelays[Record] = StepRelays()
+        self.repeated: list[Record] = []
         self.by_topic: dict[Topic, list[Record]] = {}
         self.malformed: list[Difference] = []
         self.present = 0
 
     def __len__(self) -> int:
-        return sum(map(len, self.by_topic.values())) + len(self.malformed)
+        relays = len(self.relays) + len(self.repeated)
+        return sum(map(len, self.by_topic.values())) + relays + len(self.malformed)
 
     def get(self, topic: Topic) -> list[Record]:
         """Return the messages on a topic."""
@@ -73,6 +82,10 @@ class Slot:
 
     def add(self, stored: Record) -> None:
         """Add a message."""
+        if isinstance(stored.message, Relay):
+            if self.relays.put(stored.message, stored) is not stored:
+                self.repeated.append(stored)
+            return
         same = self.by_topic.setdefault(stored.topic, [])
         self.present += isinstance(stored.message, ROBOT_STATES) or not (same or stored.topic is EVENTS)
         same.append(stored)
@@ -126,6 +139,10 @@ class Window:
         """Return how many of the messages that a step has once are present."""
         return self._slots[step].present if step in self._slots else 0
 
+    def has_relays(self, step: int, robots: Iterable[int]) -> bool:
+        """Return whether the relays of all these robots are present."""
+        return step in self._slots and not self._slots[step].relays.lacking(robots)
+
     def take(self, step: int) -> Slot:
         """Remove the slot of a step and return it."""
         slot = self._slots.pop(step, None) or Slot()
@@ -139,9 +156,9 @@ class LockstepVerification(Verification):
     The state of the plane may differ by the tolerance `of_plane`, if that is larger than the other. With it, the state
     is checked only until a robot is off the plane.
     The `division` is that of the recorded nodes, by default that of the scenario. On the `absent` topics, which the bag
-    of an earlier version lacks, nothing is expected. `earlier` tells whether its events are those of a version before
-    the ranges of coordinates; see `are_earlier`. With a `trial` its nodes are compared with the recording to the end,
-    and all other messages are taken as they are.
+    of an earlier version lacks, nothing is expected. What robots pass on is verified if the bag is `relayed`.
+    `earlier` tells whether its events are those of a version before the ranges of coordinates; see `are_earlier`. With
+    a `trial` its nodes are compared with the recording to the end, and all other messages are taken as they are.
     """
 
     def __init__(
@@ -152,10 +169,12 @@ class LockstepVerification(Verification):
         of_plane: float = 0.0,
         division: int | None = None,
         absent: Collection[Topic] = (),
+        relayed: bool = False,
         earlier: bool = False,
         trial: Trial | None = None,
     ) -> None:
         super().__init__(tolerance, scenario.step_ns)
+        self._relays = RelayVerification(scenario, tolerance) if relayed and trial is None else None
         self._of_plane = max(tolerance, of_plane)
         self._end = (scenario.lane_length or inf) / 2.0 if of_plane else inf
         self._off_plane = False
@@ -184,7 +203,13 @@ class LockstepVerification(Verification):
         self._failure = ""  # why the run could not continue, if the bag shows it
         self._ended = False
         self._recomputation: Recomputation | None = None
-        if isinstance(scenario, PlaneScenario) and on_columns(scenario) and not tolerance and trial is None:
+        if (
+            isinstance(scenario, PlaneScenario)
+            and on_columns(scenario)
+            and not tolerance
+            and trial is None
+            and not relayed
+        ):
             self._recomputation = Recomputation(scenario, self._nodes)
         self._before: Step | None = None  # the last verified step
         self._confirmed: Step | None = None  # the same if the nodes have to continue after it
@@ -296,7 +321,10 @@ class LockstepVerification(Verification):
         several = (self._robots, *self._scenario.family.once)
         whole = sum(len(self._expected.get(topic, ())) for topic in several) + len(self._coordinators)
         whole += self._membership.divides(step, self._division)
-        return self._window.full or newest > step + WINDOW or self._window.present(step) >= whole
+        if self._window.full or newest > step + WINDOW:
+            return True
+        relayed = self._relays is None or self._window.has_relays(step, self._membership.lasting(step))
+        return relayed and self._window.present(step) >= whole
 
     def _judge_step(self, *, last: bool) -> None:
         slot = self._window.take(self.step)
@@ -345,6 +373,11 @@ class LockstepVerification(Verification):
             if not (yield from self._on_topic(slot, topic, cut=cut)):
                 self._ended = True
                 return
+            if topic is self._scenario.family.parent and self._relays is not None:
+                states, parent = slot.get(self._robots), slot.get(topic)[0].message
+                relays = slot.relays.ordered()
+                yield from self._relays.findings(self.step, parent, states, relays, cut=last)
+                yield from (surplus(stored, self.step, "it is a duplicate") for stored in slot.repeated)
             for stored in slot.get(topic):
                 for handle in self._handles[topic]:
                     self._ask(handle, stored.message)
