@@ -154,7 +154,7 @@ def test_what_is_there_in_lockstep_only_is_refused_in_real_time() -> None:
     realtime.check_realtime(builtin("pd_het_4"))
     for override in (
         *("plane.robot_gravity=true", "swarm.actuator_lag=0.1", "swarm.sensor={noise: [0.1, 0]}"),
-        *("observer.type=parent_response", "faults=[{kind: loss, probability: 0.1}]", "coordination=each_robot"),
+        *("observer.type=parent_response", "faults=[{kind: loss, probability: 0.1}]"),
     ):
         with pytest.raises(InputError, match=f"^{override.partition('=')[0]}: .*; remove it, or run in lockstep"):
             realtime.check_realtime(builtin("pd_het_4", override))

@@ -35,10 +35,11 @@ from swarmabs_core.messages import PLANE_STATE, TOPIC_OF, AgentState, Message, M
 from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig
 from swarmabs_core.realtime.base import AGENT_PHASE, CONTROLLER_PHASE, OBSERVER_PHASE, PLANE_PHASE, RealtimeBehaviour
-from swarmabs_core.realtime.controller import RealtimeController
+from swarmabs_core.realtime.controller import RealtimeController, RealtimeControllerConfig
 from swarmabs_core.realtime.drives import Body, Measurement, SimulatedDrive
 from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY
 from swarmabs_core.realtime.observer import RealtimeObserver
+from swarmabs_core.realtime.peer import RealtimePeer, RealtimePeerConfig
 from swarmabs_core.realtime.plane import RealtimePlane
 from swarmabs_ros.realtime import Activity, Engine
 from swarmabs_ros.timing import Reading, StepClock
@@ -146,6 +147,10 @@ class VirtualFleet:
         law = partial(lockstep.parent_controller, scenario)
         observer = configure.observer_config(scenario, clock)
         self._add(PLANE, PLANE_PHASE, lambda: RealtimePlane(configure.plane_config(scenario, clock)))
+        if scenario.decentralised:
+            self._add_peers(scenario, controller)
+            self._begin(absent)
+            return
         for rank in (PRIMARY, STANDBY) if paired else (SINGLE,):
             pair = replace(observer.pair, rank=rank, paired=paired)
             observing, controlling = replace(observer, pair=pair), replace(controller, pair=pair)
@@ -159,6 +164,27 @@ class VirtualFleet:
             drive = _Body(self, agent_name(agent.id), config, (agent.position, agent.velocity))
             self.drives[agent.id] = drive
             self._add(agent_name(agent.id), AGENT_PHASE, partial(RealtimeAgent, config, drive))
+        self._begin(absent)
+
+    def _add_peers(self, scenario: Scenario, law: RealtimeControllerConfig) -> None:
+        """Add robots that sum up and control the swarm by themselves."""
+        clock = self._clock
+        observing = configure.observer_config(scenario, clock)
+        for agent, robot in zip(scenario.agents, configure.agent_configs(scenario, clock), strict=True):
+            name, config = agent_name(agent.id), configure.peer_config(scenario, clock, agent.id)
+            drive = self.drives[agent.id] = _Body(self, name, robot, (agent.position, agent.velocity))
+            ends = configure.peer_endpoints(config)
+            wakes = (PLANE_STATE,) if config.senses else ()
+
+            def make(
+                config: RealtimePeerConfig = config, robot: RealtimeAgentConfig = robot, drive: _Body = drive
+            ) -> RealtimePeer:
+                observer, controller = RealtimeObserver(observing), RealtimeController(law, law.make_law)
+                return RealtimePeer(config, observer, controller, RealtimeAgent(robot, drive))
+
+            self._nodes[name] = _Node(name, AGENT_PHASE, ends, wakes, make, Inbox(ends.subscriptions))
+
+    def _begin(self, absent: Iterable[str]) -> None:
         gone = set(absent)
         for node in self._nodes.values():
             if node.name not in gone:
@@ -182,6 +208,12 @@ class VirtualFleet:
 
     def now(self, name: str) -> int:
         return EPOCH + self._now + self._nodes[name].clock_offset
+
+    def activity(self, name: str) -> Activity:
+        """Return what drives a node that lives."""
+        activity = self._nodes[name].activity
+        assert activity is not None
+        return activity
 
     def kill(self, name: str) -> None:
         """End a node without a word; the body of a robot stops, as its base does when commands cease."""

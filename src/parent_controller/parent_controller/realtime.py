@@ -13,24 +13,16 @@ from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
 from swarmabs_ros.realtime_runner import RealtimeProgram
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from swarmabs_core.controllers import ParentController
     from swarmabs_ros.runner import Settings
 
 PARAMETERS = (RealtimeControllerConfig,)
 GAINS = ("controller",)
 
 
-def law_of(config: RealtimeControllerConfig) -> Callable[[], ParentController]:
-    """Return a factory for the control law of a configuration."""
-    return lambda: config.law.make(config.schedule.period, config.manifold)
-
-
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG001 - it does not use the node
     """Return the behaviour."""
     config = settings.declared(RealtimeControllerConfig)
-    controller = RealtimeController(config, law_of(config))
+    controller = RealtimeController(config, config.make_law)
     commands = (controller.stop, controller.reset, controller.voice.release)
     offered = dict(zip(services(CONTROLLER, options_of({"pair": config.pair.rank})), commands, strict=True))
     if config.pair.single:
@@ -41,7 +33,7 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:  # noqa: ARG00
         wakes=(PLANE_STATE,),
         services=offered,
         settled=lambda: controller.voice.settled,
-        tune=lambda changed: controller.tuned(law_of(changed.declared(RealtimeControllerConfig))),
+        tune=lambda changed: controller.tuned(changed.declared(RealtimeControllerConfig).make_law),
     )
 
 

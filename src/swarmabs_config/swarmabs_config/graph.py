@@ -103,7 +103,7 @@ NODES = {
     RECORDER: Node(3, {LOCKSTEP: "swarmabs_bag.recorder.node", REALTIME: "swarmabs_bag.recorder.realtime"}),
     STEERER: Node(None, {LOCKSTEP: "swarmabs_run.steering.node"}),
     ROBOT: Node(COORDINATORS, {LOCKSTEP: "agent_node.node", REALTIME: "agent_node.realtime"}),
-    PEER: Node(COORDINATORS, {LOCKSTEP: "agent_node.group"}),
+    PEER: Node(COORDINATORS, {LOCKSTEP: "agent_node.group", REALTIME: "agent_node.realtime_peer"}),
 }
 """Every kind of node."""
 
@@ -397,8 +397,8 @@ GRAPH = (
     Link(
         REMOVALS,
         {REALTIME: Qos("reliable", 100, "transient_local")},
-        (End(OBSERVER),),
-        (End(OBSERVER, 100, reliable=True), *_recorder(reliable=True)),
+        (End(OBSERVER), End(PEER)),
+        (End(OBSERVER, 100, reliable=True), End(PEER, 100, reliable=True), *_recorder(reliable=True)),
     ),
     Link(
         STANDING,
@@ -407,6 +407,7 @@ GRAPH = (
             End(OBSERVER, driver=LOCKSTEP, only=Option.CHANGING),
             End(OBSERVER, driver=REALTIME),
             End(PEER, driver=LOCKSTEP, only=Option.CHANGING),
+            End(PEER, driver=REALTIME),
         ),
         (
             End(CONTROLLER, driver=LOCKSTEP, only=Option.CHANGING),
@@ -418,9 +419,9 @@ GRAPH = (
     ),
     Link(
         RELAY,
-        {LOCKSTEP: Qos("best_effort", 100)},
+        _both(Qos("best_effort", 100), Qos("best_effort", 1, lease=LEASE)),
         (End(PEER),),
-        (End(PEER, 100), End(RECORDER, 1000)),
+        (End(PEER, 100, driver=LOCKSTEP), End(PEER, 10, driver=REALTIME), End(RECORDER, 1000, driver=LOCKSTEP)),
         system=RELAY,
     ),
 )
@@ -469,6 +470,7 @@ SERVICES = {
     OBSERVER: (RELEASE,),
     CONTROLLER: ("swarm/stop", "swarm/reset", RELEASE),
     ROBOT: ("~/leave", "~/join"),
+    PEER: ("~/leave", "~/join", "~/stop", "~/reset"),
 }
 """The services for operators in real time, by node. Only one of a pair of coordinators offers `RELEASE`."""
 
@@ -535,7 +537,7 @@ def _depth(end: End, robots: int) -> int:
 
 def _written(topic: Topic, end: End, options: frozenset[Option], members: Collection[int]) -> tuple[Topic, ...]:
     """Return the topics that are written at an end: the usual one, a robot's own, or that of standbys."""
-    if end.node == ROBOT and Option.OWN_TOPICS in options and topic in OWN:
+    if end.node in {ROBOT, PEER} and Option.OWN_TOPICS in options and topic in OWN:
         return tuple(own_topic(topic, member) for member in members)
     return (standby_topic(topic) if Option.STANDBY in options else topic,)
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from swarmabs_config import configure
+from swarmabs_config import configure, graph
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import gathered
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import Mode
+from swarmabs_core.messages import PLANE_STATE, Mode
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.controller import RealtimeControllerConfig
 from swarmabs_core.realtime.leadership import TAKEOVER_STEPS, Pair
 from swarmabs_core.realtime.observer import RealtimeObserverConfig
+from swarmabs_core.realtime.peer import RealtimePeerConfig
 from swarmabs_core.realtime.plane import RealtimePlaneConfig
 from swarmabs_core.realtime.validation import Bounds
 from swarmabs_core.summation import exact_sum
@@ -38,7 +39,6 @@ def check_realtime(scenario: Scenario) -> PlaneScenario:
         ("swarm.actuator_lag", supported.swarm.actuator_lag > 0.0),
         ("swarm.sensor", not supported.swarm.sensor.perfect),
         ("observer.type", supported.observer.type != "sum"),
-        ("coordination", supported.decentralised),
         ("faults", bool(supported.faults)),
     )
     for name, given in lockstep_only:
@@ -47,6 +47,15 @@ def check_realtime(scenario: Scenario) -> PlaneScenario:
                 f"{name}: not supported in real time with simulated robots", "remove it, or run in lockstep"
             )
     return supported
+
+
+def check_coordinated(scenario: PlaneScenario) -> None:
+    """Reject, with an `InputError`, a scenario whose robots coordinate the swarm by themselves: no fleet does that."""
+    if scenario.decentralised:
+        raise InputError(
+            "coordination: in real time each robot can coordinate the swarm only on one machine (run --realtime)",
+            "remove it: a fleet has an observer and a parent controller",
+        )
 
 
 def check_pairs(scenario: PlaneScenario) -> None:
@@ -105,6 +114,30 @@ def controller_config(
 ) -> RealtimeControllerConfig:
     """Return the configuration of the parent controller's node."""
     return gathered(RealtimeControllerConfig, *_declared(scenario, clock), start_mode=start_mode)
+
+
+def peer_config(scenario: PlaneScenario, clock: Schedule, agent_id: int) -> RealtimePeerConfig:
+    """Return what a robot that coordinates the swarm by itself needs to know beyond what it hosts."""
+    links = configure.links(scenario)
+    return gathered(
+        RealtimePeerConfig,
+        *_declared(scenario, clock),
+        scenario.links,
+        agent_id=agent_id,
+        neighbours=links.of(agent_id),
+        senses=links.senses(agent_id),
+    )
+
+
+def peer_endpoints(config: RealtimePeerConfig, options: frozenset[graph.Option] = frozenset()) -> graph.Endpoints:
+    """Return the endpoints of a robot that coordinates the swarm by itself."""
+    also = {graph.Option.SENSING} if config.senses else set()
+    ends = graph.endpoints(
+        graph.PEER, graph.REALTIME, options | also, members=(config.agent_id,), neighbours=config.neighbours
+    )
+    # What has arrived from robots is read before the plane's state, which lets the robot sum up.
+    reads = sorted(ends.subscriptions.items(), key=lambda read: read[0] == PLANE_STATE)
+    return replace(ends, subscriptions=dict(reads))
 
 
 def _declared(scenario: PlaneScenario, clock: Schedule) -> tuple[object, ...]:

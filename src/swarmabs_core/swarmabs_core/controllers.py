@@ -73,6 +73,20 @@ class OffsetController(Protocol):
         ...
 
 
+@runtime_checkable
+class RememberingController(Protocol):
+    """Optional interface of a parent controller with integrals, so that several instances of it hold them together."""
+
+    @property
+    def memory(self) -> tuple[float, ...]:
+        """What it remembers beyond the current step; empty before its first step."""
+        ...
+
+    def recall(self, memory: tuple[float, ...]) -> None:
+        """Remember this instead, which another instance of the same law, or a mean of several, remembers."""
+        ...
+
+
 class ControllerType(Part[ParentContext, ParentController]):
     """A parent controller; `name` is the value of ``controller.type`` in a scenario."""
 
@@ -200,6 +214,15 @@ class Pid:
         self._period = period
         self._integral = 0.0
 
+    @property
+    def memory(self) -> tuple[float, ...]:
+        """The integral, N m."""
+        return (self._integral,)
+
+    def recall(self, memory: tuple[float, ...]) -> None:
+        """Continue from an integral (N m), within its limit."""
+        self._integral = min(max(memory[0], -self.integral_limit), self.integral_limit)
+
     def reference(self, time: float) -> float:  # noqa: ARG002
         """Return 0 rad: this law is a regulator."""
         return 0.0
@@ -294,6 +317,16 @@ class Arise:
         self._mu1 = 0.0
         self._mu2: Vector = (0.0, 0.0, 0.0, 0.0)
         self._initial: tuple[float, Vector] | None = None
+
+    @property
+    def memory(self) -> tuple[float, ...]:
+        """Both integrals mu1 and mu2, and the initial values e2(0) and Y_d'(0) e2(0); empty before the first step."""
+        return () if self._initial is None else (self._mu1, *self._mu2, self._initial[0], *self._initial[1])
+
+    def recall(self, memory: tuple[float, ...]) -> None:
+        """Continue from these integrals and initial values."""
+        mu1, a, b, c, d, e2, p, q, r, s = memory
+        self._mu1, self._mu2, self._initial = mu1, (a, b, c, d), (e2, (p, q, r, s))
 
     def reference(self, time: float) -> float:
         """Return th_d, rad."""

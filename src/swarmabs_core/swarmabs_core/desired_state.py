@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isfinite, sqrt
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from swarmabs_core.controllers import OffsetController
+from swarmabs_core.controllers import OffsetController, RememberingController
 from swarmabs_core.elementary import exp, sin_cos
 from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.events import EventCode
@@ -106,6 +106,16 @@ class DesiredStateGenerator:
     def on_curve(self) -> bool:
         """Whether the desired state is on the curve again after a change of the swarm."""
         return self._gap == (0.0, 0.0)
+
+    @property
+    def law_memory(self) -> tuple[float, ...]:
+        """What the law remembers, if other instances of it can continue from that; else empty."""
+        return self._law.memory if isinstance(self._law, RememberingController) else ()
+
+    def recall(self, memory: tuple[float, ...]) -> None:
+        """Let the law continue from a memory that is as long as its own, or that it has not begun to fill."""
+        if isinstance(self._law, RememberingController) and memory:
+            self._law.recall(memory)
 
     def resume(self, desired: DesiredAbstractState) -> None:
         """Continue with the step of this desired state, as if it had been computed here."""

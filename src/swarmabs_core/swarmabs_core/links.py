@@ -112,7 +112,12 @@ class Links:
 
     def loses(self, step: int, turn: int, sender: int, receiver: int) -> bool:
         """Return whether the message of a round of a step is lost on its way."""
-        return self._loss > 0.0 and fraction(f"{self._seed}:{step}:{turn}:{sender}:{receiver}") < self._loss
+        return lost(self._seed, self._loss, step, turn, sender, receiver)
+
+
+def lost(seed: int, loss: float, step: int, turn: int, sender: int, receiver: int) -> bool:
+    """Return whether a link that loses a share of its messages loses that of a round of a step."""
+    return loss > 0.0 and fraction(f"{seed}:{step}:{turn}:{sender}:{receiver}") < loss
 
 
 def _pairs(settings: LinkSettings, ids: tuple[int, ...]) -> Iterator[Pair]:

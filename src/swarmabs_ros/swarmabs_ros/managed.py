@@ -230,7 +230,8 @@ class RealtimeNode(LifecycleNode):
         spec = self._make()
         ends = spec.endpoints or self._endpoints
         publishers = {usual_topic(topic): advertise(self, topic, REALTIME) for topic in ends.publications}
-        receiver = Receiver(self, ends.subscriptions, self.loop_group, IDENTIFIED)
+        identified = [topic for topic in ends.subscriptions if usual_topic(topic) in IDENTIFIED]
+        receiver = Receiver(self, ends.subscriptions, self.loop_group, identified)
         depths = {topic: qos.depth for topic, qos in ends.subscriptions.items()}
         self._clock_of_steps = StepClock(self._schedule, spec.phase)
         self._loop.attach(Engine(spec.behaviour, self._clock_of_steps, receiver, depths, publishers, spec.wakes))

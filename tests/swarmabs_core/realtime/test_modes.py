@@ -8,7 +8,7 @@ from tests.swarmabs_core.realtime.nodes import CLOCK, at, broadcasts, follow, ki
 
 from swarmabs_core.messages import EventKind, Message, Mode, SwarmEvent
 from swarmabs_core.realtime.base import Level
-from swarmabs_core.realtime.modes import ModeLatch
+from swarmabs_core.realtime.modes import ModeLatch, Orders
 
 AGE, AHEAD = 10, 2
 GUARD = AGE + AHEAD
@@ -149,3 +149,30 @@ def test_an_old_reset_does_not_open_the_latch_after_the_clock_was_set_back() -> 
     body.commands.clear()
     follow(node, 1001)
     assert not any(body.commands)
+
+
+orders = st.builds(Orders, st.integers(-1, 60), st.integers(-1, 60))
+
+
+@given(st.lists(orders, max_size=6), st.randoms(use_true_random=False))
+def test_orders_of_robots_join_in_any_order(heard: list[Orders], draw: Random) -> None:
+    again = heard + heard[:3]
+    draw.shuffle(again)
+    one, other = Orders(), Orders()
+    for order in heard:
+        one = one.joined(order)
+    for order in again:
+        other = other.joined(order)
+    assert one == other
+
+
+@given(orders, st.integers(0, 60))
+def test_an_order_holds_against_what_is_known_where_it_is_given(known: Orders, step: int) -> None:
+    assert known.stopped(step).stops(GUARD)
+    assert not known.released(step, GUARD).stops(GUARD)
+
+
+@given(st.integers(0, 60), st.integers(-GUARD, GUARD))
+def test_of_orders_that_do_not_know_of_each_other_within_the_guard_the_stop_holds(step: int, later: int) -> None:
+    stop, reset = Orders().stopped(step), Orders().released(max(0, step + later), GUARD)
+    assert stop.joined(reset).stops(GUARD)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.controllers import ParentLaw
 from swarmabs_core.declaration import part, same, setting
@@ -30,18 +30,38 @@ from swarmabs_core.messages import (
 from swarmabs_core.plant import Plane
 from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedule, Sender
 from swarmabs_core.realtime.leadership import Pair, Voice
-from swarmabs_core.realtime.modes import ModeLatch, PublishedMode
+from swarmabs_core.realtime.modes import ModeLatch, Orders, PublishedMode
 from swarmabs_core.realtime.validation import Bounds, Heard, Origin, Problem, Refusals, Writers
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
 
     from swarmabs_core.controllers import ParentController
 
 _PLANE, _PEER = Origin(PLANE_STATE.name), "the other controller"
 MOST_STEPS = 100
 """Largest number of missed steps that law and filter make up for; after more, they restart."""
+PULL = 0.1
+"""Share of their mean distance by which the integrals of a law approach those of other robots in a period."""
+
+
+class LawView(NamedTuple):
+    """What robots tell each other of their instances of the law.
+
+    Attributes
+    ----------
+    begun : int
+        Step 0 of the law; -1 if it has not begun.
+    step : int
+        The last step that it has computed.
+    memory : tuple of float
+        What it remembers after that step.
+    """
+
+    begun: int = -1
+    step: int = -1
+    memory: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +89,10 @@ class RealtimeControllerConfig:
     def bounds(self) -> Bounds:
         """Known properties of the swarm and its plane, against which messages are validated."""
         return Bounds(self.gravity, self.plane_length)
+
+    def make_law(self) -> ParentController:
+        """Return the control law in its initial state."""
+        return self.law.make(self.schedule.period, self.manifold)
 
     def generator(self, law: ParentController) -> DesiredStateGenerator:
         """Return what generates the desired abstract state with a law."""
@@ -114,6 +138,7 @@ class RealtimeController:
         self._generator = self._config.generator(self._make_law())
         self._first_step: int | None = None
         self._law_step = -1
+        self._memories: dict[int, tuple[float, ...]] = {}
 
     def tuned(self, make_law: Callable[[], ParentController]) -> Callable[[], None]:
         """Return a callable that starts a new law between two steps; raises `InputError` if its settings are wrong."""
@@ -194,6 +219,64 @@ class RealtimeController:
         self._restart()
         return self.voice.say(self._announced(now, step), now)
 
+    @property
+    def orders(self) -> Orders:
+        """What was ordered at this controller and, among robots, anywhere."""
+        return self._mode.orders
+
+    @property
+    def guard(self) -> int:
+        """Steps by which a RESET must be newer than a STOP that is not known where it is ordered."""
+        return self._mode.guard
+
+    @property
+    def view(self) -> LawView:
+        """What this instance of the law tells those of other robots."""
+        if self._first_step is None:
+            return LawView()
+        return LawView(self._first_step, self._law_step, self._memories.get(self._law_step, ()))
+
+    def obey(self, orders: Orders, now: int) -> Messages:
+        """Take over STOP and RESET that were ordered at other robots; law and reference restart with a RESET."""
+        step, before = self._config.schedule.step(now), self._mode.now
+        self._mode.obey(orders, step)
+        if self._mode.now is before:
+            return ()
+        if self._mode.now is Mode.RESET:
+            self._restart()
+        return self._announced(now, step)
+
+    def agree(self, views: Collection[LawView]) -> None:
+        """Hold this instance of the law together with those of other robots, given what they told since the last call.
+
+        Its time counts from the earliest step in which one of them began. Its integrals approach the mean of the
+        others': compared are those of the same step, so that nothing is held back.
+        """
+        answered = self._law_step if self._plane is None else self._plane.step
+        views = [view for view in views if view.begun >= 0 and abs(view.step - answered) <= MOST_STEPS]
+        if not views or self._mode.now is not Mode.RUN:
+            return
+        first = min(views)
+        if self._first_step is None or first.begun < self._first_step:
+            if self._first_step is None:
+                self._law_step = max(first.step, answered)
+            self._first_step = first.begun
+            self._generator.recall(first.memory)
+            self._memories = {self._law_step: first.memory}
+            return
+        own = self._memories
+        apart = [
+            [theirs - ours for theirs, ours in zip(view.memory, own[view.step], strict=True)]
+            for view in views
+            if view.begun == self._first_step and len(view.memory) == len(own.get(view.step, ())) > 0
+        ]
+        if apart:
+            shift = [PULL * sum(column) / len(apart) for column in zip(*apart, strict=True)]
+            self._memories = {
+                step: tuple(ours + by for ours, by in zip(memory, shift, strict=True)) for step, memory in own.items()
+            }
+            self._generator.recall(self._memories[self._law_step])
+
     def halt(self) -> None:
         """Discard the plane's state; the robots then stop when the last desired state is outdated."""
         self._plane = None
@@ -270,9 +353,12 @@ class RealtimeController:
                 news, desired = self._generator.advance(time, plane)
                 events.extend(event._replace(stamp=now) for event in news)
         except RunError as error:
-            self._mode.publish_stop(str(error))
+            self._mode.fail(step, str(error))
             return self.voice.say(self._announced(now, step), now)
         self._asked, self._last_published = desired._replace(stamp=now), plane.step
+        if memory := self._generator.law_memory:
+            kept = range(plane.step - self._age, plane.step)
+            self._memories = {k: held for k, held in self._memories.items() if k in kept} | {plane.step: memory}
         return self.voice.say((*events, provenance, self._asked), now)
 
     def _hear_peer(self, message: DesiredAbstractState | Basis, step: int, now: int, sender: Sender) -> Messages:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.messages import Mode
 
@@ -18,6 +18,32 @@ MOST_GUARD = 0.5
 _LONG_AGO = -(2**62)
 
 
+class Orders(NamedTuple):
+    """The newest steps of STOP and RESET that operators ordered anywhere, as robots pass them on; -1: none yet.
+
+    Both only grow, so order and repetition of what robots hear from each other do not matter.
+    """
+
+    stop: int = -1
+    reset: int = -1
+
+    def stopped(self, step: int) -> Orders:
+        """Return the orders after a STOP of a step, which holds against every RESET that is known where it is given."""
+        return self._replace(stop=max(self.stop, self.reset, step))
+
+    def released(self, step: int, guard: int) -> Orders:
+        """Return the orders after a RESET of a step, which holds against every STOP that is known where it is given."""
+        return self._replace(reset=max(self.reset, self.stop + guard + 1 if self.stop >= 0 else step, step))
+
+    def joined(self, other: Orders) -> Orders:
+        """Return what somebody knows who has heard of both."""
+        return Orders(max(self.stop, other.stop), max(self.reset, other.reset))
+
+    def stops(self, guard: int) -> bool:
+        """Return whether the swarm is stopped: of a STOP and a RESET within a guard time, in steps, the STOP holds."""
+        return 0 <= self.stop >= self.reset - guard
+
+
 class ModeLatch:
     """Whether the swarm is stopped: STOP sets the latch, RESET releases it.
 
@@ -30,18 +56,20 @@ class ModeLatch:
     ----------
     reset_step : int
         Newest step of a RESET.
+    guard : int
+        The guard time, in steps.
     """
 
     def __init__(self, schedule: Schedule, age_limit: float, clock_tolerance: float) -> None:
         guard = schedule.steps(age_limit) + schedule.ahead(clock_tolerance)
-        self._guard = min(guard, schedule.steps(MOST_GUARD))
+        self.guard = min(guard, schedule.steps(MOST_GUARD))
         self._stop_step: int | None = None
         self.reset_step = _LONG_AGO
 
     @property
     def stopped(self) -> bool:
         """Whether a STOP was received and no effective RESET."""
-        return self._stop_step is not None and self.reset_step - self._stop_step <= self._guard
+        return self._stop_step is not None and self.reset_step - self._stop_step <= self.guard
 
     def stop(self, step: int) -> None:
         """Record a STOP of a step."""
@@ -72,17 +100,25 @@ class PublishedMode:
         Why it is this one.
     told : bool
         Whether operator or peer have told the mode since a start in STOP.
+    orders : Orders
+        What was ordered here and, among robots without a parent controller, anywhere.
     """
 
     def __init__(self, start: Mode, latch: ModeLatch, schedule: Schedule) -> None:
         self.now = start
         self.told = start is not Mode.STOP
         self.why = "waiting for a reset" if start is Mode.STOP else ""
+        self.orders = Orders()
         self._latch = latch
         self._lasting = schedule.steps(RESET_SECONDS)
         self._reset_since = 0
         self._commanded: tuple[Mode, int] | None = None
         self._newest = _LONG_AGO
+
+    @property
+    def guard(self) -> int:
+        """Steps by which a RESET must be newer than a STOP that is not known where it is ordered."""
+        return self._latch.guard
 
     @property
     def told_to_stop(self) -> bool:
@@ -94,7 +130,24 @@ class PublishedMode:
         self.told = True
         self._commanded = Mode.STOP, step
         self._latch.stop(step)
-        self.publish_stop("stop commanded")
+        self.fail(step, "stop commanded")
+
+    def fail(self, step: int, why: str) -> None:
+        """Stop the swarm until `reset`: the operator asks for it in a step, or there is nothing to ask for."""
+        self.orders = self.orders.stopped(step)
+        self.publish_stop(why)
+
+    def obey(self, orders: Orders, step: int) -> None:
+        """Take over in a step what was ordered at other robots."""
+        known, self.orders = self.orders, self.orders.joined(orders)
+        if self.orders == known:
+            return
+        self.told = True
+        if self.orders.stops(self._latch.guard):
+            self.publish_stop("stop commanded at another robot")
+        elif self.orders.reset > known.reset and (known != Orders() or self.now is not Mode.RUN):
+            # One that starts in RUN, among robots that were reset long ago, need not wait.
+            self._begin_reset(step, "reset commanded at another robot")
 
     def publish_stop(self, why: str) -> None:
         """Publish STOP, unless it does so already."""
@@ -105,6 +158,7 @@ class PublishedMode:
         """Publish RESET for a while, then RUN: the operator asks for it in a step."""
         self.told = True
         self._commanded = Mode.RESET, step
+        self.orders = self.orders.released(step, self._latch.guard)
         self._latch.open()
         self._begin_reset(step, "reset commanded")
 
@@ -150,6 +204,7 @@ class PublishedMode:
     def forget(self, step: int) -> None:
         """Discard steps of the old clock."""
         self._latch.forget(step)
+        self.orders = Orders(step) if self.now is Mode.STOP and self.orders.stop >= 0 else Orders()
         self._newest = _LONG_AGO
         self._reset_since = min(self._reset_since, step)
         if self._commanded is not None:

@@ -237,6 +237,11 @@ class RealtimeObserver:
         return Health(Level.WARN if missing else Level.OK, text, values)
 
     @property
+    def states(self) -> Mapping[int, AgentState]:
+        """The newest state of each robot, by id; with step 0 if it is not known how old it is."""
+        return self._states
+
+    @property
     def _hears_robots(self) -> bool:
         """Whether it heard any robot recently: one that is cut off from all must not lead."""
         return any(role in (Role.ACTIVE, Role.STOPPED) for role in self.roles.values())

@@ -188,20 +188,27 @@ def _realtime_plan(scenario: PlaneScenario, recorder: Parameters) -> tuple[Proce
         CONTROLLER: _without_epoch(realtime.controller_config(scenario, schedule)),
         RECORDER: {"period_ns": scenario.step_ns, "await_epoch": True, "last_step": scenario.steps} | recorder,
     }
-    ends, module = endpoints(ROBOT, REALTIME), NODES[ROBOT].modules[REALTIME]
+    robots = realtime.agent_configs(scenario, schedule)
+    if scenario.decentralised:
+        law = coordinators.pop(OBSERVER) | coordinators.pop(CONTROLLER)
+        peers = [realtime.peer_config(scenario, schedule, robot.agent_id) for robot in robots]
+        ends = [realtime.peer_endpoints(peer) for peer in peers]
+        kind, own = PEER, [law | _without_epoch(peer) for peer in peers]
+    else:
+        kind, own, ends = ROBOT, [{} for _ in robots], [endpoints(ROBOT, REALTIME) for _ in robots]
     return (
         *(_coordinator(node, REALTIME, parameters, scenario) for node, parameters in coordinators.items()),
         *(
             ProcessPlan(
                 agent_name(config.agent_id),
-                module,
+                NODES[kind].modules[REALTIME],
                 COORDINATORS + index,
-                _without_epoch(config),
-                ends.publications,
-                tuple(ends.subscriptions),
+                own[index] | _without_epoch(config),
+                ends[index].publications,
+                tuple(ends[index].subscriptions),
                 (config.agent_id,),
             )
-            for index, config in enumerate(realtime.agent_configs(scenario, schedule))
+            for index, config in enumerate(robots)
         ),
     )
 

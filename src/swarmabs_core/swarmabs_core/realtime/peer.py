@@ -1,0 +1,372 @@
+"""A robot in real time that sums up and controls the swarm by itself: no observer, no parent controller.
+
+It hosts the state machines of observer, parent controller and robot, and passes messages between them. Once per period
+it tells its neighbours what they may lack: the newest state of each robot and of the plane, STOP and RESET as operators
+ordered them anywhere, and how far its instance of the law is (docs/explanation/decentralised.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmabs_core.declaration import part, same, setting
+from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.links import LinkSettings, lost
+from swarmabs_core.messages import (
+    NEVER,
+    RELAY,
+    AbstractState,
+    AgentState,
+    Basis,
+    Message,
+    Messages,
+    PlaneState,
+    Relay,
+    StandingState,
+    SwarmEvent,
+)
+from swarmabs_core.realtime.base import (
+    OBSERVER_PHASE,
+    UNKNOWN,
+    Health,
+    Level,
+    Realtime,
+    Schedule,
+    Sender,
+    StepCounter,
+)
+from swarmabs_core.realtime.electorate import SETTLED, Electorate
+from swarmabs_core.realtime.observer import Role
+from swarmabs_core.realtime.relayed import BUDGET, Told, constants_of, motion_of, overhead, read, room, written
+from swarmabs_core.realtime.validation import FROM_FUTURE, Origin, Problem, Refusals, Writers
+from swarmabs_core.settings import Run
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from swarmabs_core.realtime.agent import RealtimeAgent
+    from swarmabs_core.realtime.controller import LawView, RealtimeController
+    from swarmabs_core.realtime.modes import Orders
+    from swarmabs_core.realtime.observer import RealtimeObserver
+    from swarmabs_core.realtime.relayed import Constants, Motion
+
+_THERE = (Role.ACTIVE, Role.STOPPED)
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimePeerConfig:
+    """What a robot that sums up the swarm by itself needs to know beyond what it hosts."""
+
+    members: tuple[int, ...] = same(Run, "members")
+    schedule: Schedule = part(Schedule, name="")
+    agent_id: int = setting(1, "id of the robot", minimum=1, maximum=65535)
+    neighbours: tuple[int, ...] = setting((), "ids of the robots that it hears", item=0, minimum=1, maximum=65535)
+    senses: bool = setting(default=True, description="whether it hears the plane")
+    loss: float = same(LinkSettings, "loss", name="links.loss")
+    link_seed: int = same(LinkSettings, "seed", name="links.seed")
+    state_age_limit: float = same(Realtime, "state_age_limit")
+    clock_tolerance: float = same(Realtime, "clock_tolerance")
+
+
+class RealtimePeer:
+    """A robot with observer and parent controller of its own.
+
+    It follows what these say while it hears a majority of the robots; the others of a partition stop. For recorders and
+    viewers only, the robot with the lowest id of those that it hears publishes what all of them compute.
+
+    Parameters
+    ----------
+    config : RealtimePeerConfig
+        Its place in the swarm.
+    observer, controller, agent : RealtimeObserver, RealtimeController, RealtimeAgent
+        What it hosts.
+    """
+
+    def __init__(
+        self,
+        config: RealtimePeerConfig,
+        observer: RealtimeObserver,
+        controller: RealtimeController,
+        agent: RealtimeAgent,
+    ) -> None:
+        self._config, self._schedule = config, config.schedule
+        self._observer, self._controller, self._agent = observer, controller, agent
+        self._ids = tuple(sorted(config.members))
+        self._rank = {agent_id: rank for rank, agent_id in enumerate(self._ids)}
+        self._age = config.schedule.steps(config.state_age_limit)
+        self._ahead = config.schedule.ahead(config.clock_tolerance)
+        self._counter = StepCounter(config.schedule)
+        self._writers = Writers(self._age)
+        self._refusals = Refusals(config.agent_id)
+        self._constants: dict[int, Constants] = {}
+        self._told: dict[int, tuple[int, Told]] = {}
+        self._views: list[LawView] = []
+        self._plane: PlaneState | None = None
+        self._summed = -1
+        self._begun = False
+        self._electorate = Electorate(self._ids, config.schedule.steps(SETTLED))
+        self._majority = True
+
+    def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:
+        """Take a neighbour's relay, a state of the plane, or what an operator or other robots tell the observer."""
+        if isinstance(message, Relay):
+            return self._hear_relay(message, now, sender)
+        if isinstance(message, PlaneState):
+            return self._measure(message, now, sender)
+        return self._observer.hear(message, now, sender)
+
+    def tick(self, now: int) -> Messages:
+        """Move the robot, and tell the neighbours what they may lack."""
+        step = self._counter.next(now)
+        if step is None:
+            if self._counter.last is None and self._summed >= 0:
+                self._forget()
+            return self._agent.tick(now)
+        self._writers.advance(step)
+        published: list[Message] = []
+        for answer in self._agent.tick(now):
+            published.append(answer)
+            if isinstance(answer, AgentState):
+                published += self._learn(answer, now, UNKNOWN)
+        if step - self._summed > self._age:  # otherwise states of the plane decide when it sums up
+            published += self._sum_up(step, now)
+        self._controller.agree(self._views)
+        self._views = []
+        published += self._share(self._controller.tick(now), now)
+        return (*published, self._relay(step, now))
+
+    @property
+    def orders(self) -> Orders:
+        """STOP and RESET as far as this robot knows."""
+        return self._controller.orders
+
+    @property
+    def law(self) -> LawView:
+        """How far its instance of the law is."""
+        return self._controller.view
+
+    def stop(self, now: int) -> Messages:
+        """Stop the swarm until `reset`."""
+        return self._ordered(self._controller.stop(now), now)
+
+    def reset(self, now: int) -> Messages:
+        """Resume after `stop`; law and reference restart."""
+        return self._ordered(self._controller.reset(now), now)
+
+    def leave(self, now: int) -> Messages:
+        """Leave the plane, as `RealtimeAgent.leave`; the robot goes on to pass on what it hears."""
+        return self._agent.leave(now)
+
+    def join(self, now: int) -> Messages:
+        """Take part again after `leave`."""
+        return self._agent.join(now)
+
+    def halt(self) -> None:
+        """Bring the robot to a safe state, because ticks are suspended."""
+        self._agent.halt()
+        self._controller.halt()
+        self._forget()
+
+    def health(self, now: int) -> Health:
+        """Return the health of the robot, with what it knows of the swarm."""
+        robot, swarm, law = (part.health(now) for part in (self._agent, self._observer, self._controller))
+        step = self._schedule.step(now)
+        near = [robot_id for robot_id, (heard, _) in sorted(self._told.items()) if step - heard <= self._age]
+        ages = [f"{i}:{step - state.step}" for i, state in sorted(self._observer.states.items()) if state.step]
+        values = (
+            *robot.values,
+            ("hears robots", " ".join(map(str, near))),
+            ("ages of states, steps", " ".join(ages)),
+            ("counted robots", " ".join(map(str, sorted(self._electorate.counted)))),
+            *((f"swarm: {name}", text) for name, text in swarm.values),
+            *((f"law: {name}", text) for name, text in law.values),
+            *self._refusals.values(),
+        )
+        level, text = robot.level, robot.text
+        if not self._majority:
+            level, text = (
+                max(level, Level.ERROR),
+                f"{text}; hears a minority of the robots: the others go on without it",
+            )
+        elif robot.level is not Level.OK and not self._begun:
+            text = f"{text}; {swarm.text}"
+        return self._writers.warned(Health(level, text, values))
+
+    def _ordered(self, said: Messages, now: int) -> Messages:
+        """Pass on an order at once; who hears of it tells others in its next period."""
+        events = () if self._speaks else tuple(message for message in said if isinstance(message, SwarmEvent))
+        return (*events, *self._share(said, now), self._relay(self._schedule.step(now), now))
+
+    def _hear_relay(self, relay: Relay, now: int, sender: Sender) -> Messages:
+        step, config = self._schedule.step(now), self._config
+        origin = Origin(RELAY.name, relay.agent_id)
+        if lost(config.link_seed, config.loss, relay.step, relay.round, relay.agent_id, config.agent_id):
+            return ()
+        if relay.step > step + self._ahead:
+            return self._refusals.add(Problem(f"a relay {FROM_FUTURE}").of(origin), step, now)
+        if relay.agent_id not in config.neighbours:
+            return self._refusals.add(Problem("a relay of a robot that is not a neighbour").of(origin), step, now)
+        if problem := self._writers.second(origin, sender.writer, step):
+            return self._refusals.add(problem.of(origin), step, now)
+        try:
+            told = read(relay, len(self._ids))
+        except MalformedMessageError as error:
+            return self._refusals.add(Problem("a relay that cannot be read", str(error)).of(origin), step, now)
+        before = self._told.get(relay.agent_id)
+        if before is None or before[0] < relay.step:
+            self._told[relay.agent_id] = relay.step, told
+        published = [*self._obey(told, now)]
+        since, counted = told.electing
+        if since <= step + self._ahead:
+            self._electorate.learn(since, [i for i, rank in self._rank.items() if counted >> rank & 1])
+        self._constants |= told.constants
+        for motion in told.motions:
+            known = self._observer.states.get(self._ids[motion.rank])
+            if known is None or relay.step - motion.age > known.step:
+                published += self._hear_motion(motion, relay, now, sender)
+        if told.plane is not None and told.plane.step > self._summed:
+            published += self._measure(told.plane, now, UNKNOWN)
+        return tuple(published)
+
+    def _obey(self, told: Told, now: int) -> Messages:
+        """Take over orders that are not from the future, and note how far the neighbour's law is."""
+        latest = self._schedule.step(now) + self._ahead + self._controller.guard + 1
+        if max(told.orders) > latest:
+            return ()
+        answers = self._share(self._controller.obey(told.orders, now), now)
+        if told.orders.reset == self._controller.orders.reset:
+            self._views.append(told.law)
+        return answers
+
+    def _hear_motion(self, motion: Motion, relay: Relay, now: int, sender: Sender) -> Messages:
+        """Take another robot's state that is newer than the known one, unless its constants are not known."""
+        agent_id = self._ids[motion.rank]
+        constants = self._constants.get(motion.rank)
+        if agent_id == self._config.agent_id:
+            return ()
+        if constants is None or constants.tag != motion.tag:
+            self._constants.pop(motion.rank, None)
+            return ()
+        state = motion.state(agent_id, constants, relay.step - motion.age, self._schedule)
+        return self._learn(state, now, sender if agent_id == relay.agent_id else UNKNOWN)
+
+    def _learn(self, state: AgentState, now: int, sender: Sender) -> Messages:
+        """Give the observer the state of a robot."""
+        rank = self._rank[state.agent_id]
+        following = state.step if state.broadcast_step != NEVER else NEVER
+        passed_on = state._replace(stamp=self._schedule.begin(state.step), broadcast_step=following, command=0.0)
+        self._constants[rank] = constants_of(state)
+        return self._observer.hear(passed_on, now, sender)
+
+    def _measure(self, plane: PlaneState, now: int, sender: Sender) -> Messages:
+        """Take a state of the plane: sum up the swarm for its step, and ask the law for the desired abstract state."""
+        step = self._schedule.step(now)
+        published: list[Message] = []
+        if max(self._summed + 1, step - self._age) <= plane.step <= step + self._ahead:
+            published += self._sum_up(plane.step, self._schedule.begin(plane.step, OBSERVER_PHASE))
+            self._plane = plane
+        return (*published, *self._share(self._controller.hear(plane, now, sender), now))
+
+    def _sum_up(self, step: int, now: int) -> Messages:
+        """Sum up the swarm as of a step."""
+        self._summed = step
+        answers = self._observer.tick(now)
+        heard = [i for i, role in self._observer.roles.items() if role in _THERE]
+        if not self._begun and any(isinstance(answer, AbstractState) for answer in answers):
+            self._begun = True
+            self._electorate.begin(heard)
+        self._majority = not self._begun or self._electorate.hears_majority(heard, step)
+        return self._share(answers, now)
+
+    def _share(self, messages: Messages, now: int) -> Messages:
+        """Pass on what observer and controller say; return what is published, if this robot speaks for all."""
+        published: list[Message] = []
+        if self._speaks:
+            published += [message for message in messages if not isinstance(message, Basis)]
+        for message in messages:
+            if isinstance(message, (AbstractState, StandingState)):
+                published += self._controller.hear(message, now)
+            if isinstance(message, (StandingState, Basis, SwarmEvent)) or not self._majority:
+                continue
+            published += self._agent.hear(message, now)
+        return tuple(published)
+
+    @property
+    def _speaks(self) -> bool:
+        """Whether this robot publishes what all of them compute."""
+        there = (agent_id for agent_id, role in self._observer.roles.items() if role in _THERE)
+        return next(there, None) == self._config.agent_id
+
+    def _forget(self) -> None:
+        """Discard what the steps of an old clock tell."""
+        self._observer.halt()
+        self._told.clear()
+        self._views = []
+        self._plane, self._summed = None, -1
+
+    # What is passed on
+
+    def _relay(self, step: int, now: int) -> Relay:
+        """Return what the neighbours may lack."""
+        states = self._observer.states
+        held = np.array(
+            [states[i].step if i in states and rank in self._constants else -1 for i, rank in self._rank.items()]
+        )
+        near = [(heard, told) for _, (heard, told) in self._told.items() if step - heard <= self._age]
+        plane = self._plane
+        if plane is not None and all(told.plane_step >= min(plane.step, heard - 1) for heard, told in near):
+            plane = None
+        law = self._controller.view
+        counted = sum(1 << self._rank[i] for i in self._electorate.counted)
+        budget = BUDGET - overhead(len(self._ids), len(law.memory), plane=plane is not None)
+        constants: dict[int, Constants] = {}
+        motions: list[Motion] = []
+        for rank in self._wanted(held, near, step):
+            state = states[self._ids[rank]]
+            new = constants | ({rank: constants_of(state)} if self._introduces(rank, near) else {})
+            if not room(budget, len(new), len(motions) + 1):
+                break
+            constants = new
+            motions.append(motion_of(rank, state, step))
+        plane_step = -1 if self._plane is None else self._plane.step
+        told = Told(
+            self._controller.orders,
+            law,
+            (self._electorate.since, counted),
+            plane_step,
+            plane,
+            held,
+            constants,
+            motions,
+        )
+        content = written(step, told, len(self._ids))
+        return Relay(now, step, self._config.agent_id, 0, 0, 0, content)
+
+    def _wanted(self, held: NDArray[np.int64], near: list[tuple[int, Told]], step: int) -> Iterator[int]:
+        """Yield the ranks of the robots of which some neighbour may lack the newest state, its own first.
+
+        A neighbour has told what it held a period ago. What it will have heard from the robot itself by then is not
+        passed on.
+        """
+        own, robots = self._rank[self._config.agent_id], len(self._ids)
+        lacks = np.full(robots, -step if len(self._told) < len(self._config.neighbours) else 0)
+        for heard, told in near:
+            lacks = np.minimum(lacks, told.held - np.minimum(held, heard - 1))
+        lacks[held < 0] = 0
+        lacks[own] = 0
+        if held[own] >= 0:
+            yield own
+        turns = (np.arange(robots) + own + step) % robots
+        for rank in np.lexsort((turns, lacks)).tolist():
+            if lacks[rank] >= 0:
+                return
+            yield rank
+
+    def _introduces(self, rank: int, near: list[tuple[int, Told]]) -> bool:
+        """Return whether some neighbour may not know the constants of a robot."""
+        return len(near) < len(self._config.neighbours) or any(told.held[rank] < 0 for _, told in near)
