@@ -41,6 +41,7 @@ RELEASED = {
     "swarmabs_msgs/msg/SwarmAuxiliary": ("RIHS01_363d152a03bdafcf03ef68aef9f060871e0a9e4de0bae31cebf5f86e7fd6f6c5",),
     "swarmabs_msgs/msg/SwarmDesired": ("RIHS01_14d4547108eaf7c9e58e558e9472aa0e2e82784160f1a0cf59ee18e36f6a445f",),
     "swarmabs_msgs/msg/StandingState": ("RIHS01_7cf46f19732db063247dd0137cbcc1c54ea43f8097f71c408d008b4d3eb62501",),
+    "swarmabs_msgs/msg/Relay": ("RIHS01_7edb3e9283fc1920ab621aae3796e6349c3bb47a81501005ac1cb24dae217f6f",),
     "swarmabs_msgs/msg/SystemDescription": ("RIHS01_f2899023e8687bf5f9b1a866527ee09a370eb818ec831ed10a4d4e4217d2804c",),
 }
 """Hashes of all definitions of recorded types; when one changes, its new hash is added to the others."""
