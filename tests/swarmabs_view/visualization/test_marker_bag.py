@@ -13,7 +13,7 @@ from swarmabs_bag.attached import SCENARIO_FILE
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run.writer import BagWriter
 from swarmabs_cli import main
-from swarmabs_core.messages import PLANE_STATE
+from swarmabs_core.messages import PLANE_STATE, relay_topic
 from swarmabs_view.visualization.ros_messages import message_class
 
 MARKERS, JOINTS = "/swarm/markers", "/plane/joint_states"
@@ -42,6 +42,15 @@ def test_the_run_is_the_same(bags: tuple[Path, Path]) -> None:
     run, shown = (open_bag(path) for path in bags)
     assert list(run.messages()) == list(shown.messages())
     assert main(["verify", str(bags[1])]) == 0
+
+
+def test_what_robots_pass_on_is_there_too(tmp_path: Path) -> None:
+    overrides = ("--duration", "0.2", "--set", "coordination=each_robot")
+    assert main(["simulate", *overrides, "-o", str(tmp_path / "run"), "--json"]) == 0
+    assert main(["markers", str(tmp_path / "run"), "-o", str(tmp_path / "shown")]) == 0
+    run, shown = (open_bag(tmp_path / name) for name in ("run", "shown"))
+    assert list(run.messages()) == list(shown.messages())
+    assert relay_topic(4) in shown.topics()
 
 
 def test_frames_come_at_their_rate_and_the_joint_is_that_of_the_plane(found: dict[str, list[tuple[int, Any]]]) -> None:

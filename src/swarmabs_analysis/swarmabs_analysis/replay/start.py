@@ -33,12 +33,17 @@ def start_commands(bag: BagReader, nodes: Collection[NodeName]) -> Iterator[str]
     Raises
     ------
     InputError
-        If the scenario lacks one of the nodes.
+        If the scenario lacks one of the nodes, or has none of them because each robot coordinates the swarm by itself.
     """
     try:
         scenario = attached_scenario(bag).resolved()
     except InputError:
         return
+    if scenario.decentralised:
+        raise InputError(
+            f"{bag.path}: each robot of this run coordinates the swarm by itself, so no node is tested in a playback; "
+            "leave out --node, or use verify"
+        )
     check_nodes(nodes, scenario)
     processes = {process.name: process for process in plan(scenario, RunFolder(bag.path), RunOptions(packed=False))}
     names = {**_PROCESSES, NodeKind.PARENT: scenario.family.node}

@@ -11,7 +11,6 @@ from swarmabs_bag.attached import PROVENANCE_FILE, SCENARIO_FILE, attached_scena
 from swarmabs_bag.errors import DamagedBagError, NotABagError, UnknownTypeError
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.run.channels import check_definitions
-from swarmabs_bag.run.realtime_gatherer import RECORDED
 from swarmabs_bag.run.schemas import message_schema
 from swarmabs_bag.run.writer import BagWriter
 from swarmabs_bag.run_folder import new_folder
@@ -52,7 +51,7 @@ def write_markers(path: Path, folder: Path, *, rate: float = 30.0, namespace: st
     scenario = attached_scenario(bag).resolved()
     scene, translator, swarm = Scene.of(scenario), Translator(), SwarmState.of(scenario)
     check_definitions(bag.path, bag.channels)
-    own = tuple(topic for topic in RECORDED if topic in bag.topics())
+    own = bag.topics()
     drawn = {topic: Topic(topic.name, PlaneState, topic.ros_type) for topic in _recordable()}
     with (
         new_folder(folder) as part,
