@@ -8,7 +8,7 @@ from pathlib import Path
 
 from swarmabs_ros.status import START_FD
 from swarmabs_run.orchestration.machine import Machine
-from swarmabs_run.orchestration.network import PARTICIPANT_VARIABLE
+from swarmabs_run.orchestration.network import PARTICIPANT_VARIABLE, profile_environment
 from swarmabs_run.orchestration.plan import ProcessPlan
 
 
@@ -26,6 +26,8 @@ def main(arguments: list[str]) -> int:
         raise RuntimeError(rest[0])
     if action == "loaded":
         return sum(name not in sys.modules for name in rest) + (gc.get_freeze_count() == 0)
+    if action == "profile":
+        return int(any(os.environ.get(name, "") != rest[0] for name in profile_environment("")))
     if action == "participant":
         return int(os.environ[PARTICIPANT_VARIABLE])
     if action == "start":

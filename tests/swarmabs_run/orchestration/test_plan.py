@@ -50,7 +50,7 @@ from swarmabs_ros.parameters import table_of
 from swarmabs_ros.realtime_runner import COMMON as REALTIME_COMMON
 from swarmabs_ros.runner import COMMON, Settings
 from swarmabs_ros.settings import LockstepSettings
-from swarmabs_run.orchestration.plan import PATIENCE, ProcessPlan, plan
+from swarmabs_run.orchestration.plan import PATIENCE, ProcessPlan, partners, plan
 from swarmabs_run.run import DEFAULTS, RunOptions
 
 FOLDER = RunFolder(Path("/runs/x"))
@@ -245,6 +245,27 @@ def test_the_more_robots_the_later_a_node_repeats_itself(monkeypatch: pytest.Mon
         monkeypatch.setattr("swarmabs_run.orchestration.plan.PATIENCE", patience)
         parameters = planned(scenario_of("pd_het_4"))[PLANE].parameters
         assert (parameters["repeat_after"], parameters["repeat_steps"]) == (seconds, KEPT_STEPS)
+
+
+def test_where_each_sums_up_the_swarm_a_node_waits_by_the_pairs_of_robots() -> None:
+    for name, seconds in (("pd_het_4", FIRST), ("arise_het_200", 0.4)):
+        processes = planned(builtin(name, "coordination=each_robot", "links.type=random"))
+        assert {process.parameters["repeat_after"] for process in processes.values()} == {seconds}
+
+
+@pytest.mark.parametrize(
+    ("together", "expected"),
+    [
+        (1, {"agent_001": (9, 11), "agent_002": (8, 10), "agent_003": (9, 11), "agent_004": (8, 10)}),
+        (2, {"agents_001_to_002": (9,), "agents_003_to_004": (8,)}),
+        (4, {}),
+    ],
+)
+def test_robots_discover_their_neighbours_only(together: int, expected: dict[str, tuple[int, ...]]) -> None:
+    ring = builtin("pd_het_4", "coordination=each_robot", "links.type=ring")
+    options = RunOptions(agents_per_process=together)
+    assert partners([*planned(ring, options=options).values()]) == expected
+    assert partners([*planned(builtin("pd_het_4"), options=options).values()]) == {}
 
 
 def steerable(*faults: str, agents_per_process: int = 1, steered: bool = True) -> dict[str, ProcessPlan]:

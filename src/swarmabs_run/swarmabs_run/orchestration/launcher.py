@@ -165,12 +165,14 @@ def main() -> int:
 
 
 def _begin(order: Order) -> None:
-    """Prepare for a run: environment, log, parts from packages, memory and scheduling."""
+    """Prepare for a run: environment, log, modules and parts from packages, memory and scheduling."""
     os.environ.update(order["environment"])
     log = os.open(order["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     for target in (1, 2):
         os.dup2(log, target)
     os.close(log)
+    for module in order["modules"]:
+        importlib.import_module(module)
     registries = {registry.group: registry for registry in (CONTROLLERS, LAWS, SYSTEMS)}
     for group, _, name in (plugin.partition(":") for plugin in order["plugins"]):
         registries[group].find(name)  # entry points are resolved once, not in every node

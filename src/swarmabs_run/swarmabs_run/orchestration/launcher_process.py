@@ -29,6 +29,7 @@ class Order(TypedDict, total=False):
     """File for the output of the launcher (``begin``) or the node."""
     processes: int
     plugins: list[str]
+    modules: list[str]
     name: str
     module: str
     arguments: list[str]

@@ -16,7 +16,13 @@ import psutil
 
 from swarmabs_config.graph import LOCKSTEP, Driver
 from swarmabs_run.orchestration.launcher_process import LauncherProcess
-from swarmabs_run.orchestration.network import GROUP_VARIABLE, PARTICIPANT_VARIABLE, held_port, multicast_group
+from swarmabs_run.orchestration.network import (
+    GROUP_VARIABLE,
+    PARTICIPANT_VARIABLE,
+    held_port,
+    multicast_group,
+    profile_environment,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -48,6 +54,10 @@ class Machine:
         Number of nodes.
     plugins : iterable of str
         Parts of packages that the launcher loads before it forks, each ``GROUP:NAME``.
+    modules : iterable of str
+        Modules that it loads before.
+    profiles : mapping of str to Path
+        Fast DDS profiles of nodes that have one of their own, by name.
     started : LauncherProcess, optional
         The launcher, if it has been started ahead for this driver.
     wake : int, optional
@@ -65,6 +75,8 @@ class Machine:
         *,
         processes: int,
         plugins: Iterable[str] = (),
+        modules: Iterable[str] = (),
+        profiles: Mapping[str, Path] | None = None,
         driver: Driver = LOCKSTEP,
         started: LauncherProcess | None = None,
         wake: int | None = None,
@@ -73,6 +85,7 @@ class Machine:
         started.taken = True
         self._reports, self._start, self._process = started.reports, started.start, started.process
         self._wake = wake
+        self._profiles = profiles or {}
         self._pending = b""
         self._send(
             {
@@ -81,6 +94,7 @@ class Machine:
                 "log": str(log),
                 "processes": processes,
                 "plugins": [*plugins],
+                "modules": sorted(modules),
             }
         )
 
@@ -104,12 +118,15 @@ class Machine:
     def spawn(self, process: ProcessPlan, arguments: list[str], log: Path) -> None:
         """Fork a node with a command line and a file for its output."""
         group = multicast_group(process.participant, gathers=process.gathers, robot=bool(process.agents))
+        environment = {PARTICIPANT_VARIABLE: str(process.participant), GROUP_VARIABLE: group}
+        if (profile := self._profiles.get(process.name)) is not None:
+            environment |= profile_environment(str(profile.resolve()))
         self._send(
             {
                 "command": "spawn",
                 "name": process.name,
                 "module": process.module,
-                "environment": {PARTICIPANT_VARIABLE: str(process.participant), GROUP_VARIABLE: group},
+                "environment": environment,
                 "arguments": arguments,
                 "log": str(log),
             }

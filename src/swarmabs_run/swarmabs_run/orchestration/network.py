@@ -1,11 +1,12 @@
 """The network of a run on this machine: its ROS domain, its Fast DDS profile and the environment of its processes.
 
 The profile uses loopback only and fixed participant ids; robots never discover each other, unless they sum up the swarm
-by themselves: then each participant announces itself to all, and a robot's messages go to its neighbours one by one.
+by themselves: then a robot has a profile of its own and also announces itself to its neighbours, to which its messages
+go one by one.
 
-Every participant announces itself to the coordinators only, so discovery grows linearly with the number of robots, not
-quadratically: 200 processes discover each other in seconds. The only transport is UDP, so a killed process leaves no
-shared-memory files behind.
+Every other participant announces itself to the coordinators only, so discovery grows with the number of robots, or of
+links, not with the square: 200 processes discover each other in seconds. The only transport is UDP, so a killed process
+leaves no shared-memory files behind.
 
 Where the machine supports multicast on loopback, a broadcast is sent once to all robots, and a robot's state once to
 all coordinators that use it. Robots, coordinators that hear them, and each other coordinator form separate groups, so
@@ -157,9 +158,13 @@ def dds_environment(domain: int, profile_path: str) -> dict[str, str]:
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
         "RMW_FASTRTPS_PUBLICATION_MODE": "SYNCHRONOUS",
-        "FASTRTPS_DEFAULT_PROFILES_FILE": profile_path,
-        "FASTDDS_DEFAULT_PROFILES_FILE": profile_path,
+        **profile_environment(profile_path),
     }
+
+
+def profile_environment(path: str) -> dict[str, str]:
+    """Return the environment variables that give a process a profile."""
+    return {"FASTRTPS_DEFAULT_PROFILES_FILE": path, "FASTDDS_DEFAULT_PROFILES_FILE": path}
 
 
 def multicast_group(participant: int, *, gathers: bool, robot: bool) -> str:

@@ -46,6 +46,8 @@ Parameters = dict[str, object]
 
 PATIENCE = 1e-4
 """Shortest time, s, per robot that a node waits for an answer before it sends its message again."""
+PATIENCE_OF_PEERS = 1e-5
+"""The same per pair of robots, where each of them sums up the swarm: messages repeated in vain would flood them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +150,7 @@ def _lockstep_plan(
                 scenario.step_ns,
                 scenario.steps,
                 scenario.lockstep.stall_timeout,
-                repeat_after=max(FIRST, PATIENCE * len(scenario.agents)),
+                repeat_after=_patience(scenario),
                 repeat_steps=min(KEPT_STEPS, 2 * window),
             )
         )
@@ -178,6 +180,13 @@ def _lockstep_plan(
         *(_coordinator(node, LOCKSTEP, parameters, scenario, also, spare) for node, parameters in coordinators.items()),
         *robots,
     )
+
+
+def _patience(scenario: Scenario) -> float:
+    """Return the shortest time, s, that a node waits for an answer before it sends its message again."""
+    robots = len(scenario.agents)
+    pairs = robots * robots if scenario.decentralised else 0
+    return max(FIRST, PATIENCE * robots, PATIENCE_OF_PEERS * pairs)
 
 
 def _realtime_plan(scenario: PlaneScenario, recorder: Parameters) -> tuple[ProcessPlan, ...]:
@@ -290,6 +299,26 @@ def _peers(scenario: Scenario, participant: int, parameters: Parameters, ids: tu
         tuple(ends.subscriptions),
         ids,
     )
+
+
+def partners(processes: Collection[ProcessPlan]) -> dict[str, tuple[int, ...]]:
+    """Return the participant ids of the other robots' processes with which a process shares topics, by its name.
+
+    Only processes that have such partners are in it: those of robots that coordinate the swarm by themselves.
+    """
+    robots = [process for process in processes if process.agents]
+    readers: dict[Topic, list[int]] = {}
+    for process in robots:
+        for topic in process.subscriptions:
+            readers.setdefault(topic, []).append(process.participant)
+    found: dict[str, set[int]] = {}
+    names = {process.participant: process.name for process in robots}
+    for process in robots:
+        for other in {reader for topic in process.publications for reader in readers.get(topic, ())}:
+            if other != process.participant:
+                found.setdefault(process.name, set()).add(other)
+                found.setdefault(names[other], set()).add(process.participant)
+    return {name: tuple(sorted(others)) for name, others in found.items()}
 
 
 def expect_counterparts(processes: Collection[ProcessPlan]) -> None:

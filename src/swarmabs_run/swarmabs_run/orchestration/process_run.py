@@ -19,7 +19,7 @@ from swarmabs_run.orchestration.network import (
     profile_xml,
     udp_ports,
 )
-from swarmabs_run.orchestration.plan import Arrange, ProcessPlan, plan
+from swarmabs_run.orchestration.plan import Arrange, ProcessPlan, partners, plan
 from swarmabs_run.orchestration.run_files import ProgressFile, write_network, write_processes
 from swarmabs_run.orchestration.supervision import Failure, Supervision, last_lines
 from swarmabs_run.run import DEFAULTS, Outcome, Progress, RunOptions
@@ -88,11 +88,15 @@ class ProcessRun:
             asked = stack.enter_context(end_asked())
             stack.enter_context(tracing_files_removed())
             domain = stack.enter_context(claimed_domain(participants))
-            apart = not self._scenario.decentralised
-            peers = [*range(COORDINATORS), *(p.participant for p in self._plan if not (apart and p.agents))]
-            multicast = apart and multicast_works()
-            text = profile_xml(domain, peers=dict.fromkeys(peers), multicast=multicast, realtime=realtime)
-            profile.write_text(text, encoding="utf-8")
+            of_robots = partners(self._plan)
+            coordinators = {*range(COORDINATORS), *(p.participant for p in self._plan if not p.agents)}
+            multicast = not of_robots and multicast_works()
+            profiles = {name: self._folder.logs / f"{name}.xml" for name in of_robots}
+            for path, others in ((profile, ()), *((profiles[name], of_robots[name]) for name in of_robots)):
+                text = profile_xml(
+                    domain, peers=sorted({*coordinators, *others}), multicast=multicast, realtime=realtime
+                )
+                path.write_text(text, encoding="utf-8")
             write_network(self._folder.logs, domain, participants, realtime=realtime)
             stack.callback(self._progress_file.over)
             wake = stack.enter_context(woken_by_signals())
@@ -101,6 +105,8 @@ class ProcessRun:
                 self._folder.logs / "launcher.log",
                 processes=len(self._plan),
                 plugins=[f"{registry.group}:{name}" for registry, name in plugins(self._scenario)],
+                modules={process.module for process in self._plan if process.agents},
+                profiles=profiles,
                 driver=self._driver,
                 started=launcher,
                 wake=wake,
