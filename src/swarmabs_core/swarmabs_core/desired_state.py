@@ -117,6 +117,18 @@ class DesiredStateGenerator:
         if isinstance(self._law, RememberingController) and memory:
             self._law.recall(memory)
 
+    @property
+    def progress(self) -> tuple[float, ...]:
+        """Filtered torque and rate, distance from the curve and rate of the next step; empty before the first one."""
+        return () if self._state is None else (*self._state, *self._gap)
+
+    def restore(self, progress: tuple[float, ...], divided: StandingState) -> None:
+        """Continue from the progress of another generator, whose latest step was completed around these robots."""
+        self.divide(divided)
+        self._divided = None
+        torque, rate, *gap = progress
+        self._state, self._gap = (torque, rate), (gap[0], gap[1])
+
     def resume(self, desired: DesiredAbstractState) -> None:
         """Continue with the step of this desired state, as if it had been computed here."""
         self._state = (desired.torque, desired.torque_rate)

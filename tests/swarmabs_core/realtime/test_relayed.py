@@ -1,15 +1,17 @@
 """What robots pass on in real time: written and read again, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import NEVER, AgentState, PlaneState, Relay
+from swarmabs_core.messages import NEVER, AgentState, Basis, PlaneState, Relay, Source
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.controller import LawView
 from swarmabs_core.realtime.modes import Orders
-from swarmabs_core.realtime.relayed import Told, constants_of, motion_of, read, written
+from swarmabs_core.realtime.relayed import Answer, Told, answers_of, constants_of, motion_of, read, written
 
 ROBOTS = 11
 STEP = 500
@@ -33,9 +35,26 @@ def states(draw: st.DrawFn, rank: int) -> AgentState:
 
 
 @st.composite
+def answers(draw: st.DrawFn, held: list[int]) -> Answer:
+    """Return an answer from states that are mostly those that are held, but for that of the relay's sender."""
+    step = draw(st.integers(STEP - 100, STEP + 2))
+    since = draw(st.none() | st.just(NEVER) | st.integers(max(step - 100, 0), step - 1))
+    division = None if since is None else draw(st.none() | st.integers(STEP - 100, STEP + 2))
+    if not draw(st.booleans()):
+        return Answer(step, since=since, division=division)
+    ranks = draw(st.sets(st.integers(0, ROBOTS - 1)))
+    usual = {rank: min(held[rank], STEP - 1) for rank in ranks if held[rank] >= 0}
+    unusual = {rank: draw(st.integers(-STEP, STEP + 2)) for rank in draw(st.sets(st.sampled_from(range(ROBOTS))))}
+    states = dict(sorted((usual | unusual).items()))
+    resting = frozenset(draw(st.sets(st.sampled_from(sorted(states))))) if states else frozenset[int]()
+    return Answer(step, True, states, resting, since, division)
+
+
+@st.composite
 def told(draw: st.DrawFn) -> tuple[Told, list[AgentState]]:
     passed_on = [draw(states(rank)) for rank in draw(st.sets(st.integers(0, ROBOTS - 1)))]
     introduced = [state for state in passed_on if draw(st.booleans())]
+    held = [draw(st.integers(STEP - 200, STEP + 2) | st.just(-1)) for _ in range(ROBOTS)]
     plane = PlaneState(draw(st.integers(0, 2**60)), STEP, draw(numbers), draw(numbers))
     return (
         Told(
@@ -44,7 +63,9 @@ def told(draw: st.DrawFn) -> tuple[Told, list[AgentState]]:
             (draw(steps), draw(st.integers(0, 2**ROBOTS - 1))),
             draw(steps),
             draw(st.sampled_from([None, plane])),
-            np.array([draw(st.integers(STEP - 200, STEP + 2) | st.just(-1)) for _ in range(ROBOTS)]),
+            np.array(held),
+            draw(st.lists(answers(held), max_size=3)),
+            draw(st.sampled_from([None, (), tuple(draw(numbers) for _ in range(4))])),
             {state.agent_id - 1: constants_of(state) for state in introduced},
             [motion_of(state.agent_id - 1, state, STEP) for state in passed_on],
         ),
@@ -58,6 +79,7 @@ def test_what_is_told_is_read(given: tuple[Told, list[AgentState]]) -> None:
     heard = read(relay_of(written(STEP, said, ROBOTS)), ROBOTS)
     assert (heard.orders, heard.law, heard.electing, heard.plane) == (said.orders, said.law, said.electing, said.plane)
     assert heard.held.tolist() == said.held.tolist()
+    assert (heard.answers, heard.progress) == (said.answers, said.progress)
     assert heard.constants == said.constants
     read_again = [
         motion.state(motion.rank + 1, constants_of(state), STEP - motion.age, CLOCK)
@@ -76,3 +98,28 @@ def test_what_is_cut_short_or_of_another_swarm_is_refused(
         read(relay_of(content[: data.draw(st.integers(0, len(content) - 1))]), ROBOTS)
     with pytest.raises(MalformedMessageError):
         read(relay_of(content + b"\0"), ROBOTS)
+
+
+def test_provenances_become_answers_in_few_bytes() -> None:
+    """Robot 7 has died, robot 3 is assumed at rest although its state is recent, robot 5 has left."""
+    rank = {robot: robot - 1 for robot in range(1, ROBOTS + 1)}
+    there = [robot for robot in rank if robot != 5]
+    of = [STEP - 300 if robot == 7 else STEP - 1 for robot in there]
+    rests = [int(robot in {3, 7}) for robot in there]
+    observed = Basis(0, STEP - 1, NEVER, NEVER, Source.OBSERVER, tuple(of), tuple(there), tuple(rests))
+    asked = Basis(0, STEP - 1, STEP - 3, 7, Source.CONTROLLER, (STEP - 2,), (0,), (0,))
+    (answer,) = answers_of([observed, asked], rank, 10)
+    states = {robot - 1: step for robot, step in zip(there, of, strict=True)}
+    assert answer == Answer(STEP - 1, True, states, frozenset({2}), STEP - 3, STEP - 2)
+    held = np.array([STEP - 300 if robot == 7 else STEP - (robot != 1) for robot in rank])
+    plain = Told(Orders(), LawView(), (-1, 0), -1, None, held)
+    with_it = replace(plain, answers=[answer])
+    assert read(relay_of(written(STEP, with_it, ROBOTS)), ROBOTS).answers == [answer]
+    assert len(written(STEP, with_it, ROBOTS)) - len(written(STEP, plain, ROBOTS)) == 4 + 2 + 2 * 7
+
+
+def test_of_many_unusual_states_it_is_not_told_which_they_are() -> None:
+    states = dict.fromkeys(range(50), STEP - 5)
+    told = Told(Orders(), LawView(), (-1, 0), -1, None, np.full(50, STEP), [Answer(STEP - 1, True, states)])
+    (answer,) = read(relay_of(written(STEP, told, 50)), 50).answers
+    assert answer == Answer(STEP - 1, True)

@@ -236,6 +236,11 @@ class RealtimeController:
             return LawView()
         return LawView(self._first_step, self._law_step, self._memories.get(self._law_step, ()))
 
+    @property
+    def progress(self) -> tuple[float, ...]:
+        """The desired state from which it continues, as in `DesiredStateGenerator.progress`."""
+        return self._generator.progress
+
     def obey(self, orders: Orders, now: int) -> Messages:
         """Take over STOP and RESET that were ordered at other robots; law and reference restart with a RESET."""
         step, before = self._config.schedule.step(now), self._mode.now

@@ -7,7 +7,7 @@ ordered them anywhere, and how far its instance of the law is (docs/explanation/
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,13 +16,14 @@ from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.links import LinkSettings, lost
 from swarmabs_core.messages import (
-    NEVER,
     RELAY,
     AbstractState,
     AgentState,
     Basis,
+    DesiredAbstractState,
     Message,
     Messages,
+    Mode,
     PlaneState,
     Relay,
     StandingState,
@@ -40,7 +41,17 @@ from swarmabs_core.realtime.base import (
 )
 from swarmabs_core.realtime.electorate import SETTLED, Electorate
 from swarmabs_core.realtime.observer import Role
-from swarmabs_core.realtime.relayed import BUDGET, Told, constants_of, motion_of, overhead, read, room, written
+from swarmabs_core.realtime.relayed import (
+    BUDGET,
+    Told,
+    answers_of,
+    constants_of,
+    motion_of,
+    passed_on,
+    read,
+    room,
+    written,
+)
 from swarmabs_core.realtime.validation import FROM_FUTURE, Origin, Problem, Refusals, Writers
 from swarmabs_core.settings import Run
 
@@ -56,6 +67,8 @@ if TYPE_CHECKING:
     from swarmabs_core.realtime.relayed import Constants, Motion
 
 _THERE = (Role.ACTIVE, Role.STOPPED)
+_PROGRESS_PERIODS = 10
+"""Periods after which a relay tells again from which desired state its sender continues."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +122,8 @@ class RealtimePeer:
         self._plane: PlaneState | None = None
         self._summed = -1
         self._begun = False
+        self._bases: list[Basis] = []
+        self._relayed = (-1, 0)
         self._electorate = Electorate(self._ids, config.schedule.steps(SETTLED))
         self._majority = True
 
@@ -134,7 +149,7 @@ class RealtimePeer:
             if isinstance(answer, AgentState):
                 published += self._learn(answer, now, UNKNOWN)
         if step - self._summed > self._age:  # otherwise states of the plane decide when it sums up
-            published += self._sum_up(step, now)
+            published += self._sum_up(step)
         self._controller.agree(self._views)
         self._views = []
         published += self._share(self._controller.tick(now), now)
@@ -257,24 +272,21 @@ class RealtimePeer:
 
     def _learn(self, state: AgentState, now: int, sender: Sender) -> Messages:
         """Give the observer the state of a robot."""
-        rank = self._rank[state.agent_id]
-        following = state.step if state.broadcast_step != NEVER else NEVER
-        passed_on = state._replace(stamp=self._schedule.begin(state.step), broadcast_step=following, command=0.0)
-        self._constants[rank] = constants_of(state)
-        return self._observer.hear(passed_on, now, sender)
+        self._constants[self._rank[state.agent_id]] = constants_of(state)
+        return self._observer.hear(passed_on(state, self._schedule), now, sender)
 
     def _measure(self, plane: PlaneState, now: int, sender: Sender) -> Messages:
         """Take a state of the plane: sum up the swarm for its step, and ask the law for the desired abstract state."""
         step = self._schedule.step(now)
         published: list[Message] = []
         if max(self._summed + 1, step - self._age) <= plane.step <= step + self._ahead:
-            published += self._sum_up(plane.step, self._schedule.begin(plane.step, OBSERVER_PHASE))
+            published += self._sum_up(plane.step)
             self._plane = plane
         return (*published, *self._share(self._controller.hear(plane, now, sender), now))
 
-    def _sum_up(self, step: int, now: int) -> Messages:
+    def _sum_up(self, step: int) -> Messages:
         """Sum up the swarm as of a step."""
-        self._summed = step
+        self._summed, now = step, self._schedule.begin(step, OBSERVER_PHASE)
         answers = self._observer.tick(now)
         heard = [i for i, role in self._observer.roles.items() if role in _THERE]
         if not self._begun and any(isinstance(answer, AbstractState) for answer in answers):
@@ -291,9 +303,11 @@ class RealtimePeer:
         for message in messages:
             if isinstance(message, (AbstractState, StandingState)):
                 published += self._controller.hear(message, now)
-            if isinstance(message, (StandingState, Basis, SwarmEvent)) or not self._majority:
-                continue
-            published += self._agent.hear(message, now)
+            if isinstance(message, Basis):
+                self._bases.append(message)
+            still = isinstance(message, DesiredAbstractState) and message.mode != Mode.RUN
+            if still or (self._majority and not isinstance(message, (StandingState, Basis, SwarmEvent))):
+                published += self._agent.hear(message, now)
         return tuple(published)
 
     @property
@@ -314,16 +328,22 @@ class RealtimePeer:
     def _relay(self, step: int, now: int) -> Relay:
         """Return what the neighbours may lack."""
         states = self._observer.states
-        held = np.array(
-            [states[i].step if i in states and rank in self._constants else -1 for i, rank in self._rank.items()]
-        )
+        # After a halt, states are of step 0: how old they are is not known, so they are not passed on.
+        dated = [states[i].step if i in states and rank in self._constants else 0 for i, rank in self._rank.items()]
+        held = np.array([state_step or -1 for state_step in dated])
         near = [(heard, told) for _, (heard, told) in self._told.items() if step - heard <= self._age]
         plane = self._plane
         if plane is not None and all(told.plane_step >= min(plane.step, heard - 1) for heard, told in near):
             plane = None
         law = self._controller.view
         counted = sum(1 << self._rank[i] for i in self._electorate.counted)
-        budget = BUDGET - overhead(len(self._ids), len(law.memory), plane=plane is not None)
+        answers, self._bases = answers_of(self._bases, self._rank, self._age), []
+        progress = self._controller.progress
+        tells = not progress or (step + self._rank[self._config.agent_id]) % _PROGRESS_PERIODS == 0
+        plane_step = -1 if self._plane is None else self._plane.step
+        orders, electing = self._controller.orders, (self._electorate.since, counted)
+        told = Told(orders, law, electing, plane_step, plane, held, answers, progress if tells else None)
+        budget = BUDGET - len(written(step, told, len(self._ids)))
         constants: dict[int, Constants] = {}
         motions: list[Motion] = []
         for rank in self._wanted(held, near, step):
@@ -333,19 +353,9 @@ class RealtimePeer:
                 break
             constants = new
             motions.append(motion_of(rank, state, step))
-        plane_step = -1 if self._plane is None else self._plane.step
-        told = Told(
-            self._controller.orders,
-            law,
-            (self._electorate.since, counted),
-            plane_step,
-            plane,
-            held,
-            constants,
-            motions,
-        )
-        content = written(step, told, len(self._ids))
-        return Relay(now, step, self._config.agent_id, 0, 0, 0, content)
+        content = written(step, replace(told, constants=constants, motions=motions), len(self._ids))
+        self._relayed = step, self._relayed[1] + 1 if self._relayed[0] == step else 0
+        return Relay(now, step, self._config.agent_id, self._relayed[1], 0, 0, content)
 
     def _wanted(self, held: NDArray[np.int64], near: list[tuple[int, Told]], step: int) -> Iterator[int]:
         """Yield the ranks of the robots of which some neighbour may lack the newest state, its own first.

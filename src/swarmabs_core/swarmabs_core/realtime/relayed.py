@@ -2,14 +2,15 @@
 
 A robot knows of every robot its newest state, and a newer one replaces it; so loss, repetition and order of messages do
 not matter. Constants of a robot - kind, mass, damping - are passed on only to those who do not hold a state of it, and
-once more where a tag shows that they have changed. All numbers are little-endian; docs/explanation/decentralised.md
-describes the layout.
+once more where a tag shows that they have changed. For recordings it also tells what it has computed from which states,
+as the `Basis` of an observer and of a parent controller does, in few bytes: most states are those that it holds. All
+numbers are little-endian; docs/explanation/decentralised.md describes the layout.
 """
 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,22 +19,30 @@ from zlib import crc32
 import numpy as np
 
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import NEVER, AgentState, PlaneState, Relay
+from swarmabs_core.messages import NEVER, AgentState, Basis, PlaneState, Relay, Source
 from swarmabs_core.realtime.controller import LawView
 from swarmabs_core.realtime.modes import Orders
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from swarmabs_core.realtime.base import Schedule
 
-_HEADER = struct.Struct("<qqqqqqBHHH")
+_HEADER = struct.Struct("<qqqqqqBBHHH")
 _PLANE = struct.Struct("<qqdd")
 _CONSTANTS = struct.Struct("<HBdd")
 _MOTION = struct.Struct("<HBiHdd")
 _ITSELF = struct.Struct("<Bdd")
+_ANSWER = struct.Struct("<BBBB")
+_USED = struct.Struct("<HiB")
+_PROGRESS = struct.Struct("<dddd")
+_WITH_PLANE, _WITH_PROGRESS, _AFRESH = 1, 2, 4
+"""Flags of the header: which parts follow, and that the desired state begins with the law's next torque."""
+_MOST_ANSWERS, _MOST_USED = 12, 40
+"""Answers in a relay, and states in one that are not those expected: of more, it is not told which they are."""
+_NOT_TOLD = 254
 BUDGET = 1_300
 """Size of a content, bytes, beyond which states wait for the next period: with its headers, a relay is one datagram."""
 FOLLOWS = 0x80
@@ -62,6 +71,49 @@ def _tag(constants: Constants) -> int:
     return crc32(_ITSELF.pack(*constants)) & 0xFFFF
 
 
+class Answer(NamedTuple):
+    """What a robot has computed for a step: sums, a desired abstract state, or both.
+
+    Attributes
+    ----------
+    step : int
+        The step.
+    summed : bool
+        Whether it has summed up the swarm.
+    states : mapping or None
+        The states in the sums: steps by rank; None if that is not told.
+    resting : frozenset of int
+        Ranks of the robots assumed at rest although their states are recent.
+    since : int or None
+        The step of the law from which it continued; `NEVER` if it began; None if there is no desired state.
+    division : int or None
+        The step of the sums whose division the desired state allows for.
+    """
+
+    step: int
+    summed: bool = False
+    states: Mapping[int, int] | None = None
+    resting: frozenset[int] = frozenset()
+    since: int | None = None
+    division: int | None = None
+
+
+def answers_of(bases: Iterable[Basis], rank: Mapping[int, int], age: int) -> list[Answer]:
+    """Return the newest answers, given their provenances; robots are silent from an age in steps on."""
+    answers: dict[int, Answer] = {}
+    for basis in bases:
+        answer = answers.pop(basis.step, Answer(basis.step))
+        if basis.source == Source.OBSERVER:
+            states = {rank[i]: step for i, step in zip(basis.agent_ids, basis.state_steps, strict=True)}
+            standing = {rank[i] for i, mark in zip(basis.agent_ids, basis.standing, strict=True) if mark}
+            resting = frozenset(one for one in standing if basis.step - states[one] <= age)
+            answer = answer._replace(summed=True, states=states, resting=resting)
+        else:
+            answer = answer._replace(since=basis.since, division=next(iter(basis.state_steps), None))
+        answers[basis.step] = answer
+    return list(answers.values())[-_MOST_ANSWERS:]
+
+
 @dataclass(frozen=True, slots=True)
 class Told:
     """What a relay tells.
@@ -82,6 +134,10 @@ class Told:
         By rank, the step of the newest state that it holds; -1: none.
     constants : mapping
         Constants by rank.
+    answers : sequence of Answer
+        What it has computed since its relay before.
+    progress : tuple of float or None
+        The desired state from which it continues, as in `DesiredStateGenerator.progress`; None if that is not told.
     motions : sequence of Motion
         The states that it passes on.
     """
@@ -92,8 +148,10 @@ class Told:
     plane_step: int
     plane: PlaneState | None
     held: NDArray[np.int64]
-    constants: Mapping[int, Constants]
-    motions: Sequence[Motion]
+    answers: Sequence[Answer] = ()
+    progress: tuple[float, ...] | None = None
+    constants: Mapping[int, Constants] = field(default_factory=dict)
+    motions: Sequence[Motion] = ()
 
 
 class Motion(NamedTuple):
@@ -153,22 +211,26 @@ def room(budget: int, constants: int, motions: int) -> bool:
     return constants * _CONSTANTS.size + motions * _MOTION.size <= budget
 
 
-def overhead(robots: int, memory: int, *, plane: bool) -> int:
-    """Return the size of a content without states."""
-    return _HEADER.size + 8 * memory + _PLANE.size * plane + robots + -(-robots // 8)
+def passed_on(state: AgentState, schedule: Schedule) -> AgentState:
+    """Return a robot's state as others know it: with the time of its step, and without its command."""
+    following = state.step if state.broadcast_step != NEVER else NEVER
+    return state._replace(stamp=schedule.begin(state.step), broadcast_step=following, command=0.0)
 
 
 def written(step: int, told: Told, robots: int) -> bytes:
     """Return the content of a relay of a step that tells this to a swarm of so many robots."""
-    orders, law, plane = told.orders, told.law, told.plane
+    orders, law, plane, progress = told.orders, told.law, told.plane, told.progress
     since, counted = told.electing
+    flags = _WITH_PLANE * (plane is not None) + _WITH_PROGRESS * bool(progress) + _AFRESH * (progress == ())
+    ages = np.where(told.held < 0, _NOTHING, np.clip(step + _AHEAD - told.held, 0, _OLDEST)).astype(np.uint8)
     head = _HEADER.pack(
         *orders,
         law.begun,
         law.step,
         since,
         told.plane_step,
-        plane is not None,
+        flags,
+        len(told.answers),
         len(law.memory),
         len(told.constants),
         len(told.motions),
@@ -177,15 +239,79 @@ def written(step: int, told: Told, robots: int) -> bytes:
         (
             head,
             counted.to_bytes(-(-robots // 8), "little"),
-            np.where(told.held < 0, _NOTHING, np.clip(step + _AHEAD - told.held, 0, _OLDEST))
-            .astype(np.uint8)
-            .tobytes(),
+            ages.tobytes(),
             struct.pack(f"<{len(law.memory)}d", *law.memory),
             b"" if plane is None else _PLANE.pack(*plane),
+            _PROGRESS.pack(*progress) if progress else b"",
+            *(_written_answer(step, answer, ages) for answer in told.answers),
             *(_CONSTANTS.pack(rank, *constants) for rank, constants in told.constants.items()),
             *(_MOTION.pack(*motion) for motion in told.motions),
         )
     )
+
+
+def _expected(step: int, age: int) -> int | None:
+    """Return the step of the state that most likely was summed up, by the age of what is held at the end of a period.
+
+    What has the step of the relay itself, as a robot's own state has, was not there yet.
+    """
+    return None if age in {_OLDEST, _NOTHING} else min(step + _AHEAD - age, step - 1)
+
+
+def _written_answer(step: int, answer: Answer, ages: NDArray[np.uint8]) -> bytes:
+    since, division = answer.since, answer.division
+    states, resting = answer.states or {}, answer.resting
+    used = [
+        (rank, step - of, rank in resting)
+        for rank, of in states.items()
+        if rank in resting or of != _expected(step, int(ages[rank]))
+    ]
+    told = answer.states is not None and len(used) <= _MOST_USED
+    head = _ANSWER.pack(
+        min(max(step + _AHEAD - answer.step, 0), _OLDEST),
+        _NOTHING if since is None else 0 if since == NEVER else answer.step - since,
+        _NOTHING if division is None else min(max(step + _AHEAD - division, 0), _OLDEST),
+        (len(used) if told else _NOT_TOLD) if answer.summed else _NOTHING,
+    )
+    if not told:
+        return head
+    there = sum(1 << rank for rank in states).to_bytes(-(-len(ages) // 8), "little")
+    return b"".join((head, there, *(_USED.pack(*one) for one in used)))
+
+
+def _read_answer(content: bytes, place: int, step: int, ages: NDArray[np.uint8]) -> tuple[Answer, int]:
+    """Return the answer at a place of a content, and the place behind it."""
+    age, since, division, differing = _ANSWER.unpack_from(content, place)
+    place += _ANSWER.size
+    of = step + _AHEAD - age
+    states: dict[int, int] | None = None
+    resting: set[int] = set()
+    if differing < _NOT_TOLD:
+        end = place + -(-len(ages) // 8)
+        there = int.from_bytes(content[place:end], "little")
+        unlike = {}
+        for number in range(differing):
+            rank, steps, rests = _USED.unpack_from(content, end + number * _USED.size)
+            unlike[rank] = step - steps
+            if rests:
+                resting.add(rank)
+        place = end + differing * _USED.size
+        ranks = [rank for rank in range(there.bit_length()) if there >> rank & 1]
+        if there.bit_length() > len(ages) or not unlike.keys() <= {*ranks}:
+            raise _malformed("robots that do not exist")
+        found = {rank: unlike.get(rank, _expected(step, int(ages[rank]))) for rank in ranks}
+        states = {rank: held for rank, held in found.items() if held is not None}
+        if len(states) < len(found):
+            raise _malformed("states that are not held")
+    answer = Answer(
+        of,
+        differing != _NOTHING,
+        states,
+        frozenset(resting),
+        None if since == _NOTHING else of - since if since else NEVER,
+        None if division == _NOTHING else step + _AHEAD - division,
+    )
+    return answer, place
 
 
 def read(relay: Relay, robots: int) -> Told:
@@ -197,8 +323,9 @@ def read(relay: Relay, robots: int) -> Told:
         If its content is not of this form.
     """
     content, step = relay.content, relay.step
+    progress: tuple[float, ...] | None = None
     try:
-        *head, with_plane, remembered, introduced, moved = _HEADER.unpack_from(content)
+        *head, flags, answered, remembered, introduced, moved = _HEADER.unpack_from(content)
         stop, reset, begun, law_step, since, plane_step = head
         place = _HEADER.size + -(-robots // 8)
         counted = int.from_bytes(content[_HEADER.size : place], "little")
@@ -206,10 +333,21 @@ def read(relay: Relay, robots: int) -> Told:
         place += robots
         memory = struct.unpack_from(f"<{remembered}d", content, place)
         place += 8 * remembered
-        plane = PlaneState(*_PLANE.unpack_from(content, place)) if with_plane else None
-        place += _PLANE.size * with_plane
+        plane = PlaneState(*_PLANE.unpack_from(content, place)) if flags & _WITH_PLANE else None
+        place += _PLANE.size * (plane is not None)
+        if flags & _WITH_PROGRESS:
+            progress = _PROGRESS.unpack_from(content, place)
+            place += _PROGRESS.size
+        elif flags & _AFRESH:
+            progress = ()
+        if len(ages) != robots:
+            raise _malformed(f"{len(content)} bytes")
+        answers = []
+        for _ in range(answered):
+            answer, place = _read_answer(content, place, step, ages)
+            answers.append(answer)
         middle = place + introduced * _CONSTANTS.size
-        if len(ages) != robots or len(content) != middle + moved * _MOTION.size:
+        if len(content) != middle + moved * _MOTION.size:
             raise _malformed(f"{len(content)} bytes")
     except struct.error as error:
         raise _malformed(f"{len(content)} bytes") from error
@@ -218,11 +356,12 @@ def read(relay: Relay, robots: int) -> Told:
     ranks = [*constants, *(motion.rank for motion in motions)]
     if max(ranks, default=0) >= robots or counted.bit_length() > robots:
         raise _malformed("robots that do not exist")
-    if not all(map(isfinite, memory)):
+    if not all(map(isfinite, (*memory, *(progress or ())))):
         raise _malformed("numbers that are not finite")
     held = np.where(ages == _NOTHING, -1, step + _AHEAD - ages.astype(np.int64))
     law = LawView(begun, law_step, memory)
-    return Told(Orders(stop, reset), law, (since, counted), plane_step, plane, held, constants, motions)
+    orders = Orders(stop, reset)
+    return Told(orders, law, (since, counted), plane_step, plane, held, answers, progress, constants, motions)
 
 
 def _malformed(problem: str) -> MalformedMessageError:
