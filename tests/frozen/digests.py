@@ -10,7 +10,7 @@ from typing import Any
 
 from tests.frozen.command import ROOT, frozen, swarm, swarm_process
 from tests.plugin_packages import install
-from tests.transport.fleet import Network, VirtualFleet
+from tests.virtual.fleet import Network, VirtualFleet
 
 from swarmabs_config.scenario import load_scenario
 from swarmabs_core.cdr import encode

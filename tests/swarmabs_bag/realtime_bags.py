@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.swarmabs_core.realtime.bags import Stored, world
-from tests.transport.fleet import EPOCH
+from tests.virtual.fleet import EPOCH
 
 from swarmabs_bag.realtime_world import RealtimeWorld
 from swarmabs_bag.recorder.recording import RealtimeRecording

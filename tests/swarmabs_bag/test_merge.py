@@ -24,7 +24,7 @@ from tests.swarmabs_bag.conftest import SCENARIO, STEPS
 from tests.swarmabs_bag.mcap_files import rewritten
 from tests.swarmabs_bag.realtime_bags import realtime_bag
 from tests.swarmabs_core.realtime.bags import world
-from tests.transport.fleet import EPOCH
+from tests.virtual.fleet import EPOCH
 
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.errors import BagFolderError, BagWriteError, DamagedBagError

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from rich.console import Console
 from tests.swarmabs_bag.realtime_bags import realtime_bag
 from tests.swarmabs_core.realtime.bags import LATENCY, Stored, world
-from tests.transport.fleet import EPOCH
+from tests.virtual.fleet import EPOCH
 
 from swarmabs_analysis.comparison import compare_bags
 from swarmabs_analysis.export.arrays import export_arrays

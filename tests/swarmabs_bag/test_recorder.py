@@ -15,7 +15,7 @@ from tests.swarmabs_bag.sample_run import AGENTS, make_step
 from tests.swarmabs_core.helpers import singly
 from tests.swarmabs_core.realtime.bags import world
 from tests.swarmabs_ros.nodes import given, settings_from
-from tests.transport.fleet import EPOCH
+from tests.virtual.fleet import EPOCH
 
 from swarmabs_bag.attached import attached_provenance
 from swarmabs_bag.errors import BagWriteError

@@ -1,4 +1,4 @@
-"""``swarm test``, as a user types it, in a folder that looks like a checkout; what it would start is not started."""
+"""``swarm test`` and ``swarm soak`` in a folder that looks like a checkout; what they would start is not started."""
 
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -53,6 +53,20 @@ def started(here: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
 def test_what_is_started(words: str, modules: tuple[str, ...], here: Path, started: dict[str, int]) -> None:
     ran("test", *words.split(), code=1 if "x" in words else 0)
     assert tuple(module.replace(f"{here}/", "") for module in started) == modules
+
+
+@pytest.mark.parametrize(
+    ("words", "module"),
+    [
+        ("", "pytest --full --hypothesis-profile=hours tests/soak"),
+        ("--virtual", "tests.virtual.search"),
+        ("--virtual --seeds 1-9 --minutes 2", "tests.virtual.search --seeds 1-9 --minutes 2.0"),
+    ],
+)
+def test_what_a_soak_starts(words: str, module: str, started: dict[str, int]) -> None:
+    ran("soak", *words.split())
+    assert [*started] == [module]
+    assert "--seeds belongs to --virtual" in refused("soak", "--seeds", "3")
 
 
 def test_an_option_of_its_own_that_is_misspelt_is_refused_with_the_right_one(started: dict[str, int]) -> None:

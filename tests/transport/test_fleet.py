@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeVar
 
 import pytest
 from tests.swarmabs_core.helpers import FOUR_ROBOT_SCENARIOS, builtin
-from tests.transport.fleet import Network, VirtualFleet
+from tests.virtual.fleet import Network, VirtualFleet
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, own_topic
 from swarmabs_core import messages as msg

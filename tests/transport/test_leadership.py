@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import pytest
 from tests.swarmabs_core.helpers import builtin
-from tests.transport.fleet import EPOCH, VirtualFleet
+from tests.virtual.fleet import EPOCH, VirtualFleet
 
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.realtime_world import RealtimeWorld

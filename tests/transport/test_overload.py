@@ -4,9 +4,9 @@ from random import Random
 
 import pytest
 from tests.swarmabs_core.helpers import builtin
-from tests.transport.fleet import VirtualFleet
 from tests.transport.test_fleet import active
 from tests.transport.test_leadership import PRIMARIES, STANDBYS, longest_stop, speakers
+from tests.virtual.fleet import VirtualFleet
 
 from swarmabs_config.graph import CONTROLLER, PLANE, standby_name
 from swarmabs_core.messages import NEVER, AbstractState, AgentState, DesiredAbstractState, Mode

@@ -5,8 +5,8 @@ from random import Random
 
 import pytest
 from tests.swarmabs_core.helpers import builtin
-from tests.transport.fleet import Network, VirtualFleet
 from tests.transport.test_fleet import AGE_LIMIT, BRAKING, PERIOD, active, angles, fastest, fleet_of, said, those
+from tests.virtual.fleet import Network, VirtualFleet
 
 from swarmabs_config.graph import PLANE
 from swarmabs_core import messages as msg

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from tests.soak.invariants import Invariant, Violation, WithinLimits, states
 from tests.swarmabs_core.helpers import builtin
-from tests.transport.fleet import EPOCH, Network, VirtualFleet
 from tests.transport.network import LARGEST, Act, Script, script, scripts, turns
 from tests.transport.swarm import AGENTS
+from tests.virtual.fleet import EPOCH, Network, VirtualFleet
 
 from swarmabs_analysis.verification.realtime import RealtimeVerification
 from swarmabs_bag.realtime_world import RealtimeWorld

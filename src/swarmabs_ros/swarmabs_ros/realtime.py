@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from rclpy.publisher import Publisher
 
-    from swarmabs_core.messages import Messages, Topic
+    from swarmabs_core.messages import Message, Messages, Topic
     from swarmabs_core.realtime.base import RealtimeBehaviour
     from swarmabs_ros.endpoints import Receiver
     from swarmabs_ros.lockstep import Wait
@@ -87,6 +87,8 @@ class Engine:
         Publishers by the usual topic, also those of a standby or a robot that publishes on topics of its own.
     wakes : tuple of Topic
         Topics whose messages are processed at once; all others are processed when a step is due.
+    decode : callable
+        Deserializes a message, given its class and bytes.
     """
 
     behaviour: RealtimeBehaviour
@@ -95,6 +97,7 @@ class Engine:
     depths: Mapping[Topic, int]
     publishers: Mapping[Topic, Publisher]
     wakes: tuple[Topic, ...] = ()
+    decode: Callable[[type[Message], bytes], Message] = decode
 
 
 class Activity:
@@ -170,7 +173,7 @@ class Activity:
         engine = self.engine
         for topic, data, writer in arrived(engine.receiver, engine.depths):
             try:
-                message = decode(topic.message, data)
+                message = engine.decode(topic.message, data)
             except MalformedMessageError as error:
                 self.refused += 1
                 self.refusal = str(error)

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 from tests.swarmabs_analysis.verification.test_lockstep import changed, find, flipped, place
 from tests.swarmabs_core.helpers import builtin
 from tests.swarmabs_core.realtime.bags import WORLDS, Stored, messages, record, world
-from tests.transport.fleet import EPOCH, VirtualFleet
+from tests.virtual.fleet import EPOCH, VirtualFleet
 
 from swarmabs_analysis.verification.base import VerificationResult
 from swarmabs_analysis.verification.history import AMBIGUOUS, WAIT

@@ -7,7 +7,7 @@ from random import Random
 from typing import NamedTuple
 
 from tests.swarmabs_core.helpers import builtin
-from tests.transport.fleet import EPOCH, Network, VirtualFleet
+from tests.virtual.fleet import EPOCH, Network, VirtualFleet
 
 from swarmabs_bag.run.figures import RealtimeFigures
 from swarmabs_bag.run.realtime_gatherer import RealtimeCollector

@@ -1,4 +1,4 @@
-"""Commands that need files of the checkout which are not installed: ``bench``, ``docs``, ``test`` and ``wheel``."""
+"""Commands that need files of the checkout: ``bench``, ``docs``, ``soak``, ``test`` and ``wheel``."""
 
 from __future__ import annotations
 
@@ -144,6 +144,28 @@ def wheel(output: Path | None) -> int:
     """
     folder = (output or _checkout() / "build" / "wheel").absolute()
     return _run(["scripts.build_wheel", str(folder)])
+
+
+@click.command(epilog=examples("soak --virtual --minutes 5", "soak --virtual --seeds 17"))
+@click.option("--virtual", is_flag=True, help="Run the nodes of fleets on a virtual clock and network.")
+@click.option("--seeds", metavar="A-B", help="Seeds, or one that is shown with its timeline.  [default: new ones]")
+@click.option("--only", metavar="N,N", help="Numbers of the faults of the seed that happen; none: no fault.")
+@click.option("--minutes", type=Number(0.0), help="Longest time.  [default: 30 without --seeds]")
+@click.option("--jobs", type=WholeNumber(1), help="Number of processes.  [default: one per core]")
+@click.option("--trace", type=click.Path(path_type=Path), help="File of all that is said and heard in one seed.")
+def soak(*, virtual: bool, **given: object) -> int:
+    """Search for faults with drawn scenarios; each failure states the command that repeats it.
+
+    Without --virtual these are 1,000 scenarios in lockstep with injected faults. With --virtual, nodes in real time
+    meet crashes, pauses, partitions, loss, wrong clocks, forged messages and operators, each drawn from a seed. See
+    docs/developers/testing.md.
+    """
+    words = [word for name, value in given.items() if value is not None for word in (f"--{name}", str(value))]
+    if virtual:
+        return _run(["tests.virtual.search", *words])
+    if words:
+        raise InputError(f"{words[0]} belongs to --virtual; add --virtual or omit it")
+    return _run(["pytest", "--full", "--hypothesis-profile=hours", "tests/soak"])
 
 
 class Tier(NamedTuple):

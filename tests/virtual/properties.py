@@ -1,0 +1,662 @@
+"""What must hold in a virtual fleet whatever happens to it, checked with everything that is published and heard.
+
+The rules follow from docs/explanation/safety.md and standby.md, not from the code of the nodes: they know which
+messages have reached a node and which faults are under way, and nothing of what is inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import product
+from math import inf, isfinite
+from typing import Any, NamedTuple
+
+from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
+from tests.virtual.schedule import SETTLES, Case
+
+from swarmabs_config import realtime as configure
+from swarmabs_config.graph import CONTROLLER, PLANE, STANDBY_TOPICS, own_topic
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    BASIS,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    NEVER,
+    PLANE_STATE,
+    AbstractState,
+    AgentState,
+    AuxiliaryState,
+    Basis,
+    Broadcast,
+    DesiredAbstractState,
+    EventKind,
+    Message,
+    Mode,
+    PlaneState,
+    Source,
+    Status,
+    SwarmEvent,
+    Topic,
+)
+from swarmabs_core.nodes import agent_name
+from swarmabs_core.realtime.agent import RealtimeLaw
+from swarmabs_core.realtime.base import Level
+
+SETTLES_SINGLE = 1.5
+"""Time, s, in which a fleet without standbys settles."""
+GUARD_MOST = 0.5
+"""Upper limit, s, of the time by which a RESET must be newer than a STOP."""
+LONGEST_STOP = 0.2
+"""Time, s, for which robots may stop when one of a pair of coordinators has a fault."""
+SPEAKERS = 20
+"""Periods over which speakers are counted."""
+EVERY = 16
+"""Each command of so many is computed again; all are where two coordinators speak."""
+MOST_ENTRIES = 3000
+"""Entries of all containers of a node of a small fleet, whatever it has heard."""
+MOST_REFUSED = 40
+"""Reports of refused messages of a node within ten seconds."""
+
+
+class BrokenError(Exception):
+    """A property does not hold: its name, the node concerned, and what is there instead."""
+
+    def __init__(self, name: str, node: str, text: str) -> None:
+        super().__init__(f"{name}: {node}: {text}")
+        self.name = name
+        self.node = node
+        self.text = text
+
+
+class Facts:
+    """What is known of a run from outside: the fleet, its case, who is or was concerned by faults, and orders.
+
+    Attributes
+    ----------
+    until : dict
+        For each node the time, ns, until which a fault or its consequences concern it.
+    odd : set
+        Nodes whose clock was ever wrong, or which stood still; their steps and bodies may repeat or continue.
+    started : dict
+        For each node the time, ns, of its last start.
+    moving_from : float
+        Time, ns, from which all robots may be expected to follow; infinity while an order stops them.
+    """
+
+    def __init__(self, fleet: VirtualFleet, case: Case) -> None:
+        self.fleet = fleet
+        self.case = case
+        self.scenario = configure.check_realtime(fleet.scenario)
+        self.clock = fleet.clock
+        self.period = self.clock.period_ns
+        limits = self.scenario.realtime
+        self.age = self.clock.steps(limits.broadcast_age_limit)
+        self.state_age = self.clock.steps(limits.state_age_limit)
+        self.ahead = self.clock.ahead(limits.clock_tolerance)
+        self.until: dict[str, float] = dict.fromkeys(case.names, 0.0)
+        self.odd: set[str] = set()
+        self.moving_from = inf
+        self.settles = (SETTLES if case.paired else SETTLES_SINGLE) * 1e9
+        self.started: dict[str, int] = {}
+        self._concerned: dict[str, int] = {}
+
+    @property
+    def now(self) -> int:
+        return self.fleet.now_ns
+
+    def step_of(self, node: str) -> int:
+        """Return the step by a node's clock."""
+        return self.clock.step(self.fleet.now(node))
+
+    def begin(self, nodes: tuple[str, ...]) -> None:
+        """Note that a fault begins to concern nodes."""
+        for node in nodes:
+            self._concerned[node] = self._concerned.get(node, 0) + 1
+            self.until[node] = inf
+
+    def end(self, nodes: tuple[str, ...]) -> None:
+        """Note that it is over; they settle after a while."""
+        for node in nodes:
+            self._concerned[node] -= 1
+            if not self._concerned[node]:
+                self.until[node] = self.now + self.settles
+
+    def is_fine(self, node: str) -> bool:
+        """Return whether no fault concerns a node, nor what is left of one."""
+        return self.until[node] < self.now
+
+    def follows(self, robot: str) -> str:
+        """Return "always" if nothing excuses a robot that stops, "soon" if it may for a while, else an empty text."""
+        if self.moving_from > self.now or not (self.is_fine(robot) and self.is_fine(PLANE)):
+            return ""
+        pairs = [[self.is_fine(name) for name in pair] for pair in self.case.pairs]
+        if not all(map(any, pairs)):
+            return ""
+        return "always" if all(map(all, pairs)) else "soon"
+
+
+class Property:
+    """Something that always holds: `name` and `statement` tell people what; `published` and `heard` watch topics."""
+
+    name = ""
+    statement = ""
+
+    def __init__(self, facts: Facts) -> None:
+        self.facts = facts
+        self.published: dict[Topic, Callable[[str, Any], None]] = {}
+        self.heard: dict[Topic, Callable[[str, Parcel], None]] = {}
+
+    def begins(self, node: str) -> None:
+        """A node starts."""
+
+    def told(self, node: str, command: str) -> None:
+        """An operator gives an order."""
+
+    def broken(self, node: str, text: str) -> BrokenError:
+        """Return the error with which this property is broken."""
+        return BrokenError(self.name, node, text)
+
+
+class _Robot:
+    """What has reached a robot since its node started, as of its last published state."""
+
+    def __init__(self) -> None:
+        self.before: AgentState | None = None
+        self.sets: dict[int, dict[tuple[Topic, bool], Message]] = {}
+        self.stop: int | None = None
+        self.reset = -(2**62)
+        self.new: list[tuple[bool, Topic, Message]] = []
+        self.stopped = 0
+        self.count = 0
+
+
+class ActsOnOneSet(Property):
+    """The command of a robot comes from one set of broadcasts that has reached it, is fresh, and after no STOP."""
+
+    name = "acts on one fresh set"
+    statement = (
+        "A robot moves only on broadcasts that it has received: all of one step, both sums from one observer, the "
+        "desired state from one controller in mode RUN, not older than the age limit, and not after a STOP that no "
+        "RESET followed."
+    )
+
+    def __init__(self, facts: Facts) -> None:
+        super().__init__(facts)
+        self._robots = {name: _Robot() for name in map(agent_name, range(1, facts.case.robots + 1))}
+        configs = configure.agent_configs(facts.scenario, facts.clock)
+        self._laws = {agent_name(config.agent_id): RealtimeLaw(config) for config in configs}
+        self._guard = min(facts.age + facts.ahead, facts.clock.steps(GUARD_MOST))
+        self.published = {AGENT_STATE: self._state}
+        for topic in (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE):
+            for variant in _variants(topic):
+                self.heard[variant] = partial(self._broadcast, topic, variant is not topic)
+
+    def begins(self, node: str) -> None:
+        if node in self._robots:
+            self._robots[node] = _Robot()
+
+    def _broadcast(self, topic: Topic, standby: bool, node: str, parcel: Parcel) -> None:  # noqa: FBT001
+        robot = self._robots.get(node)
+        if robot is not None and parcel.message is not None:
+            stops = topic is DESIRED_ABSTRACT_STATE and parcel.message.mode == Mode.STOP  # type: ignore[union-attr]
+            if parcel.sender or stops:  # a STOP counts from anybody
+                robot.new.append((standby, topic, parcel.message))
+
+    def _state(self, node: str, state: AgentState) -> None:
+        robot, facts = self._robots[node], self.facts
+        before = robot.before
+        if state.broadcast_step != NEVER:
+            if before is None:
+                raise self.broken(node, "moves in its first step, before it has decided anything")
+            self._check(node, robot, before, state)
+        robot.before = state
+        if robot.new:
+            self._take(robot, facts.step_of(node))
+
+    def _take(self, robot: _Robot, step: int) -> None:
+        """Let what was heard since the last state count for the next decision."""
+        for standby, topic, message in robot.new:
+            of = message.step
+            if of > step + self.facts.ahead:
+                continue
+            if topic is DESIRED_ABSTRACT_STATE and (mode := message.mode) != Mode.RUN:  # type: ignore[union-attr]
+                if mode == Mode.STOP:
+                    robot.stop = of if robot.stop is None else max(robot.stop, of)
+                else:
+                    robot.reset = max(robot.reset, of)
+                continue
+            robot.sets.setdefault(of, {}).setdefault((topic, standby), message)
+        robot.new.clear()
+        if len(robot.sets) > 4 * (self.facts.age + self.facts.ahead):
+            for old in [k for k in robot.sets if not step - 2 * self.facts.age <= k <= step + self.facts.ahead]:
+                del robot.sets[old]
+
+    def _check(self, node: str, robot: _Robot, before: AgentState, state: AgentState) -> None:
+        used, decided, facts = state.broadcast_step, before.step, self.facts
+        if not -facts.ahead <= decided - used <= facts.age:
+            text = f"moved in step {decided} on broadcasts of step {used}; {facts.age} steps is the age limit"
+            raise self.broken(node, text)
+        if robot.stop is not None and robot.reset - robot.stop <= self._guard:
+            reset = "no RESET" if robot.reset < 0 else f"its newest RESET is of step {robot.reset}"
+            text = f"moved in step {decided}, but has heard a STOP of step {robot.stop}, and {reset}"
+            raise self.broken(node, f"{text} (needed: {self._guard + 1} steps later)")
+        sets = self._sets(robot.sets.get(used, {}))
+        if not sets:
+            has = ", ".join(_said(key) for key in robot.sets.get(used, {})) or "nothing"
+            text = f"moved in step {decided} on broadcasts of step {used}, of which it has received {has}"
+            raise self.broken(node, text)
+        robot.count += 1
+        if state.status == Status.ACTIVE and (len(sets) > 1 or robot.count % EVERY == 0):
+            laws = [self._laws[node].decide(before.position, before.velocity, one)[0].command for one in sets]
+            if state.command not in laws:
+                text = (
+                    f"its command of step {decided} is {state.command:.9g}; the broadcasts of step {used} that it has "
+                    f"received give {' or '.join(f'{law:.9g}' for law in laws)}"
+                )
+                raise self.broken(node, text)
+
+    @staticmethod
+    def _sets(heard: dict[tuple[Topic, bool], Message]) -> list[Broadcast]:
+        """Return the sets of one step that a robot may act on."""
+        sets = []
+        for observer, controller in product((False, True), repeat=2):
+            keys = (ABSTRACT_STATE, observer), (AUXILIARY_STATE, observer), (DESIRED_ABSTRACT_STATE, controller)
+            if all(key in heard for key in keys):
+                abstract, sums, desired = (heard[key] for key in keys)
+                sets.append(Broadcast(desired.stamp, desired.step, abstract, sums, desired))  # type: ignore[arg-type]
+        return sets
+
+
+def _said(key: tuple[Topic, bool]) -> str:
+    topic, standby = key
+    return f"{topic.name}{' of the standby' if standby else ''}"
+
+
+def _variants(topic: Topic) -> Iterator[Topic]:
+    """Yield a topic and that of the standby in its place, and those of single robots."""
+    yield topic
+    if topic in STANDBY_TOPICS:
+        yield STANDBY_TOPICS[topic]
+    if topic in {AGENT_STATE, EVENTS}:
+        yield from (own_topic(topic, robot) for robot in range(1, 9))
+
+
+class KeepsFollowing(Property):
+    """A robot that no fault concerns, nor the coordinators, follows."""
+
+    name = "keeps following"
+    statement = (
+        "A robot that no fault concerns follows, whatever happens to other robots; also while one of a pair of "
+        f"coordinators is lost, then with at most {LONGEST_STOP:g} s of safe stop."
+    )
+
+    def __init__(self, facts: Facts) -> None:
+        super().__init__(facts)
+        self._stopped: dict[str, int] = {}
+        self._longest = max(LONGEST_STOP, 10 * facts.clock.period) * 1e9
+        self.published = {AGENT_STATE: self._state}
+
+    def _state(self, node: str, state: AgentState) -> None:
+        if state.status == Status.ACTIVE and state.broadcast_step != NEVER:
+            self._stopped.pop(node, None)
+            return
+        since = self._stopped.setdefault(node, self.facts.now)
+        expected = self.facts.follows(node)
+        lasting = self.facts.now - since
+        if expected and lasting > (self._longest if expected == "soon" else 2 * self.facts.period):
+            what = f"is {Status(state.status).name} and does not move for {lasting / 1e9:.3f} s"
+            why = "nothing concerns it" if expected == "always" else "one of each pair of coordinators is fine"
+            raise self.broken(node, f"{what}, although {why}")
+
+
+class OneLeads(Property):
+    """Of a pair that no fault concerns one speaks."""
+
+    name = "one leads"
+    statement = f"Of a pair of coordinators that no fault has concerned for {SETTLES:g} s, one speaks, one is silent."
+
+    def __init__(self, facts: Facts) -> None:
+        super().__init__(facts)
+        self._last: dict[str, int] = {}
+        if facts.case.paired:
+            self.published = {ABSTRACT_STATE: self._spoke, DESIRED_ABSTRACT_STATE: self._spoke}
+
+    def _spoke(self, node: str, message: Any) -> None:
+        facts = self.facts
+        if getattr(message, "mode", Mode.RUN) != Mode.RUN:
+            return
+        self._last[node] = facts.now
+        (pair,) = (pair for pair in facts.case.pairs if node in pair)
+        other = pair[1] if node == pair[0] else pair[0]
+        inputs = (PLANE,) if pair[0] == CONTROLLER else tuple(map(agent_name, range(1, facts.case.robots + 1)))
+        both = facts.is_fine(node) and facts.is_fine(other) and any(map(facts.is_fine, inputs))
+        if both and facts.now - self._last.get(other, -(2**62)) <= 2 * facts.period:
+            raise self.broken(node, f"publishes step {message.step}, and so does {other}")
+
+
+class SumsUpWhatItHears(Property):
+    """The observer uses the newest state of each robot that has reached it, and forgets none."""
+
+    name = "sums up what it hears"
+    statement = (
+        "An observer sums up the newest state of every robot that has reached it; one that is silent for the age limit "
+        "counts as standing, one that has left does not count."
+    )
+
+    def __init__(self, facts: Facts) -> None:
+        super().__init__(facts)
+        self._newest: dict[str, dict[int, AgentState]] = {name: {} for name in facts.case.pairs[0]}
+        self._counted: dict[str, tuple[int, int]] = {}
+        self.published = {BASIS: self._basis, ABSTRACT_STATE: self._sum}
+        for topic in _variants(AGENT_STATE):
+            self.heard[topic] = self._state
+
+    def begins(self, node: str) -> None:
+        if node in self._newest:
+            self._newest[node] = {}
+
+    def _state(self, node: str, parcel: Parcel) -> None:
+        newest, state = self._newest.get(node), parcel.message
+        if newest is None or not parcel.sender or not isinstance(state, AgentState):
+            return
+        before = newest.get(state.agent_id)
+        if (before is None or state.step > before.step) and state.step <= self.facts.step_of(node) + self.facts.ahead:
+            newest[state.agent_id] = state
+
+    def _basis(self, node: str, basis: Basis) -> None:
+        if basis.source != Source.OBSERVER:
+            return
+        facts, newest = self.facts, self._newest[node]
+        self._counted[node] = basis.step, len(basis.agent_ids)
+        if node in facts.odd:
+            return
+        used = dict(zip(basis.agent_ids, zip(basis.state_steps, basis.standing, strict=True), strict=True))
+        for robot, state in newest.items():
+            name = agent_name(robot)
+            # A node that has just started counts as a second sender until the one before it is forgotten.
+            new = facts.now - facts.started[name] <= 2 * facts.state_age * facts.period
+            if name in facts.odd or facts.until[name] == inf or new:
+                continue
+            if (state.status == Status.LEFT) == (robot in used):
+                text = "has left, and still counts" if robot in used else "is on the plane, and does not count"
+                raise self.broken(node, f"in step {basis.step} robot {robot} {text}")
+            if robot not in used:
+                continue
+            step, stands = used[robot]
+            if step != state.step:
+                text = f"it uses a state of step {step}, but has received one of step {state.step}"
+                raise self.broken(node, f"in step {basis.step} of robot {robot}: {text}")
+            if bool(stands) != (basis.step - step > facts.state_age):
+                text = f"it takes a state that is {basis.step - step} steps old as {'silent' if stands else 'fresh'}"
+                raise self.broken(node, f"in step {basis.step} of robot {robot}: {text}")
+
+    def _sum(self, node: str, message: Any) -> None:
+        step, count = self._counted.get(node, (-1, 0))
+        if step != message.step or count != message.agent_count:
+            text = f"it counts {message.agent_count} robots, and says that these sums are of {count}"
+            raise self.broken(node, f"in step {message.step} {text}")
+
+
+class AnswersThePlane(Property):
+    """A controller asks for something only in answer to a state of the plane."""
+
+    name = "answers the plane"
+    statement = "A controller in RUN publishes a desired state only for a step whose state of the plane has reached it."
+
+    def __init__(self, facts: Facts) -> None:
+        super().__init__(facts)
+        self._heard: dict[str, list[int]] = {name: [] for name in facts.case.pairs[1]}
+        self.published = {DESIRED_ABSTRACT_STATE: self._desired}
+        self.heard = {PLANE_STATE: self._plane}
+
+    def begins(self, node: str) -> None:
+        if node in self._heard:
+            self._heard[node] = []
+
+    def _plane(self, node: str, parcel: Parcel) -> None:
+        if node in self._heard and parcel.message is not None and parcel.sender:
+            steps = self._heard[node]
+            steps.append(parcel.message.step)
+            del steps[:-50]
+
+    def _desired(self, node: str, message: Any) -> None:
+        if message.mode == Mode.RUN and message.step not in self._heard[node]:
+            raise self.broken(node, f"asks for step {message.step}, of which it has no state of the plane")
+
+
+class NoStepTwice(Property):
+    """A node publishes each step once."""
+
+    name = "no step twice"
+    statement = "A node whose clock was never set publishes each step once, in order."
+
+    def __init__(self, facts: Facts) -> None:
+        super().__init__(facts)
+        self._last: dict[tuple[str, str], int] = {}
+        topics = (AGENT_STATE, PLANE_STATE, ABSTRACT_STATE, AUXILIARY_STATE)
+        self.published = {topic: partial(self._said, topic.name) for topic in topics}
+
+    def begins(self, node: str) -> None:
+        for key in [key for key in self._last if key[0] == node]:
+            del self._last[key]
+
+    def _said(self, topic: str, node: str, message: Message) -> None:
+        before = self._last.get((node, topic), -1)
+        if message.step <= before and node not in self.facts.odd:
+            raise self.broken(node, f"publishes step {message.step} of {topic} after step {before}")
+        self._last[node, topic] = message.step
+
+
+class StaysInItsLane(Property):
+    """No robot leaves its lane or exceeds its limits."""
+
+    name = "stays in its lane"
+    statement = "A robot whose base stops when commands cease stays in its lane, and no number is infinite."
+
+    def __init__(self, facts: Facts) -> None:
+        super().__init__(facts)
+        scenario = facts.scenario
+        self._lane = max(0.0, 0.5 * scenario.plane.length - scenario.realtime.lane_margin) + 1e-9
+        self.published = {AGENT_STATE: self._state}
+
+    def _state(self, node: str, state: AgentState) -> None:
+        if not isfinite(state.position) or not isfinite(state.command):
+            raise self.broken(node, f"is at {state.position} m with command {state.command}")
+        if abs(state.position) > self._lane:
+            raise self.broken(node, f"is at {state.position:.6f} m; its lane ends at {self._lane:.6f} m")
+
+
+class ReportsSparingly(Property):
+    """Refused messages do not flood the events."""
+
+    name = "reports sparingly"
+    statement = f"A node reports at most {MOST_REFUSED} times in ten seconds that it refuses messages."
+
+    def __init__(self, facts: Facts) -> None:
+        super().__init__(facts)
+        self._times: dict[str, list[int]] = {}
+        self.published = {EVENTS: self._event}
+
+    def _event(self, node: str, event: SwarmEvent) -> None:
+        if event.kind != EventKind.REFUSED or node in self.facts.odd:
+            return
+        times = self._times.setdefault(node, [])
+        times.append(self.facts.now)
+        while times[0] < self.facts.now - 10**10:
+            del times[0]
+        if len(times) > MOST_REFUSED:
+            raise self.broken(node, f"has reported {len(times)} refusals in ten seconds, the last: {event.detail}")
+
+
+PROPERTIES: tuple[type[Property], ...] = (
+    ActsOnOneSet,
+    KeepsFollowing,
+    OneLeads,
+    SumsUpWhatItHears,
+    AnswersThePlane,
+    NoStepTwice,
+    StaysInItsLane,
+    ReportsSparingly,
+)
+
+
+class Checks(Watcher):
+    """Hands on to the properties what happens."""
+
+    def __init__(self, facts: Facts) -> None:
+        self._facts = facts
+        self._properties = [of(facts) for of in PROPERTIES]
+        self._published: dict[Topic, list[Callable[[str, Any], None]]] = {}
+        self._heard: dict[Topic, list[Callable[[str, Parcel], None]]] = {}
+        for one in self._properties:
+            for topic, said in one.published.items():
+                self._published.setdefault(topic, []).append(said)
+            for topic, heard in one.heard.items():
+                self._heard.setdefault(topic, []).append(heard)
+
+    def begins(self, node: str) -> None:
+        self._facts.started[node] = self._facts.now
+        for one in self._properties:
+            one.begins(node)
+
+    def told(self, node: str, command: str) -> None:
+        for one in self._properties:
+            one.told(node, command)
+
+    def published(self, node: str, topic: Topic, message: Message, data: bytes) -> None:
+        for said in self._published.get(topic, ()):
+            said(node, message)
+
+    def heard(self, node: str, parcel: Parcel) -> None:
+        for heard in self._heard.get(parcel.topic, ()):
+            heard(node, parcel)
+
+
+class Speech(NamedTuple):
+    """A message with its node and the time, ns, of its publication."""
+
+    time: int
+    node: str
+    message: Message
+
+
+class Ending(Watcher):
+    """What was said lately, and whether all is well."""
+
+    name = "recovers"
+    statement = (
+        "When all faults are over, all robots follow within a few seconds, one of each pair of coordinators speaks, "
+        "all robots are counted, and every node reports that it is well; or, after a STOP, nobody moves until a RESET."
+    )
+
+    def __init__(self, facts: Facts) -> None:
+        self._facts = facts
+        self._recent: list[Speech] = []
+        self._kinds = {ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE, AGENT_STATE, PLANE_STATE}
+
+    def published(self, node: str, topic: Topic, message: Message, data: bytes) -> None:
+        if topic in self._kinds:
+            self._recent.append(Speech(self._facts.now, node, message))
+            if len(self._recent) > 8000:
+                self._prune()
+
+    def _prune(self) -> None:
+        oldest = self._facts.now - SPEAKERS * self._facts.period
+        self._recent = [said for said in self._recent if said.time >= oldest]
+
+    def _newest(self, kind: type[Message]) -> dict[str, Any]:
+        oldest = self._facts.now - 3 * self._facts.period
+        return {
+            said.node: said.message for said in self._recent if isinstance(said.message, kind) and said.time > oldest
+        }
+
+    def _broken(self, node: str, text: str) -> BrokenError:
+        return BrokenError(self.name, node, text)
+
+    def all_is_well(self) -> None:
+        """Raise an error unless the whole fleet runs."""
+        self._prune()
+        facts, case = self._facts, self._facts.case
+        states = self._newest(AgentState)
+        for name in map(agent_name, range(1, case.robots + 1)):
+            if name not in states:
+                raise self._broken(name, "says nothing")
+            state = states[name]
+            if state.status != Status.ACTIVE or state.broadcast_step == NEVER:
+                health = self._health(name)
+                raise self._broken(name, f"does not follow: {health.text}")
+        for kind, pair in ((AbstractState, case.pairs[0]), (DesiredAbstractState, case.pairs[1])):
+            spoke = [said for said in self._recent if isinstance(said.message, kind)]
+            speakers = sorted({said.node for said in spoke})
+            if len(speakers) != 1:
+                raise self._broken(" and ".join(pair), f"{' and '.join(speakers) or 'nobody'} of them speaks")
+            if len(spoke) < SPEAKERS - 2:
+                raise self._broken(speakers[0], f"speaks in {len(spoke)} of {SPEAKERS} periods")
+        (count,) = {message.agent_count for message in self._newest(AbstractState).values()}
+        if count != case.robots:
+            raise self._broken(case.pairs[0][0], f"counts {count} of {case.robots} robots")
+        squares = sum(agent.mass * agent.mass for agent in facts.scenario.agents)
+        for node, sums in self._newest(AuxiliaryState).items():
+            if abs(sums.s0 - squares) > 1e-9:
+                raise self._broken(node, f"sums up followers of {sums.s0:.6g} kg^2, all are {squares:.6g} kg^2")
+        if not self._newest(PlaneState):
+            raise self._broken(PLANE, "says nothing")
+        for name in case.names:
+            health = self._health(name)
+            if health.level > Level.OK and "a second sender" not in health.text:
+                raise self._broken(name, f"reports: {health.text}")
+
+    def nobody_moves(self, why: str) -> None:
+        """Raise an error if a robot moves, or a controller lets it, although the swarm was stopped."""
+        for name, desired in self._newest(DesiredAbstractState).items():
+            if desired.mode != Mode.STOP:
+                raise BrokenError("STOP wins", name, f"publishes {Mode(desired.mode).name}, although {why}")
+        for name, state in self._newest(AgentState).items():
+            if state.broadcast_step != NEVER:
+                raise BrokenError("STOP wins", name, f"moves, although {why}")
+
+    def memory_is_bounded(self) -> None:
+        """Raise an error if a node has kept too much."""
+        for name, node in self._facts.fleet.nodes.items():
+            if node.activity is not None:
+                entries = entries_of(node.activity.engine.behaviour)
+                if entries > MOST_ENTRIES:
+                    raise BrokenError("memory is bounded", name, f"keeps {entries} entries")
+
+    def _health(self, name: str) -> Any:
+        activity = self._facts.fleet.nodes[name].activity
+        assert activity is not None
+        return activity.engine.behaviour.health(self._facts.fleet.now(name))
+
+
+STATEMENTS = {one.name: one.statement for one in (*PROPERTIES, Ending)} | {
+    "STOP wins": "After a STOP that a controller has accepted and passed on, no robot moves until an operator resets.",
+    "memory is bounded": "What a node keeps does not grow with the time or with what others send to it.",
+    "no node fails": "No node ends with an exception, whatever it hears.",
+}
+"""What each property means, for people."""
+
+
+def entries_of(thing: object) -> int:
+    """Return the number of entries of all containers that an object holds."""
+    seen: set[int] = set()
+    stack, total = [thing], 0
+    while stack:
+        one = stack.pop()
+        if id(one) in seen or isinstance(one, (str, bytes, int, float, bool, type(None), type)) or callable(one):
+            continue
+        seen.add(id(one))
+        if isinstance(one, dict):
+            total += len(one)
+            stack += one.values()
+        elif isinstance(one, (list, set, frozenset, tuple)) or type(one).__name__ == "deque":
+            total += 0 if isinstance(one, tuple) else len(one)
+            stack += one  # type: ignore[misc]
+        else:
+            names = [n for kind in type(one).__mro__ for n in getattr(kind, "__slots__", ())]
+            stack += [getattr(one, n) for n in names if hasattr(one, n)]
+            stack += list(getattr(one, "__dict__", {}).values())
+    return total

@@ -1,0 +1,305 @@
+"""What happens to a virtual fleet, as text: settings of the fleet, and faults with their times.
+
+A case is drawn from a seed. Each line of its text is one fault, so a case can be shortened line by line and replayed:
+
+    2.130 +0.400 crash controller
+    2.500 stop standby_controller
+    2.700 +0.300 cut agent_001>observer
+    3.000 +1.000 loss *>* 0.3
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from random import Random
+from typing import NamedTuple
+
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, standby_name
+from swarmabs_core.errors import InputError
+from swarmabs_core.nodes import agent_name
+
+ALL = "*"
+LINKS = ("cut", "loss", "slow", "late", "again")
+"""What can happen on a link: nothing passes; some messages are lost; all are late by a time; each by another time up to
+one; some arrive a second time, so much later."""
+NODES = ("crash", "pause", "clock", "drift", "blind")
+"""What can happen to a node: it dies and starts; stands still; its clock is wrong or too fast; its sensor is silent."""
+COMMANDS = ("stop", "reset", "release", "leave", "join")
+"""What an operator can say to a node."""
+FORGED = ("stranger", "nonsense", "future", "garbage", "impostor")
+"""What somebody else can send to a node: states of an unknown robot, values that cannot be, steps that have not come,
+bytes of another layout; or messages in the name of a node that are credible."""
+
+
+class Fault(NamedTuple):
+    """What happens to `who` (a node, or a link as ``sender>receiver``) at a time (s) and lasts for a while (s)."""
+
+    at: float
+    kind: str
+    who: str
+    lasting: float = 0.0
+    value: float = 0.0
+
+    def __str__(self) -> str:
+        lasting = f" +{self.lasting:.3f}" if self.lasting else ""
+        value = f" {self.value:g}" if self.value else ""
+        return f"{self.at:.3f}{lasting} {self.kind} {self.who}{value}"
+
+    @classmethod
+    def parse(cls, line: str) -> Fault:
+        """Read a line of a case; raises `InputError`."""
+        try:
+            at, *words = line.split()
+            lasting = float(words.pop(0)) if words[0].startswith("+") else 0.0
+            kind, who, *value = words
+            fault = cls(float(at), kind, who, lasting, float(value[0]) if value else 0.0)
+        except (ValueError, IndexError):
+            raise InputError(f"{line!r} is not a fault", "write such as '2.130 +0.400 crash controller'") from None
+        if kind not in (*LINKS, *NODES, *COMMANDS, *FORGED):
+            raise InputError(f"{line!r}: there is no fault {kind!r}", "see tests/virtual/schedule.py")
+        return fault
+
+    @property
+    def end(self) -> float:
+        """The time, s, at which it is over."""
+        return self.at + self.lasting
+
+    @property
+    def ends(self) -> tuple[str, str]:
+        """The two ends of a link."""
+        sender, _, receiver = self.who.partition(">")
+        return sender, receiver
+
+
+@dataclass(frozen=True)
+class Case:
+    """A fleet and what happens to it; `quiet` is the time, s, at which all faults are over."""
+
+    seed: int
+    robots: int = 4
+    hertz: int = 20
+    paired: bool = False
+    own_topics: bool = False
+    stopped: bool = False
+    start: str = "wait"
+    quiet: float = 6.0
+    faults: tuple[Fault, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The nodes."""
+        return (PLANE, *self.coordinators, *map(agent_name, range(1, self.robots + 1)))
+
+    @property
+    def coordinators(self) -> tuple[str, ...]:
+        """Observer and parent controller, and their standbys."""
+        return tuple(name for pair in self.pairs for name in pair)
+
+    @property
+    def pairs(self) -> tuple[tuple[str, ...], ...]:
+        """The instances of the observer, and those of the parent controller."""
+        return tuple((n, standby_name(n)) if self.paired else (n,) for n in (OBSERVER, CONTROLLER))
+
+    @property
+    def begins(self) -> float:
+        """Time, s, at which all may be expected to follow after a start without faults."""
+        return BEGINS + 1.7 * self.stopped
+
+    def only(self, numbers: Iterable[int]) -> Case:
+        """Return the case with some of its faults only."""
+        return replace(self, faults=tuple(self.faults[number] for number in numbers))
+
+    def __str__(self) -> str:
+        """Return the text of the case."""
+        words = [
+            f"{self.robots} robots at {self.hertz} Hz",
+            "observer and controller with standbys" if self.paired else "one observer, one controller",
+            *(["a topic for each robot"] if self.own_topics else []),
+            f"starts in {'STOP' if self.stopped else 'RUN'}, robots needed: {self.start}",
+        ]
+        return "\n".join([f"seed {self.seed}: {'; '.join(words)}", *(f"  {fault}" for fault in self.faults)])
+
+
+def case_of(seed: int, robots: int | None = None) -> Case:
+    """Draw a case; all cases of a seed are the same.
+
+    What happens is a mix of a few kinds. In half of the cases there is one fault at a time, with time to recover: then
+    robots must not notice much. In the other half there may be any number at once.
+    """
+    draw = Random(f"virtual case:{seed}")
+    case = Case(
+        seed,
+        robots or draw.choice((2, 3, 3, 4, 4, 5, 8)),
+        draw.choice((20, 20, 20, 50, 100)),
+        draw.random() < 0.6,
+        draw.random() < 0.3,
+        draw.random() < 0.3,
+        draw.choice(("wait", "wait", "proceed")),
+    )
+    kinds = draw.sample(_MIX, draw.choice((1, 2, 2, 3, 5, len(_MIX))))
+    one_at_a_time = draw.random() < 0.5
+    faults: list[Fault] = []
+    time = case.begins
+    if draw.random() < 0.2:
+        late = [name for name in case.names if draw.random() < 0.4]
+        faults = [Fault(0.0, "crash", name, draw.choice((_length(draw), draw.uniform(0.0, 4.0)))) for name in late]
+        time = max([case.begins, *(f.end + SETTLES for f in faults)]) if one_at_a_time else 0.0
+    if one_at_a_time:
+        for _ in range(draw.randint(1, 3)):
+            fault = draw.choice(kinds)(draw, case, time + draw.uniform(0.0, 0.3))
+            faults += fault
+            time = max(f.end for f in fault) + SETTLES
+        quiet = time - SETTLES
+    else:
+        lasting = draw.choice((1.0, 2.5, 2.5, 5.0))
+        for _ in range(draw.choice((2, 4, 6, 10))):
+            faults += draw.choice(kinds)(draw, case, time + draw.uniform(0.0, lasting))
+        quiet = time + lasting
+        faults = [f for f in faults if f.kind != "impostor"]  # who takes the place of one that is lost is believed
+    faults = sorted(Fault(round(f.at, 3), f.kind, f.who, round(f.lasting, 3), round(f.value, 4)) for f in faults)
+    return replace(case, quiet=round(max([quiet, 0.5, *(f.end for f in faults)]), 3), faults=tuple(faults))
+
+
+BEGINS = 2.6
+"""Time, s, after which a fleet that starts in RUN follows; one in STOP needs the second of a RESET, too."""
+SETTLES = 3.2
+"""Time, s, after the end of a fault in which a fleet settles: a standby that starts listens for two seconds."""
+
+
+def _length(draw: Random) -> float:
+    """Draw how long a fault lasts, s: often about as long as the limits on ages, or long."""
+    return draw.choice((draw.uniform(0.005, 0.12), draw.uniform(0.1, 0.6), draw.uniform(0.5, 2.0)))
+
+
+def _some(draw: Random, case: Case) -> str:
+    """Draw a node, a coordinator as often as a robot."""
+    return draw.choice((draw.choice(case.coordinators), draw.choice(case.names)))
+
+
+def _crash(draw: Random, case: Case, at: float) -> list[Fault]:
+    return [Fault(at, "crash", _some(draw, case), _length(draw))]
+
+
+def _pause(draw: Random, case: Case, at: float) -> list[Fault]:
+    return [Fault(at, "pause", _some(draw, case), _length(draw))]
+
+
+def _host(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let the host of two coordinators fail, or of all primaries and a robot."""
+    lasting, kind, standby = _length(draw), draw.choice(("crash", "pause")), case.paired and draw.random() < 0.5
+    return [Fault(at, kind, pair[standby], lasting) for pair in case.pairs]
+
+
+def _cut(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Cut a node off, or one link, or one way of it, or make a partition."""
+    name, lasting = _some(draw, case), _length(draw)
+    other = draw.choice([o for o in case.names if o != name])
+    how = draw.randrange(5)
+    if how == 0:
+        return [Fault(at, "cut", f"{name}>{ALL}", lasting), Fault(at, "cut", f"{ALL}>{name}", lasting)]
+    if how == 1:
+        return [Fault(at, "cut", f"{name}>{ALL}", lasting)]
+    if how == 2:
+        return [Fault(at, "cut", f"{ALL}>{name}", lasting)]
+    if how == 3:
+        return [Fault(at, "cut", f"{name}>{other}", lasting)]
+    side = [o for o in case.names if draw.random() < 0.5]
+    rest = [o for o in case.names if o not in side]
+    if not side or not rest:
+        return []
+    ways = [(side, rest), (rest, side)][: draw.choice((1, 2, 2))]
+    return [Fault(at, "cut", f"{','.join(a)}>{','.join(b)}", lasting) for a, b in ways]
+
+
+def _weather(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let the network be bad everywhere or for one node."""
+    name = draw.choice((ALL, _some(draw, case)))
+    link = draw.choice((f"{name}>{ALL}", f"{ALL}>{name}"))
+    kind = draw.choice(("loss", "loss", "slow", "late", "again"))
+    value = {
+        "loss": draw.choice((0.03, 0.03, 0.2, 0.6)),
+        "slow": draw.choice((0.3, 1.0, 4.0, 15.0, 40.0)) / case.hertz,
+        "late": draw.choice((0.5, 2.0, 8.0, 20.0)) / case.hertz,
+        "again": draw.choice((0.1, 3.0, 15.0, 60.0)) / case.hertz,
+    }[kind]
+    return [Fault(at, kind, link, draw.choice((_length(draw), draw.uniform(0.5, 2.0))), value)]
+
+
+def _clock(draw: Random, case: Case, at: float) -> list[Fault]:
+    if draw.random() < 0.3:
+        return [Fault(at, "drift", _some(draw, case), draw.uniform(0.5, 2.0), draw.choice((-400, -50, 50, 400)))]
+    periods = draw.choice((0.5, 1.0, 2.0, 3.0, 5.0, 12.0, 40.0)) * draw.choice((-1, 1))
+    return [Fault(at, "clock", _some(draw, case), _length(draw), periods / case.hertz)]
+
+
+def _operator(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let an operator stop or reset the swarm at either controller, hand over, or send a robot away."""
+    controllers = case.pairs[1]
+    what = draw.choice(("stop", "stop", "stop", "reset", "again", "leave", "release"))
+    if what == "release" and case.paired:
+        return [Fault(at, "release", draw.choice(case.coordinators))]
+    if what == "leave":
+        name = draw.choice(case.names[1 + len(case.coordinators) :])
+        return [Fault(at, "leave", name), Fault(at + _length(draw), "join", name)]
+    if what == "again":
+        return [
+            Fault(at, "stop", draw.choice(controllers)),
+            Fault(at + _length(draw), "reset", draw.choice(controllers)),
+            Fault(at + draw.uniform(0.0, 1.5), "stop", draw.choice(controllers)),
+        ]
+    return [Fault(at, "reset" if what == "reset" else "stop", draw.choice(controllers))]
+
+
+def _takeover_of_a_stop(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let an operator stop the swarm around the moment in which a coordinator is lost or comes back."""
+    lasting = _length(draw)
+    lost = draw.choice((_crash, _pause, _cut, _host))(draw, case, at)
+    when = draw.choice((at, at + lasting)) + draw.uniform(-0.05, 0.15)
+    return [*lost, Fault(max(0.0, when), "stop", draw.choice(case.pairs[1]))]
+
+
+def _absence(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let a robot be dead for long, and meanwhile a coordinator, or both of a pair, for a while."""
+    robot = agent_name(draw.randint(1, case.robots))
+    pair, lasting = draw.choice(case.pairs), _length(draw)
+    lost = draw.choice((pair, pair[:1], pair[-1:]))
+    begins = at + draw.uniform(0.3, 1.0)
+    faults = [Fault(begins, "crash", name, lasting) for name in lost]
+    return [Fault(at, "crash", robot, begins - at + lasting + SETTLES + 1.0), *faults]
+
+
+def _forged(draw: Random, case: Case, at: float) -> list[Fault]:
+    kind = draw.choice(FORGED)
+    return [Fault(at, kind, _some(draw, case), draw.uniform(0.1, 1.0), draw.choice((-1, 0, 1, 2)))]
+
+
+def _blind(draw: Random, case: Case, at: float) -> list[Fault]:
+    return [Fault(at, "blind", agent_name(draw.randint(1, case.robots)), _length(draw))]
+
+
+def _overload(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let all nodes stand still in bursts, and hear what is old."""
+    lasting = draw.uniform(0.3, 2.0)
+    bursts = [
+        Fault(at + draw.uniform(0.0, lasting), "pause", name, draw.uniform(0.0, 0.5) * draw.choice((0.2, 1.0)))
+        for name in case.names
+        for _ in range(2)
+    ]
+    return [Fault(at, "late", f"{ALL}>{ALL}", lasting, draw.choice((0.05, 0.5, 2.0))), *bursts]
+
+
+_MIX: tuple[Callable[[Random, Case, float], list[Fault]], ...] = (
+    _crash,
+    _pause,
+    _host,
+    _cut,
+    _weather,
+    _clock,
+    _operator,
+    _takeover_of_a_stop,
+    _absence,
+    _forged,
+    _blind,
+    _overload,
+)

@@ -1,0 +1,189 @@
+# ruff: noqa: T201 - it is a command
+"""Run many seeds of virtual fleets, and show what is broken: who, when, what, why, and how to see it again.
+
+./scripts/swarm soak --virtual                         # 30 minutes of new seeds on all processors
+./scripts/swarm soak --virtual --seeds 1-10000
+./scripts/swarm soak --virtual --seeds 17 --only 2,5   # one seed with some of its faults, with its timeline
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from itertools import count
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.virtual.properties import STATEMENTS, BrokenError
+from tests.virtual.schedule import Case, case_of
+from tests.virtual.story import Result, Story
+from tests.virtual.timeline import Timeline, Trace
+
+COMMAND = "./scripts/swarm soak --virtual"
+MOST_TRIALS = 150
+"""Runs that are spent on making a case shorter."""
+MOST_SHOWN = 5
+"""Cases that are shortened and shown; of further ones only the seeds are."""
+YEAR = 365.25 * 86400.0
+
+
+class Trial(NamedTuple):
+    """What came of a seed: what is broken (property and text), the time simulated (s), and its faults by kind."""
+
+    seed: int
+    property: str
+    text: str
+    simulated: float
+    robots: int
+    faults: Counter[str]
+
+
+def trial(seed: int) -> Trial:
+    """Run a seed."""
+    case = case_of(seed)
+    result = Story(case).run()
+    broken = result.broken
+    kinds = Counter(fault.kind for fault in case.faults)
+    name, text = (broken.name, str(broken)) if broken else ("", "")
+    return Trial(seed, name, text, result.time, case.robots, kinds)
+
+
+def shortened(case: Case, wanted: str) -> tuple[int, ...]:
+    """Return the numbers of as few faults of a case as still break a property: delta debugging."""
+    left, parts, trials = list(range(len(case.faults))), 2, 0
+    while len(left) >= 1 and trials < MOST_TRIALS:
+        size = -(-len(left) // parts)
+        for start in range(0, len(left), size):
+            rest = left[:start] + left[start + size :]
+            trials += 1
+            broken = Story(case.only(rest)).run().broken
+            if broken is not None and broken.name == wanted:
+                left, parts = rest, max(2, parts - 1)
+                break
+        else:
+            if size <= 1:
+                break
+            parts = min(len(left), 2 * parts)
+    return tuple(left)
+
+
+def replay(case: Case, trace: Path | None = None) -> tuple[Result, Timeline, str]:
+    """Run a case again; return what comes of it, its timeline, and the digest of all that was said and heard."""
+    timeline = Timeline()
+    story = Story(case, [timeline], timeline.tell)
+    timeline.watch(story.fleet)
+    output = None if trace is None else trace.open("w", encoding="utf-8")
+    traced = Trace(story.fleet, output)
+    story.fleet.watchers.append(traced)
+    result = story.run()
+    if output is not None:
+        output.close()
+    return result, timeline, traced.digest
+
+
+def report(case: Case, broken: BrokenError, timeline: Timeline, command: str) -> Iterator[str]:
+    """Yield the lines that tell people what is wrong."""
+    yield f"BROKEN: {broken.name}"
+    yield f"  must hold: {STATEMENTS[broken.name]}"
+    yield f"  instead:   {broken.node} {broken.text}"
+    yield f"  replay:    {command}"
+    yield "what was done (time in s, +duration, what, to whom):"
+    yield str(case)
+    yield "what happened:"
+    yield from timeline.lines()
+    yield f"           -> {broken.node} {broken.text}"
+
+
+def show(seed: int, only: tuple[int, ...] | None, trace: Path | None) -> int:
+    """Show what happens with a seed, or with some of its faults; return the exit code."""
+    case = case_of(seed)
+    chosen = case if only is None else case.only(only)
+    result, timeline, digest = replay(chosen, trace)
+    command = f"{COMMAND} --seeds {seed}" + ("" if only is None else f" --only {_numbers(only)}")
+    if result.broken is not None:
+        print("\n".join(report(chosen, result.broken, timeline, command)))
+    else:
+        print("\n".join([str(chosen), *timeline.lines(), "all properties hold"]))
+    print(f"trace {digest}")
+    return int(result.broken is not None)
+
+
+def _numbers(only: Iterable[int]) -> str:
+    return ",".join(map(str, only)) or "none"
+
+
+def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
+    """Run seeds until they or the time are over; show what is broken, and return the exit code."""
+    started = time.monotonic()
+    simulated = years = 0.0
+    done = 0
+    faults: Counter[str] = Counter()
+    broken: Counter[str] = Counter()
+    shown: set[str] = set()
+    with get_context("fork").Pool(jobs) as pool:
+        for one in pool.imap_unordered(trial, seeds, chunksize=1):
+            done += 1
+            simulated += one.simulated
+            years += one.simulated * one.robots / YEAR
+            faults += one.faults
+            if one.property:
+                broken[one.property] += 1
+                if len(shown) < MOST_SHOWN and one.property not in shown:
+                    shown.add(one.property)
+                    _show_short(one)
+                else:
+                    print(f"seed {one.seed}: {one.text}; replay: {COMMAND} --seeds {one.seed}", flush=True)
+            if minutes is not None and time.monotonic() - started > 60.0 * minutes:
+                pool.terminate()
+                break
+    took = time.monotonic() - started
+    print(
+        f"{done} seeds in {took:.0f} s: {simulated:.0f} s simulated, {simulated / took:.0f} times real time; "
+        f"{years:.4f} robot-years; {sum(faults.values())} faults "
+        f"({', '.join(f'{kind} {number}' for kind, number in faults.most_common())}); "
+        f"broken: {dict(broken) or 'nothing'}"
+    )
+    return int(bool(broken))
+
+
+def _show_short(one: Trial) -> None:
+    """Make the case of a seed as short as possible, and show it."""
+    case = case_of(one.seed)
+    only = shortened(case, one.property)
+    short = case.only(only)
+    result, timeline, digest = replay(short)
+    if result.broken is None:  # it does not break again: that is a fault of the search
+        print(f"seed {one.seed}: {one.text}, but not when it is replayed", flush=True)
+        return
+    command = f"{COMMAND} --seeds {one.seed}" + ("" if len(only) == len(case.faults) else f" --only {_numbers(only)}")
+    print("\n".join(report(short, result.broken, timeline, command)))
+    print(f"trace {digest}", flush=True)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Parse the command line, and search or show."""
+    parser = argparse.ArgumentParser(prog=COMMAND)
+    parser.add_argument("--seeds", default="", help="seeds A-B, or one seed, which is shown; by default new ones")
+    parser.add_argument("--only", help="numbers of the faults of the seed that happen, or none")
+    parser.add_argument("--minutes", type=float)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--trace", type=Path, help="file of all that is published and heard in the seed shown")
+    options = parser.parse_args(arguments)
+    first, dash, last = options.seeds.partition("-")
+    if first and not dash:
+        only = options.only and options.only.replace("none", "")
+        numbers = None if only is None else tuple(int(number) for number in only.split(",") if number)
+        return show(int(first), numbers, options.trace)
+    if first:
+        return search(range(int(first), int(last) + 1), options.minutes, options.jobs)
+    begin = time.time_ns() // 1_000_000 % 10**10
+    return search(count(begin), options.minutes if options.minutes is not None else 30.0, options.jobs)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,347 @@
+"""A case and what comes of it: the fleet, the faults at their times, and whether all properties hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import cache, partial
+from math import nan
+from typing import Any, NamedTuple
+
+from tests.swarmabs_core.helpers import builtin
+from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
+from tests.virtual.properties import BrokenError, Checks, Ending, Facts
+from tests.virtual.schedule import ALL, COMMANDS, FORGED, LINKS, SETTLES, Case, Fault
+from tests.virtual.weather import Weather
+
+from swarmabs_config.scenario import Scenario
+from swarmabs_core.cdr import encode
+from swarmabs_core.messages import (
+    NEVER,
+    TOPIC_OF,
+    AbstractState,
+    AgentState,
+    AuxiliaryState,
+    DesiredAbstractState,
+    Message,
+    Mode,
+    PlaneState,
+    SwarmEvent,
+    Topic,
+)
+from swarmabs_core.nodes import ROBOT_PREFIX, agent_name
+from swarmabs_core.realtime.envelope import LATENCY
+
+STARTS = 2.1
+"""Time, s, at which an operator resets a fleet that starts in STOP."""
+HEALS = SETTLES + 0.2
+"""Time, s, after the last fault until all must be well without help, or stand still after a STOP."""
+RESETS = 2.4
+"""Time, s, after the orders of the operator until all must be well."""
+HOLDS = 0.5
+"""Time, s, for which it must stay so."""
+FOREIGN = b"a stranger's GID"
+_MILD = {"loss": 0.05, "slow": 0.5, "late": 0.5}
+"""By how much (of periods, for times) a whole network may be bad without any effect on who follows."""
+
+
+@cache
+def scenario_of(robots: int, hertz: int, start: str) -> Scenario:
+    """Return the scenario of a fleet; its limits are as many periods as those of the default at 100 Hz."""
+    period = 1.0 / hertz
+    agents = []
+    for number in range(1, robots + 1):
+        side = 1.0 if number % 2 else -1.0
+        body = "kind: double_integrator, damping: 0.6" if number % 3 else "kind: single_integrator"
+        agents.append(
+            f"{{id: {number}, {body}, mass: {0.3 + 0.05 * number:g}, position: {side * (0.1 + 0.03 * number):g}}}"
+        )
+    ages = ", ".join(f"{name}_age_limit: {10 * period:g}" for name in ("broadcast", "state", "plane"))
+    limits = f"{ages}, clock_tolerance: {2 * period:g}, takeover_after: {4 * period:g}, start: {start}"
+    return builtin(
+        "pd_het_4",
+        f"swarm.agents=[{', '.join(agents)}]",
+        f"step={period:g}",
+        f"realtime={{{limits}}}",
+        "plane.end_stop=0.5",
+        "manifold.torque_max=2",
+        "duration=10",
+    ).resolved()
+
+
+class Result(NamedTuple):
+    """What has come of a case: what is broken, if anything, and at which time, s."""
+
+    broken: BrokenError | None
+    time: float
+
+
+class Story(Watcher):
+    """Lets a case happen. `watchers` see everything, too; `tell` is told what is done to whom."""
+
+    def __init__(
+        self, case: Case, watchers: Iterable[Watcher] = (), tell: Callable[[float, str, str], None] = lambda *_: None
+    ) -> None:
+        self.case = case
+        scenario = scenario_of(case.robots, case.hertz, case.start)
+        self.weather = Weather(case.seed, ("", *case.names))
+        mode = Mode.STOP if case.stopped else Mode.RUN
+        self.fleet = fleet = VirtualFleet(
+            scenario,
+            seed=case.seed,
+            network=self.weather,
+            start_mode=mode,
+            own_topics=case.own_topics,
+            paired=case.paired,
+            identified=True,
+            watchdog=LATENCY,
+            kept=False,
+        )
+        self.facts = Facts(fleet, case)
+        self.ending = Ending(self.facts)
+        self._tell = tell
+        self._holders: set[str] = set()
+        self._stopped_at: str | None = None
+        self._ordered = False
+        self._robots = tuple(map(agent_name, range(1, case.robots + 1)))
+        fleet.watchers += [*watchers, Checks(self.facts), self.ending, self]
+        for node in fleet.nodes:
+            for watcher in fleet.watchers:
+                watcher.begins(node)
+        for fault in case.faults:
+            fleet.later(fault.at, partial(self._begin, fault))
+
+    def run(self) -> Result:
+        """Let everything happen; return what comes of it."""
+        try:
+            self._run()
+        except BrokenError as broken:
+            return Result(broken, self.fleet.time)
+        except Exception as error:  # noqa: BLE001 - no node may fail, whatever happens
+            trace = error.__traceback__
+            while trace is not None and trace.tb_next is not None:
+                trace = trace.tb_next
+            where = "" if trace is None else f" in {trace.tb_frame.f_code.co_name}, line {trace.tb_lineno}"
+            return Result(
+                BrokenError("no node fails", "a node", f"{type(error).__name__}: {error}{where}"), self.fleet.time
+            )
+        return Result(None, self.fleet.time)
+
+    def _run(self) -> None:
+        case, fleet, facts = self.case, self.fleet, self.facts
+        early = any(fault.at < case.begins for fault in case.faults)
+        if case.stopped:
+            fleet.run(STARTS)
+            self._order("reset")
+            self._ordered = early
+        if not early:
+            facts.moving_from = case.begins * 1e9
+        fleet.run(case.quiet + HEALS - fleet.time)
+        self._say("all", f"no fault for {HEALS:g} s")
+        if self._holders:
+            fleet.run(HOLDS)
+            self.ending.nobody_moves(f"an operator stopped the swarm at {self._stopped_at} and nobody has reset it")
+        elif not self._ordered:
+            self.ending.all_is_well()
+        for name in self._robots:
+            self._command(name, "join")
+        if self._ordered:
+            self._order("reset")
+            fleet.run(RESETS)
+            self.ending.all_is_well()
+        facts.moving_from = facts.now
+        fleet.run(HOLDS)
+        self.ending.all_is_well()
+        self.ending.memory_is_bounded()
+
+    def _say(self, who: str, what: str) -> None:
+        self._tell(self.fleet.time, who, what)
+
+    def _order(self, command: str) -> None:
+        for name in self.case.pairs[1]:
+            self._command(name, command)
+
+    def _command(self, name: str, command: str) -> None:
+        self._say(name, f"is told by an operator: {command}")
+        if not self.fleet.call(name, command):
+            self._say(name, "is not there to hear it")
+
+    # What is done
+
+    def _begin(self, fault: Fault) -> None:
+        concerned = self._concerned(fault)
+        self.facts.begin(concerned)
+        if fault.kind in LINKS:
+            self.weather.begin(fault)
+            self._say(*_of_link(fault))
+        elif fault.kind in COMMANDS:
+            self._command(fault.who, fault.kind)
+        elif fault.kind in FORGED:
+            self._say(fault.who, f"gets forged messages: {fault.kind}")
+            self._forge(fault)
+        else:
+            self._begin_of_node(fault, fault.who)
+        if fault.kind not in COMMANDS:
+            self.fleet.later(max(fault.lasting, 1e-3), partial(self._end, fault, concerned))
+
+    def _begin_of_node(self, fault: Fault, name: str) -> None:
+        fleet, facts = self.fleet, self.facts
+        if fault.kind == "crash":
+            self._say(name, "dies" if fleet.nodes[name].activity else "is dead, and will be for longer")
+            fleet.kill(name)
+            if self.case.stopped and name in self.case.pairs[1]:
+                self._ordered, facts.moving_from = True, float("inf")
+        elif fault.kind == "pause":
+            facts.odd.add(name)
+            fleet.pause(name)
+            self._say(name, "stands still")
+        elif fault.kind == "clock":
+            facts.odd.add(name)
+            fleet.set_clock(name, fault.value)
+            self._say(name, f"has a clock that is {abs(fault.value):g} s {'ahead' if fault.value > 0 else 'behind'}")
+        elif fault.kind == "drift":
+            facts.odd.add(name)
+            fleet.set_drift(name, round(fault.value))
+            self._say(name, f"has a clock that runs {fault.value:g} millionths too fast")
+        else:
+            facts.odd.add(name)
+            self._drive(name).blind = True
+            self._say(name, "has no measurement of its motion")
+
+    def _end(self, fault: Fault, concerned: tuple[str, ...]) -> None:
+        name, fleet = fault.who, self.fleet
+        if fault.kind in LINKS:
+            self.weather.end(fault)
+            self._say(_of_link(fault)[0], f"no longer: {fault.kind}")
+        elif fault.kind == "crash":
+            if fleet.nodes[name].activity is None:
+                self._say(name, "starts again")
+            fleet.revive(name)
+        elif fault.kind == "pause":
+            fleet.resume(name)
+            self._say(name, "goes on")
+        elif fault.kind in {"clock", "drift"}:
+            fleet.set_clock(name, 0.0)
+            self._say(name, "has a clock that is right again")
+        elif fault.kind == "blind":
+            self._drive(name).blind = False
+            self._say(name, "measures its motion again")
+        self.facts.end(concerned)
+
+    def _drive(self, name: str) -> Any:
+        return self.fleet.drives[int(name.removeprefix(ROBOT_PREFIX))]
+
+    def _concerned(self, fault: Fault) -> tuple[str, ...]:
+        """Return the nodes whose work a fault may disturb."""
+        if fault.kind in LINKS:
+            return tuple(sorted(self._of_links(fault)))
+        if fault.kind == "leave":
+            return (fault.who,)
+        if fault.kind in {"crash", "pause", "clock", "blind"}:
+            return (fault.who,)
+        return self.case.names if fault.kind == "impostor" else ()
+
+    def _of_links(self, fault: Fault) -> set[str]:
+        sender, receiver = fault.ends
+        if fault.kind == "again":
+            return set()
+        limit = _MILD.get(fault.kind, 0.0) / (1 if fault.kind == "loss" else self.case.hertz)
+        if fault.value and fault.value <= limit:
+            return set()
+        if ALL in {sender, receiver}:
+            single = {sender, receiver} - {ALL}
+            return single or set(self.case.names)
+        concerned = set()
+        for a in sender.split(","):
+            for b in receiver.split(","):
+                if self._talks(a, b):
+                    concerned.add(a if a in self._robots else b)
+        return concerned
+
+    def _talks(self, sender: str, receiver: str) -> bool:
+        return any(
+            other.name == receiver
+            for topic, readers in self.fleet.nodes[sender].readers.items()
+            if topic.message is not SwarmEvent
+            for other in readers
+        )
+
+    def _forge(self, fault: Fault, until: float | None = None) -> None:
+        """Send forged messages to a node in every period."""
+        fleet = self.fleet
+        until = fleet.time + fault.lasting if until is None else until
+        step = fleet.clock.step(fleet.now(fault.who)) + round(fault.value)
+        for message in _forgeries(fault.kind, fault.who, max(0, step), self._robots):
+            topic = TOPIC_OF[type(message)]
+            data = encode(message) if fault.kind != "garbage" else encode(message)[:-9]
+            known = None if fault.kind == "garbage" else message
+            for read in fleet.nodes[fault.who].endpoints.subscriptions:
+                if read.message is topic.message:
+                    fleet.deliver(Parcel("", read, data, FOREIGN, known), [fault.who])
+        if fleet.time + fleet.clock.period < until:
+            fleet.later(fleet.clock.period, partial(self._forge, fault, until))
+
+    # Who knows of a STOP
+
+    def told(self, node: str, command: str) -> None:
+        if command == "stop":
+            self._holders = {node}
+            self._stopped_at, self._ordered = node, True
+            self.facts.moving_from = float("inf")
+        elif command == "reset":
+            self._holders = set()
+            self._ordered = True
+            self.facts.moving_from = float("inf")
+        elif command == "join" and self.facts.until[node] == float("inf"):
+            self.facts.end((node,))
+
+    def ends(self, node: str) -> None:
+        self._holders.discard(node)
+
+    def published(self, node: str, topic: Topic, message: Message, data: bytes) -> None:
+        if node in self._holders and isinstance(message, DesiredAbstractState) and message.mode == Mode.RUN:
+            raise BrokenError("STOP wins", node, f"publishes RUN, but knows of the STOP given to {self._stopped_at}")
+
+    def heard(self, node: str, parcel: Parcel) -> None:
+        if parcel.topic.message is not DesiredAbstractState or node in self._robots or node in self.facts.odd:
+            return
+        holds = parcel.sender in self._holders and isinstance(parcel.message, DesiredAbstractState)
+        if holds and parcel.message.mode == Mode.STOP and not self.facts.odd & {*self.case.pairs[1]}:  # type: ignore[union-attr]
+            self._holders.add(node)
+
+
+def _of_link(fault: Fault) -> tuple[str, str]:
+    """Return who is concerned by a fault of links, and what happens, in words."""
+    sender, receiver = ("all" if end == ALL else end for end in fault.ends)
+    what = {
+        "cut": "nothing arrives",
+        "loss": f"{fault.value:.0%} of the messages are lost",
+        "slow": f"messages are late by {fault.value:g} s",
+        "late": f"messages are late by up to {fault.value:g} s, and overtake each other",
+        "again": f"half of the messages arrive once more, {fault.value:g} s later",
+    }[fault.kind]
+    return f"{sender} to {receiver}", what
+
+
+def _forgeries(kind: str, who: str, step: int, robots: tuple[str, ...]) -> list[Message]:
+    """Return what somebody sends to a node who does not belong to the fleet."""
+    stamp = 0
+    state = AgentState(stamp, step, NEVER, 1, 1, 1, 0.3, 0.0, 0.05, 0.0, 0.0)
+    abstract = AbstractState(stamp, step, len(robots), 0.1, 0.01, 0.0, 0.0)
+    sums = AuxiliaryState(stamp, step, 0.32, 0.0, 0.0032, 0.001024, 0.1, 0.0, 0.001, 0.0)
+    desired = DesiredAbstractState(stamp, step, Mode.RUN, 0.4, 0.02)
+    plane = PlaneState(stamp, step, 0.1, 0.0)
+    everything: list[Message] = [state, abstract, sums, desired, plane]
+    if kind == "stranger":
+        return [state._replace(agent_id=99 + step % 50)]
+    if kind == "nonsense":
+        return [
+            state._replace(position=nan),
+            state._replace(mass=-1.0),
+            abstract._replace(inertia=-1.0),
+            sums._replace(s0=nan),
+            desired._replace(torque=nan),
+            plane._replace(angle=9.0),
+        ]
+    if kind == "future":
+        return [message._replace(step=step + 10**6) for message in everything]
+    return everything

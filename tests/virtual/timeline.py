@@ -1,0 +1,159 @@
+"""What happened in a case, for people: who, when, what; and why it is wrong."""
+
+from __future__ import annotations
+
+from hashlib import blake2b
+from typing import NamedTuple, TextIO
+
+from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
+
+from swarmabs_core.messages import (
+    NEVER,
+    AbstractState,
+    AgentState,
+    DesiredAbstractState,
+    EventKind,
+    Message,
+    Mode,
+    PlaneState,
+    Status,
+    SwarmEvent,
+    Topic,
+    said,
+)
+
+_SILENT = 2.5
+"""Periods after which a node that speaks in each of them counts as silent."""
+_OWN = {EventKind.SAFE_STOP, EventKind.RECOVERED}
+"""Events that the states of a robot tell, too."""
+
+
+class Entry(NamedTuple):
+    """Something that happened."""
+
+    time: float
+    number: int
+    who: str
+    what: str
+
+
+class Timeline(Watcher):
+    """Collects what changes: what is done, who falls silent, stops, follows, leads, and who hears a STOP first."""
+
+    def __init__(self) -> None:
+        self._entries: list[Entry] = []
+        self._fleet: VirtualFleet | None = None
+        self._spoke: dict[str, float] = {}
+        self._status: dict[str, str] = {}
+        self._modes: dict[tuple[str, str], int] = {}
+
+    def watch(self, fleet: VirtualFleet) -> None:
+        """Set the fleet that is watched."""
+        self._fleet = fleet
+
+    def tell(self, time: float, who: str, what: str) -> None:
+        """Note something that happened at a time, s."""
+        self._entries.append(Entry(time, len(self._entries), who, what))
+
+    def _now(self, who: str, what: str) -> None:
+        if self._fleet is not None:
+            self.tell(self._fleet.time, who, what)
+
+    def begins(self, node: str) -> None:
+        for key in [key for key in self._modes if key[0] == node]:
+            del self._modes[key]
+
+    def published(self, node: str, topic: Topic, message: Message, data: bytes) -> None:
+        if isinstance(message, (AbstractState, DesiredAbstractState, PlaneState, AgentState)):
+            self._speaks(node)
+        if isinstance(message, AgentState):
+            self._robot(node, message)
+        elif isinstance(message, DesiredAbstractState):
+            self._mode(node, "publishes", message.mode)
+        elif isinstance(message, SwarmEvent) and message.kind not in _OWN:
+            of = (
+                f" of robot {message.agent_id}"
+                if message.agent_id and not node.endswith(f"{message.agent_id:03d}")
+                else ""
+            )
+            kind = said(EventKind(message.kind)) if message.kind in set(EventKind) else str(message.kind)
+            self._now(node, f"reports{of}: {kind}{', ' + message.detail if message.detail else ''}")
+        elif isinstance(message, SwarmEvent) and message.kind == EventKind.SAFE_STOP:
+            self._status[node] = f"stops: {message.detail}"
+            self._now(node, self._status[node])
+
+    def heard(self, node: str, parcel: Parcel) -> None:
+        if isinstance(parcel.message, DesiredAbstractState) and parcel.message.mode != Mode.RUN:
+            self._mode(node, f"hears from {parcel.sender or 'a stranger'}", parcel.message.mode)
+
+    def _speaks(self, node: str) -> None:
+        assert self._fleet is not None
+        now, period = self._fleet.time, self._fleet.clock.period
+        before = self._spoke.get(node)
+        if before is None:
+            self._now(node, "speaks for the first time")
+        elif now - before > _SILENT * period:
+            self.tell(before + period, node, "falls silent")
+            self._now(node, "speaks again")
+        self._spoke[node] = now
+
+    def _robot(self, node: str, state: AgentState) -> None:
+        follows = state.status == Status.ACTIVE and state.broadcast_step != NEVER
+        before = self._status.get(node, "")
+        if follows and before != "follows":
+            self._status[node] = "follows"
+            self._now(node, "follows the broadcasts")
+        elif not follows and not before.startswith("stops"):
+            self._status[node] = "stops"
+            self._now(node, "does not follow" if before == "" else "no longer follows")
+
+    def _mode(self, node: str, how: str, mode: int) -> None:
+        key = node, how
+        if self._modes.get(key) != mode:
+            self._modes[key] = mode
+            self._now(node, f"{how} {Mode(mode).name}")
+
+    def lines(self) -> list[str]:
+        """Return a line for each time and each thing that happened then; the same of several nodes is one."""
+        lines: list[tuple[float, str, list[str]]] = []
+        for time, _, who, what in sorted(self._entries):
+            last = next((line for line in reversed(lines[-12:]) if line[1] == what and time - line[0] < 2e-3), None)
+            if last is not None:
+                if who not in last[2]:
+                    last[2].append(who)
+            else:
+                lines.append((time, what, [who]))
+        return [f"{time:9.4f} s  {', '.join(who)}: {what}" for time, what, who in lines]
+
+
+class Trace(Watcher):
+    """Writes everything that is published and heard, one line each, and counts its digest."""
+
+    def __init__(self, fleet: VirtualFleet, output: TextIO | None) -> None:
+        self._fleet = fleet
+        self._output = output
+        self._digest = blake2b(digest_size=16)
+
+    def _write(self, line: str) -> None:
+        self._digest.update(line.encode())
+        if self._output is not None:
+            self._output.write(line)
+
+    def published(self, node: str, topic: Topic, message: Message, data: bytes) -> None:
+        self._write(f"{self._fleet.now_ns} {node} publishes {topic.name} {data.hex()}\n")
+
+    def heard(self, node: str, parcel: Parcel) -> None:
+        self._write(f"{self._fleet.now_ns} {node} hears {parcel.topic.name} of {parcel.sender} {parcel.data.hex()}\n")
+
+    def begins(self, node: str) -> None:
+        self._write(f"{self._fleet.now_ns} {node} begins\n")
+
+    def ends(self, node: str) -> None:
+        self._write(f"{self._fleet.now_ns} {node} ends\n")
+
+    def told(self, node: str, command: str) -> None:
+        self._write(f"{self._fleet.now_ns} {node} is told {command}\n")
+
+    @property
+    def digest(self) -> str:
+        return self._digest.hexdigest()
