@@ -38,11 +38,11 @@ scenario: pd_het_4
 set:
   step: {period}
   limits: {{velocity: {velocity}, force: {force}}}
-  realtime: {{start: quorum, quorum: {quorum}}}
+  realtime: {{start: quorum, quorum: {quorum}}}{coordination}
 hosts:
 {hosts}
 robots:
-{robots}coordinators: {{plane: {plane}, observer: {central}, controller: {central}{recorder}}}
+{robots}coordinators: {{plane: {plane}{central}{recorder}}}
 network: {{domain: {domain}, interface: eth0, discovery: {discovery}}}
 security: {security}
 installation: {{checkout: {checkout}{ros}}}
@@ -69,8 +69,8 @@ class FleetOnHosts:
     Its disks and files are in a folder of its own. `quorum` robots must be there before the swarm moves; ids count
     from `first_id`. A discovery server, and a recorder if there is one, are on the base. With the prefix of a `secured`
     Fast DDS it enforces sros2. With `standby` the second host, the spare, has the standbys of all coordinators but the
-    plane. `plane` and `drives` replace the simulated plane, and the plug-in drives of some robots, in the fleet file;
-    those that are not `limited` have no limits of their own.
+    plane. With `peers` there is no observer and no controller. `plane` and `drives` replace the simulated plane, and
+    the plug-in drives of some robots, in the fleet file; those that are not `limited` have no limits of their own.
     """
 
     def __init__(
@@ -88,6 +88,7 @@ class FleetOnHosts:
         secured: Path | None = None,
         valid_days: int = 3650,
         standby: bool = False,
+        peers: bool = False,
         plane: str = "{host: base}",
         drives: Mapping[int, str] = {},
         limited: bool = True,
@@ -118,7 +119,8 @@ class FleetOnHosts:
                 hosts="\n".join(listed),
                 robots="".join(map(self._robot, self.ids)),
                 plane=plane,
-                central=pair,
+                central="" if peers else f", observer: {pair}, controller: {pair}",
+                coordination="\n  coordination: each_robot" if peers else "",
                 recorder=f", recorder: {pair}" if recorder else "",
                 domain=domain,
                 discovery=f"{discovery}{server}",
@@ -251,12 +253,12 @@ class Operator(Client):
 
         until(calm, lambda: f"{CALM_FOR} states in a row within {CALM} rad; calm for, newest: {newest}", PATIENCE)
 
-    def reset(self) -> None:
-        """Let the swarm move."""
-        until(lambda: self.trigger("swarm/reset") == [True, ""], "the controller answers", PATIENCE)
+    def reset(self, service: str = "swarm/reset") -> None:
+        """Let the swarm move, by the service of the controller or of a robot."""
+        until(lambda: self.trigger(service) == [True, ""], f"{service} answers", PATIENCE)
 
-    def reset_until_calm(self, *numbers: int) -> None:
+    def reset_until_calm(self, *numbers: int, service: str = "swarm/reset") -> None:
         """Let the swarm move, until robots follow and the plane is level."""
-        self.reset()
+        self.reset(service)
         self.until_following(*numbers)
         self.until_calm()

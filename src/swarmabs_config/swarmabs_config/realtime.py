@@ -49,15 +49,6 @@ def check_realtime(scenario: Scenario) -> PlaneScenario:
     return supported
 
 
-def check_coordinated(scenario: PlaneScenario) -> None:
-    """Reject, with an `InputError`, a scenario whose robots coordinate the swarm by themselves: no fleet does that."""
-    if scenario.decentralised:
-        raise InputError(
-            "coordination: in real time each robot can coordinate the swarm only on one machine (run --realtime)",
-            "remove it: a fleet has an observer and a parent controller",
-        )
-
-
 def check_pairs(scenario: PlaneScenario) -> None:
     """Reject a scenario in which a standby coordinator would take over too late to keep the robots moving.
 

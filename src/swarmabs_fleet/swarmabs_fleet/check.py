@@ -101,7 +101,11 @@ def _alone(loaded: LoadedFleet) -> Iterator[Verdict]:
     yield "ok", f"{len(fleet.robots)} robots on {used} hosts, domain {fleet.network.domain}"
     for warning in loaded.warnings():
         yield "note", warning
-    yield from _standbys(loaded)
+    if fleet.decentralised:
+        text = f"no observer and no controller: each robot sums up the swarm; only {fleet.coordinators.plane.host}"
+        yield "ok", f"{text}, the host of the plane, cannot be lost"
+    else:
+        yield from _standbys(loaded)
 
 
 def _standbys(loaded: LoadedFleet) -> Iterator[Verdict]:

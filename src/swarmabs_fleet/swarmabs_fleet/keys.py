@@ -168,10 +168,13 @@ class Keys:
 
 
 def _wireguard(keys: Keys, host: HostPlan) -> str:
-    """Return the wg-quick configuration of a host: robots connect to the coordinators, coordinators to all hosts."""
+    """Return the wg-quick configuration of a host: robots connect to the coordinators, coordinators to all hosts.
+
+    Without an observer all hosts connect to each other.
+    """
     central = {node.host for node in node_plans(host.fleet) if node.robot is None}
     others = [other.name for other in host.fleet.hosts if other.name != host.name]
-    met = [other for other in others if host.name in central or other in central]
+    met = [other for other in others if host.fleet.decentralised or host.name in central or other in central]
     peers = {other: _in_base64(_wireguard_key(keys, other).public_key().public_bytes_raw()) for other in met}
     own = _in_base64(_wireguard_key(keys, host.name).private_bytes_raw())
     return host.render("wireguard.conf", private=own, peers=peers)

@@ -1,8 +1,8 @@
 """The files with which systemd starts the nodes of a host: DDS profiles, environment files and units.
 
 A node uses one address of its host and announces itself only to the peers that it needs. A robot announces itself to
-the coordinators and its own drivers, so robots never discover each other. Coordinators announce themselves to all
-nodes, so a restarted coordinator is discovered at once.
+the coordinators and its own drivers, so robots never discover each other, unless there is no observer. Coordinators
+announce themselves to all nodes, so a restarted coordinator is discovered at once.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def _peers(host: HostPlan, role: str) -> list[tuple[str, int]]:
     robots = [(fleet.address(node.host), node.participant) for node in nodes if node.robot is not None]
     operator = [(fleet.address(name), OPERATOR) for name in operator_hosts(fleet)]
     drivers = [(host.address, number) for number in DRIVERS] if "driver" in host.roles else []
-    if role == "robot":
+    if role == "robot" and not fleet.decentralised:
         return [*coordinators, *operator, *drivers]
     if role == "driver":
         return [peer for peer in [*coordinators, *robots] if peer[0] == host.address] + drivers

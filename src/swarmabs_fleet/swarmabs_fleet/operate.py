@@ -119,6 +119,11 @@ class Target:
         """Return the names of a coordinator and, if it has one, of its standby."""
         return tuple(name for name in (coordinator, standby_name(coordinator)) if name in self.hosts)
 
+    @property
+    def decentralised(self) -> bool:
+        """Whether each robot sums up and controls the swarm by itself, so that an operator talks to any of them."""
+        return CONTROLLER not in self.hosts
+
     def check(self) -> None:
         """Raise `RunError` if the run has ended: another swarm may use its network by now."""
         if self.run is not None and not is_running(self.run):
@@ -165,7 +170,8 @@ def _run(folder: Path) -> Target:
         )
     scenario = load_scenario(folder / "scenario.yaml")
     robots = tuple(agent.id for agent in scenario.agents)
-    hosts = dict.fromkeys((PLANE, OBSERVER, CONTROLLER, RECORDER, *map(agent_name, robots)), "this one")
+    central = () if scenario.decentralised else (OBSERVER, CONTROLLER)
+    hosts = dict.fromkeys((PLANE, *central, RECORDER, *map(agent_name, robots)), "this one")
     epoch = epoch_of(folder)
     schedule = None if epoch is None else realtime.schedule(scenario, epoch)
     return Target(scenario.name, "/", hosts, robots, environment, folder, schedule)
@@ -211,7 +217,7 @@ class _Call:
         """Return what is wrong so far, empty once the service has reported success."""
         name, answer = self.client.srv_name, self._answer()
         if not self.futures:
-            return f"{name} was not found; check that its node is running, and run this on the controller's host"
+            return f"{name} was not found; check that its node is running, and run this on an operator's host"
         if answer is None:
             return f"{name} did not answer within {self.patience:g} s; check its node with 'swarm status'"
         return "" if answer.success else f"{name}: {answer.message}"
@@ -292,7 +298,7 @@ class OperatorClient:
             while not publisher.get_subscription_count():
                 if time.monotonic() > deadline:
                     raise RunError(
-                        f"{self._target.name}: no node receives {publisher.topic_name}; check that the observer runs"
+                        f"{self._target.name}: no node receives {publisher.topic_name}; check that the nodes run"
                     )
                 time.sleep(SLICE)
             self._target.check()

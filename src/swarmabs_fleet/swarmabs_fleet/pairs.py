@@ -1,4 +1,4 @@
-"""Coordinators with a standby: which one leads, what both of them are told, and a planned failover."""
+"""Whom an operator tells what: the controller and its standby, or all robots; which one leads, a planned failover."""
 
 from __future__ import annotations
 
@@ -24,40 +24,46 @@ AGAIN = 1.0
 def stop(operated: Target, client: OperatorClient, patience: float) -> list[str]:
     """Tell the controller and its standby to stop the swarm; return what went wrong with one of them.
 
+    Where robots control the swarm by themselves tell all of them: one that hears it is enough, as it tells the others.
+
     Raises
     ------
     RunError
-        If neither confirms it.
+        If none confirms it.
     """
-    problems = client.call_each(_of_controllers(operated, STOP), patience, interval=AGAIN)
+    problems = client.call_each(_told(operated, STOP), patience, interval=AGAIN)
     missed = [problem for problem in problems.values() if problem]
     if len(missed) == len(problems):
         raise RunError(missed[0])
-    return missed
+    return [] if operated.decentralised else missed
 
 
 def can_stop(operated: Target, client: OperatorClient) -> bool:
-    """Return whether the controller or its standby can be told to stop at once."""
-    ready = [client.finds(service) for service in _of_controllers(operated, STOP)]
+    """Return whether somebody can be told at once that the swarm is to stop."""
+    ready = [client.finds(service) for service in _told(operated, STOP)]
     return any(ready)
 
 
 def reset(operated: Target, client: OperatorClient, patience: float) -> list[str]:
     """Tell the controller and its standby to resume; return what went wrong with the one that does not lead.
 
+    Robots that control the swarm by themselves are told as for `stop`.
+
     Raises
     ------
     RunError
         If the one that leads does not confirm it.
     """
-    services = _of_controllers(operated, RESET)
+    services = _told(operated, RESET)
     problems = client.call_each(services, patience)
     missed = [problem for problem in problems.values() if problem]
+    if len(missed) == len(services):
+        raise RunError(missed[0])
+    if operated.decentralised:
+        return []
     confirmed = [
         node for node, service in zip(operated.pair(CONTROLLER), services, strict=True) if not problems[service]
     ]
-    if not confirmed:
-        raise RunError(missed[0])
     if missed:
         (node,) = confirmed
         monitor = HealthMonitor({node: operated.hosts[node]})
@@ -109,8 +115,11 @@ def failover(operated: Target, client: OperatorClient, kind: str, patience: floa
     return peer
 
 
-def _of_controllers(operated: Target, service: str) -> tuple[str, ...]:
-    """Return a service's name at the controller, and at its standby if there is one."""
+def _told(operated: Target, service: str) -> tuple[str, ...]:
+    """Return a service's name at the controller, and at its standby if there is one; or at each of the robots."""
+    if operated.decentralised:
+        own = f"~/{service.rpartition('/')[2]}"
+        return tuple(own.replace("~", operated.robot(robot)) for robot in operated.robots)
     return (service, standby_service(service))[: len(operated.pair(CONTROLLER))]
 
 

@@ -61,12 +61,21 @@ def _parameters(loaded: LoadedFleet, node: NodePlan) -> Parameters:
             }
         )
     mass = fleet.swarm_mass or math.fsum(robot.mass for robot in fleet.members)
+    pair = Pair(node.pair, fleet.paired, scenario.realtime.takeover_after)
     if node.robot is not None:
         robots = realtime.agent_configs(scenario, schedule)
         config = next(config for config in robots if config.agent_id == node.robot.id)
-        return {**values_of(_robot(replace(config, swarm_mass=mass, paired=fleet.paired), node.robot))}
-    pair = Pair(node.pair, fleet.paired, scenario.realtime.takeover_after)
+        robot: Parameters = {**values_of(_robot(replace(config, swarm_mass=mass, paired=fleet.paired), node.robot))}
+        if not fleet.decentralised:
+            return robot
+        hosted = (
+            realtime.controller_config(scenario, schedule, Mode.STOP),
+            replace(realtime.observer_config(scenario, schedule), swarm_mass=mass),
+            realtime.peer_config(scenario, schedule, node.robot.id),
+        )
+        return {name: value for part in hosted for name, value in values_of(part).items()} | robot
     if node.kind == CONTROLLER:
+        assert fleet.coordinators.controller is not None  # noqa: S101 - its node is in the plan
         mode = Mode[fleet.coordinators.controller.start_mode.upper()]
         return {**values_of(replace(realtime.controller_config(scenario, schedule, mode), pair=pair))}
     if node.kind == OBSERVER:

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 from swarmabs_config.fleet.parts import MeasuredPlane, path_of
 from swarmabs_config.graph import (
     DIAGNOSTICS,
-    OWN,
     PLANE_DRIVER,
     REALTIME,
     RECORDER,
+    Option,
     endpoints,
     options_of,
     services,
-    usual_topic,
 )
 from swarmabs_core.messages import REMOVALS, Kind
 from swarmabs_core.nodes import ROBOT_PREFIX
@@ -66,8 +65,10 @@ def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
     if node.kind != RECORDER:  # has /rosout, and lifecycle topics below its name
         publish += [_LOG, f"rt{own}/*"]
     options = options_of({"pair": node.pair, "paired": fleet.paired, "own_topics": fleet.own_topics})
-    members = [node.robot.id] if node.robot else [robot.id for robot in fleet.members]
-    ends = endpoints(node.kind, REALTIME, options, members=members)
+    everybody = [robot.id for robot in fleet.members]
+    members = [node.robot.id] if node.robot else everybody
+    options |= {Option.SENSING}  # whether a robot has that sensor is up to the scenario
+    ends = endpoints(node.kind, REALTIME, options, members=members, neighbours=everybody)
     publish += [_topic(ns, topic.name) for topic in ends.publications if not topic.agent_id]  # covered by the wildcard
     subscribe += dict.fromkeys(_topic(ns, _of_any_robot(topic)) for topic in ends.subscriptions)
     if node.kind != RECORDER:  # services, including those of parameters and lifecycle
@@ -101,7 +102,7 @@ def _body_topics(fleet: Fleet, node: NodePlan) -> tuple[list[str], list[str]]:
 
 def _of_any_robot(topic: Topic) -> str:
     """Return the name of a topic, with a wildcard for a robot's own: a list of all would be sent in each handshake."""
-    return topic.name if not topic.agent_id else f"{ROBOT_PREFIX}*/{OWN[usual_topic(topic)]}"
+    return topic.name if not topic.agent_id else f"{ROBOT_PREFIX}*/{topic.name.partition('/')[2]}"
 
 
 def _driver_rights(host: HostPlan) -> Rights:

@@ -78,7 +78,7 @@ ADDED = [
     # what is added to the fleet's name, in the line of what, and the words of the refusal
     ("lan\nset: {plane.lenght: 2}", "lenght", ("plane.lenght", "'length'")),
     (f"lan\nset: {{faults: [{KILL}]}}", "scenario: pd", ("scenario", "faults", "real time")),
-    ("lan\nset: {coordination: each_robot}", "scenario: pd", ("scenario", "coordination", "real time")),
+    ("lan\nset: {coordination: each_robot}", "observer: {", ("coordinators.observer", "without observer", "remove it")),
     ("lan\nepoch: yesterday", "epoch", ("epoch", "not a time in UTC")),
     ("lan\nepoch: 1969-12-31T23:59:59Z", "epoch", (":59Z' is before 1970",)),
     ("lan\nepoch: 0001-12-31T00:00:00Z", "epoch", ("before 1970",)),

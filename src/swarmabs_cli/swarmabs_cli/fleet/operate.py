@@ -23,6 +23,8 @@ from swarmabs_cli.options import Number, examples, json_option, together
 from swarmabs_cli.output import print_json, print_warnings
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.errors import RunError
+from swarmabs_core.realtime.observer import Role
+from swarmabs_core.realtime.peer import SWARM
 from swarmabs_fleet import pairs
 from swarmabs_fleet.operate import (
     SILENT,
@@ -110,7 +112,9 @@ def _wait_for_key(operated: Target, client: OperatorClient, watch: RobotWatch, p
     robots = len(operated.robots)
     watch.listen(patience, lambda: pairs.can_stop(operated, client) and watch.monitor.heard() == robots)
     if not pairs.can_stop(operated, client):
-        raise RunError(f"{operated.name}: no controller was operated; check that it is running")
+        raise RunError(
+            f"{operated.name}: nobody was found who can be told to stop; check that the controller, or the robots, run"
+        )
     click.echo(
         f"{operated.name}: armed, {watch.monitor.heard()} of {robots} robots heard; press a key to stop them", err=quiet
     )
@@ -206,17 +210,20 @@ def _call(swarm: Path, service: Callable[[Target], str], patience: float, done: 
 def remove(swarm: Path, robot: int, patience: float) -> None:
     """Tell the swarm that a silent robot was removed.
 
-    The observer then no longer counts its weight as on the plane; of a pair, the one that leads must confirm it. For a
-    robot that is not silent, use `drain`.
+    The observer then no longer counts its weight as on the plane; of a pair, the one that leads must confirm it, and
+    any of robots that sum up the swarm by themselves. For a robot that is not silent, use `drain`.
     """
     with target(swarm) as operated:
         operated.robot(robot)
-        observers = operated.pair(OBSERVER)
+        alone = operated.decentralised
+        observers = tuple(map(operated.robot, operated.robots)) if alone else operated.pair(OBSERVER)
         monitor = HealthMonitor({node: operated.hosts[node] for node in observers})
 
         def gone() -> bool:
-            leaders = [node for node in observers if len(observers) == 1 or pairs.leads(monitor, node)]
-            return any(str(robot) in monitor.value(node, "left").split() for node in leaders)
+            single = alone or len(observers) == 1
+            leaders = [node for node in observers if single or pairs.leads(monitor, node)]
+            left = f"{SWARM}{Role.LEFT.value}" if alone else Role.LEFT.value
+            return any(str(robot) in monitor.value(node, left).split() for node in leaders)
 
         with joined(operated) as client, client.carried_away(robot, patience):
             client.listen(monitor, patience, gone)

@@ -46,7 +46,7 @@ def warnings(fleet: Fleet) -> tuple[str, ...]:
         lines.append(
             "security is none: anyone on the network can read all traffic and command the swarm within its limits"
         )
-    if fleet.coordinators.controller.start_mode == "run":
+    if fleet.coordinators.controller is not None and fleet.coordinators.controller.start_mode == "run":
         lines.append(
             "coordinators.controller.start_mode is run: robots move as soon as all nodes are present, without a reset"
         )

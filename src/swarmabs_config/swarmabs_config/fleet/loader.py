@@ -11,7 +11,7 @@ from swarmabs_config.fleet import checks
 from swarmabs_config.fleet.model import Fleet
 from swarmabs_config.fleet.robots import SimulatedDrive
 from swarmabs_config.model.fields import LONGEST_FILE_NAME, schema_of
-from swarmabs_config.realtime import check_coordinated, check_pairs, check_realtime
+from swarmabs_config.realtime import check_pairs, check_realtime
 from swarmabs_config.scenario import PlaneScenario, ScenarioError, dump_scenario, on_plane, parse_scenario, warnings_of
 from swarmabs_config.scenario.dump import dump_tree
 from swarmabs_config.scenario.loader import read_mapping, validated
@@ -96,6 +96,14 @@ def json_schema() -> dict[str, object]:
 def _check_against_scenario(loaded: LoadedFleet, root: Node) -> None:
     """Check a fleet against its scenario."""
     fleet, scenario = loaded.fleet, loaded.scenario
+    for name, coordinator in (("observer", fleet.coordinators.observer), ("controller", fleet.coordinators.controller)):
+        if coordinator is not None and scenario.decentralised:
+            mark, _ = root.locate(("coordinators", name))
+            raise mark.error(f"each robot coordinates the swarm, without {name}", "remove it", ("coordinators", name))
+        if coordinator is None and not scenario.decentralised:
+            mark, _ = root.locate(("coordinators",))
+            remedy = f"add '{name}: {{host: HOST}}', or 'coordination: each_robot' to 'set'"
+            raise mark.error(f"there is no {name}", remedy, ("coordinators",))
     if fleet.paired:
         _of_scenario(check_pairs, scenario, root)
     tolerance, half = scenario.realtime.clock_tolerance, scenario.plane.length / 2.0
@@ -124,7 +132,6 @@ def _default_name(stem: str) -> str:
 def _with_robots(scenario: PlaneScenario, fleet: Fleet, root: Node) -> PlaneScenario:
     """Return the scenario with the fleet's robots, checked like any other scenario."""
     _of_scenario(check_realtime, scenario, root)
-    _of_scenario(check_coordinated, scenario, root)
     data: dict[str, Plain] = scenario.model_dump(mode="json", by_alias=True)
     sides = cycle((_PLACEHOLDER * scenario.plane.length, -_PLACEHOLDER * scenario.plane.length))
     agents: Plain = [dict(_agent(robot, side)) for robot, side in zip(fleet.members, sides, strict=False)]

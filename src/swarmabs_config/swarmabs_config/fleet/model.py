@@ -102,7 +102,13 @@ class Fleet(Model):
     @property
     def paired(self) -> bool:
         """Whether the observer or the parent controller has a standby, whose broadcasts others then read too."""
-        return any(part.standby is not None for part in (self.coordinators.observer, self.coordinators.controller))
+        parts = self.coordinators.observer, self.coordinators.controller
+        return any(part is not None and part.standby is not None for part in parts)
+
+    @property
+    def decentralised(self) -> bool:
+        """Whether each robot sums up and controls the swarm by itself: there is no observer and no controller."""
+        return self.coordinators.controller is None
 
     def host(self, name: str) -> Host:
         """Return a host by name."""

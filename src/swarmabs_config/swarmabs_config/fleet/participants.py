@@ -15,6 +15,7 @@ from swarmabs_config.graph import (
     FIRST_TOOL,
     NODES,
     OBSERVER,
+    PEER,
     PLANE,
     PLANE_DRIVER,
     REALTIME,
@@ -47,8 +48,8 @@ class NodePlan:
     """One node of a fleet: its kind (a name of `NODES`), the module whose ``main`` it runs, and its host.
 
     The DDS participant id is unique on the host. The role determines discovery: coordinators announce themselves to all
-    nodes, robots to coordinators. Of a `pair` of coordinators the primary has the usual name; standbys are on other
-    hosts and have the same participant id.
+    nodes, robots to coordinators and, without an observer, to each other. Of a `pair` of coordinators the primary has
+    the usual name; standbys are on other hosts and have the same participant id.
     """
 
     kind: str
@@ -72,11 +73,10 @@ def node_plans(fleet: Fleet) -> tuple[NodePlan, ...]:
     parts = fleet.coordinators
     hosts: dict[str, tuple[str, str | None]] = {
         PLANE if parts.plane.type == "simulated" else PLANE_DRIVER: (parts.plane.host, None),
-        OBSERVER: (parts.observer.host, parts.observer.standby),
-        CONTROLLER: (parts.controller.host, parts.controller.standby),
     }
-    if parts.recorder is not None:
-        hosts[RECORDER] = (parts.recorder.host, parts.recorder.standby)
+    for kind, part in ((OBSERVER, parts.observer), (CONTROLLER, parts.controller), (RECORDER, parts.recorder)):
+        if part is not None:
+            hosts[kind] = (part.host, part.standby)
     nodes = []
     for kind, (host, standby) in hosts.items():
         pair = [(host, SINGLE)] if standby is None else [(host, PRIMARY), (standby, STANDBY)]
@@ -90,14 +90,22 @@ def node_plans(fleet: Fleet) -> tuple[NodePlan, ...]:
     for robot in fleet.members:
         number = on_host.setdefault(robot.host, COORDINATORS)
         on_host[robot.host] += 1
-        nodes.append(NodePlan(ROBOT, NODES[ROBOT].modules[REALTIME], robot.host, number, "robot", robot))
+        kind = PEER if fleet.decentralised else ROBOT
+        nodes.append(NodePlan(kind, NODES[kind].modules[REALTIME], robot.host, number, "robot", robot))
     return tuple(nodes)
 
 
 def operator_hosts(fleet: Fleet) -> tuple[str, ...]:
-    """Return the hosts on which an operator's tools run: that of the controller, then that of its standby."""
-    controller = fleet.coordinators.controller
-    return (controller.host,) if controller.standby is None else (controller.host, controller.standby)
+    """Return the hosts on which an operator's tools run: that of the controller, then that of its standby.
+
+    Without a controller they are those of the recorder and the plane.
+    """
+    parts = fleet.coordinators
+    if parts.controller is None:
+        recorders = [] if parts.recorder is None else [parts.recorder.host, parts.recorder.standby]
+        return tuple(dict.fromkeys(host for host in (*recorders, parts.plane.host) if host is not None))
+    standby = parts.controller.standby
+    return (parts.controller.host,) if standby is None else (parts.controller.host, standby)
 
 
 def nodes_on(fleet: Fleet, host: str) -> tuple[NodePlan, ...]:

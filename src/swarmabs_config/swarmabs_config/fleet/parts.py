@@ -164,13 +164,15 @@ class Recorder(Model):
 
 
 class Coordinators(Model):
-    """Hosts of the nodes that are not robots; they may share one."""
+    """Hosts of the nodes that are not robots; they may share one, or be those of robots."""
 
     plane: Annotated[SimulatedPlane | MeasuredPlane, Tagged("type", PLANES, "simulated")] = Field(
         description="the plane, simulated or measured"
     )
-    observer: Observer = Field(description="the observer")
-    controller: Controller = Field(description="the parent controller")
+    observer: Observer | None = Field(default=None, description="the observer; null with 'coordination: each_robot'")
+    controller: Controller | None = Field(
+        default=None, description="the parent controller; null with 'coordination: each_robot'"
+    )
     recorder: Recorder | None = Field(default=None, description="the recorder; null: nothing is recorded")
 
 

@@ -69,6 +69,8 @@ if TYPE_CHECKING:
 _THERE = (Role.ACTIVE, Role.STOPPED)
 _PROGRESS_PERIODS = 10
 """Periods after which a relay tells again from which desired state its sender continues."""
+SWARM, LAW = "swarm: ", "law: "
+"""What the values in a health status begin with that are those of the hosted observer and controller."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,8 +200,8 @@ class RealtimePeer:
             ("hears robots", " ".join(map(str, near))),
             ("ages of states, steps", " ".join(ages)),
             ("counted robots", " ".join(map(str, sorted(self._electorate.counted)))),
-            *((f"swarm: {name}", text) for name, text in swarm.values),
-            *((f"law: {name}", text) for name, text in law.values),
+            *((f"{SWARM}{name}", text) for name, text in swarm.values),
+            *((f"{LAW}{name}", text) for name, text in law.values),
             *self._refusals.values(),
         )
         level, text = robot.level, robot.text

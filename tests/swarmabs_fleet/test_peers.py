@@ -1,0 +1,76 @@
+"""Bundles of a fleet without observer and controller: whom each robot meets, what it may do, what its node is told."""
+
+from pathlib import Path
+
+import pytest
+from tests.swarmabs_fleet.fleets import EXAMPLES, edited, example, uses_keys
+from tests.swarmabs_fleet.test_profile import peers, xml
+from tests.swarmabs_fleet.test_security import wireguard
+
+from agent_node.realtime_peer import PARAMETERS
+from swarmabs_config.fleet.loader import load_fleet
+from swarmabs_config.fleet.participants import node_plans, operator_hosts
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PEER
+from swarmabs_core.errors import InputError
+from swarmabs_fleet.bundle import deploy
+from swarmabs_fleet.parameters import parameters
+from swarmabs_fleet.permissions import node_rights
+from swarmabs_ros.parameters import table_of
+from swarmabs_ros.realtime_runner import COMMON
+
+TEXT = EXAMPLES["no_observer"].read_text(encoding="utf-8")
+FIRST_PORT = 7000 + 100 * 46 + 10
+
+
+def test_every_robot_meets_all_others_and_an_operator_is_on_the_base() -> None:
+    fleet = example("no_observer")
+    assert not uses_keys("no_observer")
+    assert not {OBSERVER, CONTROLLER} & {node.name for node in node_plans(fleet.fleet)}
+    assert operator_hosts(fleet.fleet) == ("base",)
+    base = {("192.168.10.1", FIRST_PORT + 2 * participant) for participant in (0, 3, 4)}
+    robots = {(f"192.168.10.1{number}", FIRST_PORT + 2 * 8) for number in range(1, 5)}
+    assert peers(xml(fleet, "robot-2", "robot")) == base | robots
+
+
+def test_a_robots_node_gets_all_that_it_declares() -> None:
+    fleet = example("no_observer")
+    (node,) = (node for node in node_plans(fleet.fleet) if node.robot and node.robot.id == 2)
+    given = parameters(fleet, node)
+    assert node.kind == PEER
+    assert (given["neighbours"], given["start_mode"], given["agent_id"]) == ((1, 3, 4), "stop", 2)
+    assert {parameter.name for parameter in table_of(given, (), PARAMETERS)} >= given.keys() - {
+        parameter.name for parameter in COMMON
+    }
+
+
+def test_a_robot_may_publish_its_own_relay_and_read_all_and_offers_no_service_of_a_controller() -> None:
+    fleet = example("no_observer")
+    (node,) = (node for node in node_plans(fleet.fleet) if node.robot and node.robot.id == 2)
+    rights = node_rights(fleet.fleet, node)
+    assert "rt/agent_002/*" in rights.publish
+    assert not any("agent_001" in topic or topic == "rt/plane/state" for topic in rights.publish)
+    assert {"rt/agent_*/relay", "rt/plane/state", "rt/swarm/removals"} <= set(rights.subscribe)
+    assert not any("swarm/stop" in topic for topic in rights.subscribe)
+
+
+def test_a_tunnel_joins_all_hosts(tmp_path: Path) -> None:
+    text = EXAMPLES["tunnel"].read_text(encoding="utf-8")
+    kept = [line for line in text.splitlines() if not line.strip().startswith(("observer:", "controller:"))]
+    path = edited(tmp_path / "floor.yaml", "\n".join(kept), ("\nset: {", "\nset: {coordination: each_robot, "))
+    deploy(load_fleet(path), tmp_path / "out", tmp_path / "keys")
+    files = {file.parts[-3]: wireguard(file)[1] for file in (tmp_path / "out").glob("*/wireguard/*.conf")}
+    assert len(files) == 4
+    assert all(len(others) == 3 for others in files.values())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("plane: {host: base}", "plane: {host: base}\n  observer: {host: base}", "coordinators.observer"),
+        ("plane: {host: base}", "plane: {host: base}\n  controller: {host: base}", "coordinators.controller"),
+        ("set: {coordination: each_robot}\n", "", "there is no observer; add 'observer: {host: HOST}', or"),
+    ],
+)
+def test_coordinators_and_coordination_must_agree(old: str, new: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words.replace("{", r"\{").replace("}", r"\}")):
+        load_fleet(edited(tmp_path / "bad.yaml", TEXT, (old, new)))
