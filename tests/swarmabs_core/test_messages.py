@@ -87,7 +87,7 @@ def test_bytes_by_hand() -> None:
 
 @each
 def test_padding_is_ignored_and_records_hold_topic_robot_message_and_bytes(message: msg.Message) -> None:
-    canon, topic = encode(message), msg.TOPIC_OF[type(message)]
+    canon, topic = encode(message), msg.topic_of(message)
     data = bytearray(canon)
     data[2:4] = b"\xaa\xbb"  # options of the encapsulation
     first, length = CASES[message]
