@@ -31,7 +31,17 @@ from swarmabs_config.graph import (
 )
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import decode as deserialize, encode
-from swarmabs_core.messages import PLANE_STATE, TOPIC_OF, AgentState, Message, Mode, SwarmEvent, Topic
+from swarmabs_core.messages import (
+    PARENT,
+    PLANE_STATE,
+    TOPIC_OF,
+    AgentState,
+    Message,
+    Mode,
+    SwarmEvent,
+    Topic,
+    relay_topic,
+)
 from swarmabs_core.nodes import ROBOT_PREFIX, agent_name
 from swarmabs_core.realtime.agent import RealtimeAgent, RealtimeAgentConfig
 from swarmabs_core.realtime.base import (
@@ -47,6 +57,7 @@ from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY
 from swarmabs_core.realtime.observer import RealtimeObserver
 from swarmabs_core.realtime.peer import RealtimePeer, RealtimePeerConfig
 from swarmabs_core.realtime.plane import RealtimePlane
+from swarmabs_core.realtime.seals import Seals, sealed_plane
 from swarmabs_ros.realtime import Activity, Engine
 from swarmabs_ros.timing import Reading, StepClock
 
@@ -293,7 +304,8 @@ class VirtualFleet:
     arrives, and not only those that they answer at once. With `own_topics` robots publish on topics of their own.
     Writers have GIDs only if they are `identified`. Bodies have a `watchdog` of so many periods, or none. What was
     `published` is kept unless it is not `kept`: (time since the beginning in ns, node, message). The bodies of the
-    robots by id, `drives`, outlive their nodes.
+    robots by id, `drives`, outlive their nodes. Authors with `seals` sign their states. A node among the `liars`
+    publishes what that makes of its messages.
     """
 
     def __init__(
@@ -310,6 +322,7 @@ class VirtualFleet:
         identified: bool = False,
         watchdog: int | None = None,
         kept: bool = True,
+        seals: Mapping[int, Seals] | None = None,
     ) -> None:
         configure.check_realtime(scenario)
         self.network: Any = network or Network()
@@ -323,13 +336,15 @@ class VirtualFleet:
         self.moment: tuple[int, float] = (0, inf)
         self.nodes: dict[str, Node] = {}
         self.drives: dict[int, SimulatedBody] = {}
+        self.liars: dict[str, Callable[[Message], Message]] = {}
+        self._seals = seals or {}
         self._prompt = prompt
         self._identified = identified
         self._watchdog = watchdog
         self._draw = Random(f"virtual fleet:{seed}")
         self._sequence = 0
         self._queue: list[tuple[int, int, Callable[..., None], tuple[Any, ...]]] = []
-        chosen = {Option.OWN_TOPICS: own_topics, Option.PAIRED: paired}
+        chosen = {Option.OWN_TOPICS: own_topics, Option.PAIRED: paired, Option.SEALED: PARENT in self._seals}
         options = frozenset(option for option, given in chosen.items() if given)
         each_robot = configure.check_realtime(scenario).decentralised
         made = self._peers(start_mode) if each_robot else self._central(options, start_mode, paired=paired)
@@ -346,7 +361,10 @@ class VirtualFleet:
 
     def _plane(self, options: frozenset[Option]) -> Node:
         config = configure.plane_config(configure.check_realtime(self.scenario), self.clock)
-        return self._node(PLANE, PLANE, PLANE_PHASE, lambda: RealtimePlane(config), options=options)
+        seals = self._seals.get(PARENT)
+        return self._node(
+            PLANE, PLANE, PLANE_PHASE, lambda: sealed_plane(RealtimePlane(config), seals, self.clock), options=options
+        )
 
     def _node(self, name: str, role: str, phase: float, make: Callable[[], RealtimeBehaviour], **more: Any) -> Node:
         """Return a node with the endpoints of its role; `options` are those of the graph."""
@@ -386,15 +404,19 @@ class VirtualFleet:
         observing = configure.observer_config(scenario, clock)
         for agent, robot in zip(scenario.agents, configure.agent_configs(scenario, clock), strict=True):
             config, drive = configure.peer_config(scenario, clock, agent.id), self._body(agent, robot)
+            seals = self._seals.get(agent.id)
 
             def make(
-                config: RealtimePeerConfig = config, robot: RealtimeAgentConfig = robot, drive: SimulatedBody = drive
+                config: RealtimePeerConfig = config,
+                robot: RealtimeAgentConfig = robot,
+                drive: SimulatedBody = drive,
+                seals: Seals | None = seals,
             ) -> RealtimePeer:
                 observer, controller = RealtimeObserver(observing), RealtimeController(law, law.make_law)
-                return RealtimePeer(config, observer, controller, RealtimeAgent(robot, drive))
+                return RealtimePeer(config, observer, controller, RealtimeAgent(robot, drive), seals)
 
-            wakes = (PLANE_STATE,) if config.senses else ()
-            ends = configure.peer_endpoints(config)
+            wakes = (PLANE_STATE if seals is None else relay_topic(PARENT),) if config.senses else ()
+            ends = configure.peer_endpoints(config, frozenset() if seals is None else frozenset({Option.SEALED}))
             yield Node(agent_name(agent.id), AGENT_PHASE, ends, wakes, make, agent.id)
 
     def _body(self, agent: Any, config: RealtimeAgentConfig) -> SimulatedBody:
@@ -552,6 +574,9 @@ class VirtualFleet:
 
     def _publish(self, node: Node, topic: Topic, data: bytes) -> None:
         message = decode(topic.message, data)
+        if lie := self.liars.get(node.name):
+            message = lie(message)
+            data = encode(message)
         parcel = Parcel(node.name, topic, data, node.writers[topic], message)
         for watcher in self.watchers:
             watcher.published(node.name, usual_topic(topic), message, data)

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 from swarmabs_config.graph import PLANE_DRIVER
 from swarmabs_core.declaration import part, same
 from swarmabs_core.events import EventCode
-from swarmabs_core.messages import Message, Messages, PlaneState
+from swarmabs_core.messages import PARENT, Message, Messages, PlaneState
 from swarmabs_core.realtime.base import PLANE_PHASE, UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
 from swarmabs_core.realtime.instruments import MEASURED, PlaneInstrument
+from swarmabs_core.realtime.seals import SealFiles, sealed_plane
 from swarmabs_core.realtime.validation import Problem, Refusals
 from swarmabs_ros.managed import RealtimeNode, RealtimeSpec
 from swarmabs_ros.readings import (
@@ -31,6 +32,7 @@ from swarmabs_ros.readings import (
     wrapped,
 )
 from swarmabs_ros.realtime_runner import RealtimeProgram
+from swarmabs_ros.sealed import seals_in
 from swarmabs_ros.sensors import SensorSubscription
 
 if TYPE_CHECKING:
@@ -146,7 +148,7 @@ class PlaneDriver:
         self._track.offer(reading.stamp, angle, rate, now)
 
 
-PARAMETERS = (PlaneDriverConfig,)
+PARAMETERS = (PlaneDriverConfig, SealFiles)
 
 
 def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
@@ -154,7 +156,8 @@ def make(settings: Settings, node: RealtimeNode) -> RealtimeSpec:
     config = settings.declared(PlaneDriverConfig)
     topic = config.topic or MEASURED[config.source]
     sensor = SensorSubscription(node, config.source, topic, node.loop_group, arrival=config.stamp == "arrival")
-    return RealtimeSpec(PlaneDriver(config, sensor.take), PLANE_PHASE)
+    seals = seals_in(settings.declared(SealFiles), PARENT)
+    return RealtimeSpec(sealed_plane(PlaneDriver(config, sensor.take), seals, config.schedule), PLANE_PHASE)
 
 
 main = RealtimeProgram(PLANE_DRIVER, PARAMETERS, make)

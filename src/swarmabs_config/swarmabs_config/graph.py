@@ -38,6 +38,7 @@ from swarmabs_core.messages import (
     DESIRED_ABSTRACT_STATE,
     EVENTS,
     OBSERVER_NODE,
+    PARENT,
     PARENT_STATE,
     PLANE_FAMILY,
     PLANE_STATE,
@@ -139,6 +140,9 @@ class Option(Enum):
     """In real time this coordinator is a standby: it publishes on topics of its own."""
     SENSING = "sensing"
     """Among robots that sum up the swarm by themselves, this one hears the parent's state."""
+    SEALED = "sealed"
+    """In real time states are signed: the plane's node publishes them with their signatures, too, and such robots read
+    them there."""
     OWN_TOPICS = "own topics"
     """In real time each robot publishes on topics below its own name, so that permissions can tell robots apart."""
 
@@ -298,7 +302,7 @@ GRAPH = (
             *_recorder(),
             End(STEERER),
             End(ROBOT, only=Option.FEELING),
-            End(PEER, only=Option.SENSING),
+            End(PEER, only=Option.SENSING, unless=Option.SEALED),
         ),
         system=PARENT_STATE,
     ),
@@ -420,7 +424,11 @@ GRAPH = (
     Link(
         RELAY,
         _both(Qos("best_effort", 100), Qos("best_effort", 1, lease=LEASE)),
-        (End(PEER),),
+        (
+            End(PEER),
+            End(PLANE, driver=REALTIME, only=Option.SEALED),
+            End(PLANE_DRIVER, driver=REALTIME, only=Option.SEALED),
+        ),
         (End(PEER, 100, driver=LOCKSTEP), End(PEER, 10, driver=REALTIME), End(RECORDER, 1000, driver=LOCKSTEP)),
         system=RELAY,
     ),
@@ -504,10 +512,13 @@ def endpoints(
     """Return the endpoints of a node; some depths depend on the number of robots that ever take part.
 
     `members` are the robots whose own topics it uses with `Option.OWN_TOPICS`: all members, or for a robot only itself.
-    A `PEER` publishes the relays of `members`, and reads those of `neighbours`, as the recorder does.
+    A `PEER` publishes the relays of `members`, and reads those of `neighbours`, as the recorder does; with
+    `Option.SEALED` also that of the plane, if it hears the plane.
     """
     if driver is not REALTIME:
         options -= _REALTIME_ONLY
+    relaying = members if node == PEER else (PARENT,)
+    heard = (*neighbours, PARENT) if options >= {Option.SENSING, Option.SEALED} and node == PEER else neighbours
     named = ((link.topic_with(options), link) for link in GRAPH if driver in link.offered)
     links = [(topic, link) for topic, link in named if topic is not None]
     return Endpoints(
@@ -516,19 +527,19 @@ def endpoints(
             for topic, link in links
             for end in link.writers
             if _is(end, node, driver, options)
-            for written in (map(relay_topic, members) if topic is RELAY else _written(topic, end, options, members))
+            for written in (map(relay_topic, relaying) if topic is RELAY else _written(topic, end, options, members))
         ),
         {
             read: requested(read, driver, depth=_depth(end, 1 if read.agent_id else robots), reliable=end.reliable)
             for topic, link in links
             for end in link.readers
             if _is(end, node, driver, options)
-            for read in (map(relay_topic, neighbours) if topic is RELAY else _read(topic, link, end, options, members))
+            for read in (map(relay_topic, heard) if topic is RELAY else _read(topic, link, end, options, members))
         },
     )
 
 
-_REALTIME_ONLY = frozenset({Option.PAIRED, Option.STANDBY, Option.OWN_TOPICS})
+_REALTIME_ONLY = frozenset({Option.PAIRED, Option.STANDBY, Option.OWN_TOPICS, Option.SEALED})
 
 
 def _depth(end: End, robots: int) -> int:
@@ -580,6 +591,7 @@ def options_of(parameters: Mapping[str, object]) -> frozenset[Option]:
         or parameters.get("division") == ALWAYS,
         Option.SYSTEM: "system.type" in parameters,
         Option.OWN_TOPICS: parameters.get("own_topics"),
+        Option.SEALED: parameters.get("seal.key"),
         Option.PAIRED: parameters.get("paired") or parameters.get("pair", "single") != "single",
         Option.STANDBY: parameters.get("pair") == leadership.STANDBY,
     }

@@ -9,7 +9,7 @@ from swarmabs_config import configure, graph
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import gathered
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import PLANE_STATE, Mode
+from swarmabs_core.messages import PARENT, PLANE_STATE, Mode, relay_topic
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.controller import RealtimeControllerConfig
@@ -127,7 +127,7 @@ def peer_endpoints(config: RealtimePeerConfig, options: frozenset[graph.Option] 
         graph.PEER, graph.REALTIME, options | also, members=(config.agent_id,), neighbours=config.neighbours
     )
     # What has arrived from robots is read before the plane's state, which lets the robot sum up.
-    reads = sorted(ends.subscriptions.items(), key=lambda read: read[0] == PLANE_STATE)
+    reads = sorted(ends.subscriptions.items(), key=lambda read: read[0] in {PLANE_STATE, relay_topic(PARENT)})
     return replace(ends, subscriptions=dict(reads))
 
 

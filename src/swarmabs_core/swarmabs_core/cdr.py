@@ -404,6 +404,7 @@ def agent_id_of(message: Message) -> int:
 
 def misplaced(message: Message, topic: Topic) -> str:
     """Return why a message is rejected on a robot's own topic: it has the id of another robot; empty if it has not."""
-    if not topic.agent_id or agent_id_of(message) == topic.agent_id:
+    if agent_id_of(message) == topic.agent_id or not (topic.agent_id or isinstance(message, Relay)):
         return ""
-    return f"robot {topic.agent_id}: messages with the id of another robot on {topic.name}"
+    whose = f"robot {topic.agent_id}" if topic.agent_id else "the plane"
+    return f"{whose}: messages with the id of another robot on {topic.name}"

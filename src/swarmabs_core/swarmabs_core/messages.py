@@ -650,10 +650,15 @@ TOPIC_OF: dict[type[Message], Topic] = {topic.message: topic for topic in TOPICS
 """The topic on which a message of a class is published, unless nodes publish it on topics of their own."""
 
 
+PARENT = 0
+"""The `agent_id` in relays of the plane's node, which in a sealed swarm publishes its states with their signatures."""
+
+
 @cache
 def relay_topic(agent_id: int) -> Topic:
-    """Return the topic on which a robot passes on what it knows to its neighbours."""
-    return Topic(f"{agent_name(agent_id)}/relay", Relay, RELAY.ros_type, agent_id)
+    """Return the topic on which a robot passes on what it knows to its neighbours; `PARENT`: that of the plane."""
+    sender = "plane" if agent_id == PARENT else agent_name(agent_id)
+    return Topic(f"{sender}/relay", Relay, RELAY.ros_type, agent_id)
 
 
 def topic_of(message: Message) -> Topic:

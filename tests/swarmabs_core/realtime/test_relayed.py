@@ -11,7 +11,18 @@ from swarmabs_core.messages import NEVER, AgentState, Basis, PlaneState, Relay, 
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.controller import LawView
 from swarmabs_core.realtime.modes import Orders
-from swarmabs_core.realtime.relayed import Answer, Told, answers_of, constants_of, motion_of, read, written
+from swarmabs_core.realtime.relayed import (
+    BUDGET,
+    SIGNATURE,
+    Answer,
+    Told,
+    answers_of,
+    constants_of,
+    motion_of,
+    read,
+    room,
+    written,
+)
 
 ROBOTS = 11
 STEP = 500
@@ -52,22 +63,26 @@ def answers(draw: st.DrawFn, held: list[int]) -> Answer:
 
 @st.composite
 def told(draw: st.DrawFn) -> tuple[Told, list[AgentState]]:
-    passed_on = [draw(states(rank)) for rank in draw(st.sets(st.integers(0, ROBOTS - 1)))]
+    passed_on = [draw(states(rank)) for rank in draw(st.sets(st.integers(0, ROBOTS - 1), max_size=5))]
     introduced = [state for state in passed_on if draw(st.booleans())]
     held = [draw(st.integers(STEP - 200, STEP + 2) | st.just(-1)) for _ in range(ROBOTS)]
-    plane = PlaneState(draw(st.integers(0, 2**60)), STEP, draw(numbers), draw(numbers))
+    plane = draw(st.none() | st.builds(PlaneState, st.integers(0, 2**60), st.just(STEP), numbers, numbers))
+    sealed = draw(st.booleans())
+    signatures = st.binary(min_size=SIGNATURE, max_size=SIGNATURE) if sealed else st.just(b"")
     return (
         Told(
             Orders(draw(steps), draw(steps)),
             LawView(draw(steps), draw(steps), tuple(draw(st.lists(numbers, max_size=12)))),
             (draw(steps), draw(st.integers(0, 2**ROBOTS - 1))),
             draw(steps),
-            draw(st.sampled_from([None, plane])),
+            plane,
             np.array(held),
             draw(st.lists(answers(held), max_size=3)),
             draw(st.sampled_from([None, (), tuple(draw(numbers) for _ in range(4))])),
             {state.agent_id - 1: constants_of(state) for state in introduced},
-            [motion_of(state.agent_id - 1, state, STEP) for state in passed_on],
+            [motion_of(state.agent_id - 1, state, STEP, draw(signatures)) for state in passed_on],
+            sealed,
+            b"" if plane is None else draw(signatures),
         ),
         passed_on,
     )
@@ -81,6 +96,8 @@ def test_what_is_told_is_read(given: tuple[Told, list[AgentState]]) -> None:
     assert heard.held.tolist() == said.held.tolist()
     assert (heard.answers, heard.progress) == (said.answers, said.progress)
     assert heard.constants == said.constants
+    assert (heard.sealed, heard.plane_signature) == (said.sealed, said.plane_signature)
+    assert [motion.signature for motion in heard.motions] == [motion.signature for motion in said.motions]
     read_again = [
         motion.state(motion.rank + 1, constants_of(state), STEP - motion.age, CLOCK)
         for motion, state in zip(heard.motions, passed_on, strict=True)
@@ -123,3 +140,25 @@ def test_of_many_unusual_states_it_is_not_told_which_they_are() -> None:
     told = Told(Orders(), LawView(), (-1, 0), -1, None, np.full(50, STEP), [Answer(STEP - 1, True, states)])
     (answer,) = read(relay_of(written(STEP, told, 50)), 50).answers
     assert answer == Answer(STEP - 1, True)
+
+
+@given(told())
+def test_sizes_are_known_before(given: tuple[Told, list[AgentState]]) -> None:
+    said, _ = given
+    left = len(written(STEP, said, ROBOTS)) - len(written(STEP, replace(said, constants={}, motions=[]), ROBOTS))
+    constants, motions = len(said.constants), len(said.motions)
+    assert room(left, constants, motions, sealed=said.sealed)
+    assert not room(left - 1, constants, motions, sealed=said.sealed)
+
+
+def test_a_relay_larger_than_its_sender_may_write_is_refused() -> None:
+    """So nobody makes others check more signatures by one message."""
+    state = AgentState(0, STEP, NEVER, 1, 1, 1, 1.0, 0.0, 0.1, 0.2, 0.0)
+    motion = motion_of(0, state, STEP, bytes(SIGNATURE))
+    head = Told(Orders(), LawView(), (-1, 0), -1, None, np.full(ROBOTS, -1), sealed=True)
+    budget = BUDGET - len(written(STEP, head, ROBOTS))
+    most = next(n for n in range(100) if not room(budget, 0, n + 1, sealed=True))
+    assert most == 13
+    assert len(read(relay_of(written(STEP, replace(head, motions=[motion] * most), ROBOTS)), ROBOTS).motions) == most
+    with pytest.raises(MalformedMessageError):
+        read(relay_of(written(STEP, replace(head, motions=[motion] * (most + 1)), ROBOTS)), ROBOTS)

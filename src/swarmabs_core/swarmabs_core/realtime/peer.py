@@ -16,6 +16,7 @@ from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.links import LinkSettings, lost
 from swarmabs_core.messages import (
+    PARENT,
     RELAY,
     AbstractState,
     AgentState,
@@ -49,9 +50,11 @@ from swarmabs_core.realtime.relayed import (
     motion_of,
     passed_on,
     read,
+    read_plane,
     room,
     written,
 )
+from swarmabs_core.realtime.seals import Seals, Signatures, author_name
 from swarmabs_core.realtime.validation import FROM_FUTURE, Origin, Problem, Refusals, Writers
 from swarmabs_core.settings import Run
 
@@ -71,6 +74,7 @@ _PROGRESS_PERIODS = 10
 """Periods after which a relay tells again from which desired state its sender continues."""
 SWARM, LAW = "swarm: ", "law: "
 """What the values in a health status begin with that are those of the hosted observer and controller."""
+_UNREADABLE = "a relay that cannot be read"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +104,8 @@ class RealtimePeer:
         Its place in the swarm.
     observer, controller, agent : RealtimeObserver, RealtimeController, RealtimeAgent
         What it hosts.
+    seals : Seals, optional
+        Keys, if the states of the swarm are signed.
     """
 
     def __init__(
@@ -108,6 +114,7 @@ class RealtimePeer:
         observer: RealtimeObserver,
         controller: RealtimeController,
         agent: RealtimeAgent,
+        seals: Seals | None = None,
     ) -> None:
         self._config, self._schedule = config, config.schedule
         self._observer, self._controller, self._agent = observer, controller, agent
@@ -118,7 +125,9 @@ class RealtimePeer:
         self._counter = StepCounter(config.schedule)
         self._writers = Writers(self._age)
         self._refusals = Refusals(config.agent_id)
+        self._signatures = Signatures(seals, config.schedule)
         self._constants: dict[int, Constants] = {}
+        self._changed: set[int] = set()
         self._told: dict[int, tuple[int, Told]] = {}
         self._views: list[LawView] = []
         self._plane: PlaneState | None = None
@@ -132,7 +141,8 @@ class RealtimePeer:
     def hear(self, message: Message, now: int, sender: Sender = UNKNOWN) -> Messages:
         """Take a neighbour's relay, a state of the plane, or what an operator or other robots tell the observer."""
         if isinstance(message, Relay):
-            return self._hear_relay(message, now, sender)
+            hear = self._hear_plane if message.agent_id == PARENT else self._hear_relay
+            return hear(message, now, sender)
         if isinstance(message, PlaneState):
             return self._measure(message, now, sender)
         return self._observer.hear(message, now, sender)
@@ -149,13 +159,13 @@ class RealtimePeer:
         for answer in self._agent.tick(now):
             published.append(answer)
             if isinstance(answer, AgentState):
-                published += self._learn(answer, now, UNKNOWN)
+                published += self._learn(answer, now, UNKNOWN, self._signatures.sign(answer))
         if step - self._summed > self._age:  # otherwise states of the plane decide when it sums up
             published += self._sum_up(step)
         self._controller.agree(self._views)
         self._views = []
         published += self._share(self._controller.tick(now), now)
-        return (*published, self._relay(step, now))
+        return (*published, *self._relay(step, now))
 
     @property
     def orders(self) -> Orders:
@@ -217,7 +227,7 @@ class RealtimePeer:
     def _ordered(self, said: Messages, now: int) -> Messages:
         """Pass on an order at once; who hears of it tells others in its next period."""
         events = () if self._speaks else tuple(message for message in said if isinstance(message, SwarmEvent))
-        return (*events, *self._share(said, now), self._relay(self._schedule.step(now), now))
+        return (*events, *self._share(said, now), *self._relay(self._schedule.step(now), now))
 
     def _hear_relay(self, relay: Relay, now: int, sender: Sender) -> Messages:
         step, config = self._schedule.step(now), self._config
@@ -233,7 +243,10 @@ class RealtimePeer:
         try:
             told = read(relay, len(self._ids))
         except MalformedMessageError as error:
-            return self._refusals.add(Problem("a relay that cannot be read", str(error)).of(origin), step, now)
+            return self._refusals.add(Problem(_UNREADABLE, str(error)).of(origin), step, now)
+        if told.sealed != self._signatures.sealed:
+            problem = Problem("a relay without signatures" if self._signatures.sealed else "a relay with signatures")
+            return self._refusals.add(problem.of(origin), step, now)
         before = self._told.get(relay.agent_id)
         if before is None or before[0] < relay.step:
             self._told[relay.agent_id] = relay.step, told
@@ -241,14 +254,28 @@ class RealtimePeer:
         since, counted = told.electing
         if since <= step + self._ahead:
             self._electorate.learn(since, [i for i, rank in self._rank.items() if counted >> rank & 1])
-        self._constants |= told.constants
         for motion in told.motions:
             known = self._observer.states.get(self._ids[motion.rank])
             if known is None or relay.step - motion.age > known.step:
-                published += self._hear_motion(motion, relay, now, sender)
+                constants = told.constants.get(motion.rank, self._constants.get(motion.rank))
+                published += self._hear_motion(motion, constants, relay, now, sender)
+            elif motion.rank in told.constants:  # there is nothing newer to wait for
+                self._changed.discard(motion.rank)
         if told.plane is not None and told.plane.step > self._summed:
-            published += self._measure(told.plane, now, UNKNOWN)
+            if self._signatures.holds(told.plane, told.plane_signature):
+                published += self._measure(told.plane, now, UNKNOWN, told.plane_signature)
+            else:
+                published += self._refusals.add(_forged(relay, PARENT), step, now)
         return tuple(published)
+
+    def _hear_plane(self, relay: Relay, now: int, sender: Sender) -> Messages:
+        """Take a state of the plane, with its signature, from the plane's node."""
+        try:
+            plane, signature = read_plane(relay)
+        except MalformedMessageError as error:
+            step = self._schedule.step(now)
+            return self._refusals.add(Problem(_UNREADABLE, str(error)).of("the plane"), step, now)
+        return self._measure(plane, now, sender, signature, checked=False)
 
     def _obey(self, told: Told, now: int) -> Messages:
         """Take over orders that are not from the future, and note how far the neighbour's law is."""
@@ -260,30 +287,46 @@ class RealtimePeer:
             self._views.append(told.law)
         return answers
 
-    def _hear_motion(self, motion: Motion, relay: Relay, now: int, sender: Sender) -> Messages:
+    def _hear_motion(
+        self, motion: Motion, constants: Constants | None, relay: Relay, now: int, sender: Sender
+    ) -> Messages:
         """Take another robot's state that is newer than the known one, unless its constants are not known."""
         agent_id = self._ids[motion.rank]
-        constants = self._constants.get(motion.rank)
         if agent_id == self._config.agent_id:
             return ()
         if constants is None or constants.tag != motion.tag:
-            self._constants.pop(motion.rank, None)
+            self._changed.add(motion.rank)
             return ()
         state = motion.state(agent_id, constants, relay.step - motion.age, self._schedule)
-        return self._learn(state, now, sender if agent_id == relay.agent_id else UNKNOWN)
+        if agent_id == relay.agent_id:
+            return self._learn(state, now, sender, motion.signature, checked=False)
+        if not self._signatures.holds(state, motion.signature):
+            return self._refusals.add(_forged(relay, agent_id), self._schedule.step(now), now)
+        return self._learn(state, now, UNKNOWN, motion.signature)
 
-    def _learn(self, state: AgentState, now: int, sender: Sender) -> Messages:
-        """Give the observer the state of a robot."""
-        self._constants[self._rank[state.agent_id]] = constants_of(state)
-        return self._observer.hear(passed_on(state, self._schedule), now, sender)
+    def _learn(
+        self, state: AgentState, now: int, sender: Sender, signature: bytes, *, checked: bool = True
+    ) -> Messages:
+        """Give the observer the state of a robot, and keep its signature if it is the newest."""
+        known = passed_on(state, self._schedule)
+        answers = self._observer.hear(known, now, sender)
+        if self._observer.states.get(state.agent_id) is known:
+            rank = self._rank[state.agent_id]
+            self._constants[rank] = constants_of(state)
+            self._changed.discard(rank)
+            self._signatures.keep(known, signature, checked=checked)
+        return answers
 
-    def _measure(self, plane: PlaneState, now: int, sender: Sender) -> Messages:
+    def _measure(
+        self, plane: PlaneState, now: int, sender: Sender, signature: bytes = b"", *, checked: bool = True
+    ) -> Messages:
         """Take a state of the plane: sum up the swarm for its step, and ask the law for the desired abstract state."""
         step = self._schedule.step(now)
         published: list[Message] = []
         if max(self._summed + 1, step - self._age) <= plane.step <= step + self._ahead:
             published += self._sum_up(plane.step)
             self._plane = plane
+            self._signatures.keep(plane, signature, checked=checked)
         return (*published, *self._share(self._controller.hear(plane, now, sender), now))
 
     def _sum_up(self, step: int) -> Messages:
@@ -327,15 +370,19 @@ class RealtimePeer:
 
     # What is passed on
 
-    def _relay(self, step: int, now: int) -> Relay:
-        """Return what the neighbours may lack."""
-        states = self._observer.states
+    def _relay(self, step: int, now: int) -> Messages:
+        """Return what the neighbours may lack, and events for states that cannot be passed on."""
+        states, signatures = self._observer.states, self._signatures
+        known = self._constants.keys() - self._changed
         # After a halt, states are of step 0: how old they are is not known, so they are not passed on.
-        dated = [states[i].step if i in states and rank in self._constants else 0 for i, rank in self._rank.items()]
+        dated = [states[i].step if i in states and rank in known else 0 for i, rank in self._rank.items()]
         held = np.array([state_step or -1 for state_step in dated])
         near = [(heard, told) for _, (heard, told) in self._told.items() if step - heard <= self._age]
         plane = self._plane
         if plane is not None and all(told.plane_step >= min(plane.step, heard - 1) for heard, told in near):
+            plane = None
+        seal = None if plane is None else signatures.of(plane)
+        if seal is None:
             plane = None
         law = self._controller.view
         counted = sum(1 << self._rank[i] for i in self._electorate.counted)
@@ -343,21 +390,36 @@ class RealtimePeer:
         progress = self._controller.progress
         tells = not progress or (step + self._rank[self._config.agent_id]) % _PROGRESS_PERIODS == 0
         plane_step = -1 if self._plane is None else self._plane.step
-        orders, electing = self._controller.orders, (self._electorate.since, counted)
-        told = Told(orders, law, electing, plane_step, plane, held, answers, progress if tells else None)
+        orders, electing, sealed = self._controller.orders, (self._electorate.since, counted), signatures.sealed
+        told = Told(
+            orders,
+            law,
+            electing,
+            plane_step,
+            plane,
+            held,
+            answers,
+            progress if tells else None,
+            sealed=sealed,
+            plane_signature=seal or b"",
+        )
         budget = BUDGET - len(written(step, told, len(self._ids)))
         constants: dict[int, Constants] = {}
         motions: list[Motion] = []
         for rank in self._wanted(held, near, step):
             state = states[self._ids[rank]]
             new = constants | ({rank: constants_of(state)} if self._introduces(rank, near) else {})
-            if not room(budget, len(new), len(motions) + 1):
+            if not room(budget, len(new), len(motions) + 1, sealed=sealed):
                 break
-            constants = new
-            motions.append(motion_of(rank, state, step))
+            signature = signatures.of(state)
+            if signature is not None:
+                constants = new
+                motions.append(motion_of(rank, state, step, signature))
         content = written(step, replace(told, constants=constants, motions=motions), len(self._ids))
         self._relayed = step, self._relayed[1] + 1 if self._relayed[0] == step else 0
-        return Relay(now, step, self._config.agent_id, self._relayed[1], 0, 0, content)
+        problems = [f"{author_name(author)} has not signed its state" for author in signatures.refuted()]
+        events = [event for problem in problems for event in self._refusals.add(Problem(problem), step, now)]
+        return (*events, Relay(now, step, self._config.agent_id, self._relayed[1], 0, 0, content))
 
     def _wanted(self, held: NDArray[np.int64], near: list[tuple[int, Told]], step: int) -> Iterator[int]:
         """Yield the ranks of the robots of which some neighbour may lack the newest state, its own first.
@@ -382,3 +444,9 @@ class RealtimePeer:
     def _introduces(self, rank: int, near: list[tuple[int, Told]]) -> bool:
         """Return whether some neighbour may not know the constants of a robot."""
         return len(near) < len(self._config.neighbours) or any(told.held[rank] < 0 for _, told in near)
+
+
+def _forged(relay: Relay, author: int) -> Problem:
+    """Return the problem of a state in a relay whose signature is not that of its author."""
+    name = author_name(author)
+    return Problem(f"robot {relay.agent_id} passed on a state of {name} that {name} has not signed")

@@ -3,8 +3,9 @@
 A robot knows of every robot its newest state, and a newer one replaces it; so loss, repetition and order of messages do
 not matter. Constants of a robot - kind, mass, damping - are passed on only to those who do not hold a state of it, and
 once more where a tag shows that they have changed. For recordings it also tells what it has computed from which states,
-as the `Basis` of an observer and of a parent controller does, in few bytes: most states are those that it holds. All
-numbers are little-endian; docs/explanation/decentralised.md describes the layout.
+as the `Basis` of an observer and of a parent controller does, in few bytes: most states are those that it holds. In a
+sealed swarm each state is followed by its author's signature. All numbers are little-endian;
+docs/explanation/decentralised.md describes the layout.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from zlib import crc32
 import numpy as np
 
 from swarmabs_core.errors import MalformedMessageError
-from swarmabs_core.messages import NEVER, AgentState, Basis, PlaneState, Relay, Source
+from swarmabs_core.messages import NEVER, PARENT, AgentState, Basis, PlaneState, Relay, Source
 from swarmabs_core.realtime.controller import LawView
 from swarmabs_core.realtime.modes import Orders
 
@@ -38,8 +39,11 @@ _ITSELF = struct.Struct("<Bdd")
 _ANSWER = struct.Struct("<BBBB")
 _USED = struct.Struct("<HiB")
 _PROGRESS = struct.Struct("<dddd")
-_WITH_PLANE, _WITH_PROGRESS, _AFRESH = 1, 2, 4
-"""Flags of the header: which parts follow, and that the desired state begins with the law's next torque."""
+SIGNATURE = 64
+"""Size of a signature, bytes."""
+_WITH_PLANE, _WITH_PROGRESS, _AFRESH, _SEALED = 1, 2, 4, 8
+"""Flags of the header: which parts follow, that the desired state begins with the law's next torque, and that states
+have signatures."""
 _MOST_ANSWERS, _MOST_USED = 12, 40
 """Answers in a relay, and states in one that are not those expected: of more, it is not told which they are."""
 _NOT_TOLD = 254
@@ -140,6 +144,10 @@ class Told:
         The desired state from which it continues, as in `DesiredStateGenerator.progress`; None if that is not told.
     motions : sequence of Motion
         The states that it passes on.
+    sealed : bool
+        Whether states have signatures.
+    plane_signature : bytes
+        That of the plane's state.
     """
 
     orders: Orders
@@ -152,6 +160,8 @@ class Told:
     progress: tuple[float, ...] | None = None
     constants: Mapping[int, Constants] = field(default_factory=dict)
     motions: Sequence[Motion] = ()
+    sealed: bool = False
+    plane_signature: bytes = b""
 
 
 class Motion(NamedTuple):
@@ -169,6 +179,8 @@ class Motion(NamedTuple):
         Tag of the constants.
     position, velocity : float
         In m and m/s.
+    signature : bytes
+        That of the state, in a sealed swarm.
     """
 
     rank: int
@@ -177,6 +189,7 @@ class Motion(NamedTuple):
     tag: int
     position: float
     velocity: float
+    signature: bytes = b""
 
     def state(self, agent_id: int, constants: Constants, step: int, schedule: Schedule) -> AgentState:
         """Return it as the message of a step, with the time of that step."""
@@ -200,21 +213,41 @@ def constants_of(state: AgentState) -> Constants:
     return Constants(state.kind, state.mass, state.damping)
 
 
-def motion_of(rank: int, state: AgentState, step: int) -> Motion:
+def motion_of(rank: int, state: AgentState, step: int, signature: bytes = b"") -> Motion:
     """Return a state without its constants, for a relay of a step."""
     status = state.status | (FOLLOWS if state.broadcast_step != NEVER else 0)
-    return Motion(rank, status, step - state.step, constants_of(state).tag, state.position, state.velocity)
+    tag = constants_of(state).tag
+    return Motion(rank, status, step - state.step, tag, state.position, state.velocity, signature)
 
 
-def room(budget: int, constants: int, motions: int) -> bool:
+def room(budget: int, constants: int, motions: int, *, sealed: bool = False) -> bool:
     """Return whether so many records of each kind fit into a number of bytes."""
-    return constants * _CONSTANTS.size + motions * _MOTION.size <= budget
+    return constants * _CONSTANTS.size + motions * (_MOTION.size + SIGNATURE * sealed) <= budget
 
 
 def passed_on(state: AgentState, schedule: Schedule) -> AgentState:
     """Return a robot's state as others know it: with the time of its step, and without its command."""
     following = state.step if state.broadcast_step != NEVER else NEVER
     return state._replace(stamp=schedule.begin(state.step), broadcast_step=following, command=0.0)
+
+
+def plane_relay(state: PlaneState, signature: bytes) -> Relay:
+    """Return the message by which the plane's node tells a state with its signature."""
+    return Relay(state.stamp, state.step, PARENT, 0, 0, 0, _PLANE.pack(*state) + signature)
+
+
+def read_plane(relay: Relay) -> tuple[PlaneState, bytes]:
+    """Return the state of the plane and its signature in a message of its node.
+
+    Raises
+    ------
+    MalformedMessageError
+        If its content is not of this form.
+    """
+    content = relay.content
+    if len(content) != _PLANE.size + SIGNATURE:
+        raise _malformed(f"{len(content)} bytes")
+    return PlaneState(*_PLANE.unpack_from(content)), content[_PLANE.size :]
 
 
 def written(step: int, told: Told, robots: int) -> bytes:
@@ -229,7 +262,7 @@ def written(step: int, told: Told, robots: int) -> bytes:
         law.step,
         since,
         told.plane_step,
-        flags,
+        flags | _SEALED * told.sealed,
         len(told.answers),
         len(law.memory),
         len(told.constants),
@@ -241,11 +274,11 @@ def written(step: int, told: Told, robots: int) -> bytes:
             counted.to_bytes(-(-robots // 8), "little"),
             ages.tobytes(),
             struct.pack(f"<{len(law.memory)}d", *law.memory),
-            b"" if plane is None else _PLANE.pack(*plane),
+            b"" if plane is None else _PLANE.pack(*plane) + told.plane_signature,
             _PROGRESS.pack(*progress) if progress else b"",
             *(_written_answer(step, answer, ages) for answer in told.answers),
             *(_CONSTANTS.pack(rank, *constants) for rank, constants in told.constants.items()),
-            *(_MOTION.pack(*motion) for motion in told.motions),
+            *(_MOTION.pack(*motion[:-1]) + motion.signature for motion in told.motions),
         )
     )
 
@@ -326,6 +359,7 @@ def read(relay: Relay, robots: int) -> Told:
     progress: tuple[float, ...] | None = None
     try:
         *head, flags, answered, remembered, introduced, moved = _HEADER.unpack_from(content)
+        signed = SIGNATURE if flags & _SEALED else 0
         stop, reset, begun, law_step, since, plane_step = head
         place = _HEADER.size + -(-robots // 8)
         counted = int.from_bytes(content[_HEADER.size : place], "little")
@@ -333,8 +367,11 @@ def read(relay: Relay, robots: int) -> Told:
         place += robots
         memory = struct.unpack_from(f"<{remembered}d", content, place)
         place += 8 * remembered
-        plane = PlaneState(*_PLANE.unpack_from(content, place)) if flags & _WITH_PLANE else None
-        place += _PLANE.size * (plane is not None)
+        plane, plane_signature = None, b""
+        if flags & _WITH_PLANE:
+            plane = PlaneState(*_PLANE.unpack_from(content, place))
+            place += _PLANE.size + signed
+            plane_signature = content[place - signed : place]
         if flags & _WITH_PROGRESS:
             progress = _PROGRESS.unpack_from(content, place)
             place += _PROGRESS.size
@@ -347,12 +384,18 @@ def read(relay: Relay, robots: int) -> Told:
             answer, place = _read_answer(content, place, step, ages)
             answers.append(answer)
         middle = place + introduced * _CONSTANTS.size
-        if len(content) != middle + moved * _MOTION.size:
+        size = middle + moved * (_MOTION.size + signed)
+        if len(content) != size or (moved and size > BUDGET):
             raise _malformed(f"{len(content)} bytes")
     except struct.error as error:
         raise _malformed(f"{len(content)} bytes") from error
     constants = {rank: Constants(*one) for rank, *one in _CONSTANTS.iter_unpack(content[place:middle])}
-    motions = list(map(Motion._make, _MOTION.iter_unpack(content[middle:])))
+    motions = [
+        Motion._make(
+            (*_MOTION.unpack_from(content, begin), content[begin + _MOTION.size : begin + _MOTION.size + signed])
+        )
+        for begin in range(middle, size, _MOTION.size + signed)
+    ]
     ranks = [*constants, *(motion.rank for motion in motions)]
     if max(ranks, default=0) >= robots or counted.bit_length() > robots:
         raise _malformed("robots that do not exist")
@@ -360,8 +403,20 @@ def read(relay: Relay, robots: int) -> Told:
         raise _malformed("numbers that are not finite")
     held = np.where(ages == _NOTHING, -1, step + _AHEAD - ages.astype(np.int64))
     law = LawView(begun, law_step, memory)
-    orders = Orders(stop, reset)
-    return Told(orders, law, (since, counted), plane_step, plane, held, answers, progress, constants, motions)
+    return Told(
+        Orders(stop, reset),
+        law,
+        (since, counted),
+        plane_step,
+        plane,
+        held,
+        answers,
+        progress,
+        constants,
+        motions,
+        bool(signed),
+        plane_signature,
+    )
 
 
 def _malformed(problem: str) -> MalformedMessageError:
