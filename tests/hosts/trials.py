@@ -137,7 +137,7 @@ class Trials:
     def run(self, number: int) -> tuple[int, int]:
         """Do a trial, and wait until all is whole again; return when it began and ended, ns since 1970."""
         trial = drawn(self.seed, number)
-        self._prefer()
+        prefer(self.machines, self.fleet)
         self.tell(f"{number}: {trial}")
         begin = time.time_ns()
         with self._fault(trial):
@@ -150,7 +150,7 @@ class Trials:
         """Restart the coordinators by the script of each host, with no look at them in between; return as `run`."""
         begin = time.time_ns()
         for place in ("spare", "base", "spare"):  # the last two each time need the one that was restarted just before
-            self._prefer()
+            prefer(self.machines, self.fleet)
             self.fleet.places[place].run(f"/etc/swarmabs/{_NAME}/restart.sh")
         self._until_whole("base")
         return begin, time.time_ns()
@@ -170,44 +170,24 @@ class Trials:
             return self._paused(trial.of)
         station = self.fleet.places[trial.of]
         if trial.fault == "power":
-            return self._without_power(station)
-        return _impaired(station.host, Impairment(trial.delay, loss=float(trial.fault == "cut")), trial.directions)
+            if station.name in self._operators:
+                self._operators.pop(station.name)[1].close()
+            return without_power(station)
+        return impaired(station.host, Impairment(trial.delay, loss=float(trial.fault == "cut")), trial.directions)
 
     @contextmanager
     def _killed(self, node: str) -> Iterator[None]:
-        os.kill(self._process(node), signal.SIGKILL)
+        os.kill(process_of(self.fleet.place_of(node), node), signal.SIGKILL)
         yield
         self.fleet.place_of(node).until_active(self.fleet.unit(node))
 
     @contextmanager
     def _paused(self, node: str) -> Iterator[None]:
-        process = self._process(node)
+        process = process_of(self.fleet.place_of(node), node)
         os.kill(process, signal.SIGSTOP)
         yield
         with suppress(ProcessLookupError):  # the service manager has restarted it meanwhile
             os.kill(process, signal.SIGCONT)
-
-    @contextmanager
-    def _without_power(self, station: Station) -> Iterator[None]:
-        if station.name in self._operators:
-            self._operators.pop(station.name)[1].close()
-        station.host.kill()
-        yield
-        station.power_on()
-
-    def _prefer(self) -> None:
-        """Let all that runs come before what starts: hosts of a fleet have processors of their own."""
-        running_ = [process for station in self.fleet.stations for process in _nodes(station).values()]
-        for process in [*running_, *(switch.process for switch in self.machines.switches)]:
-            for thread in Path(f"/proc/{process}/task").iterdir():
-                with suppress(ProcessLookupError):
-                    os.sched_setscheduler(int(thread.name), os.SCHED_RR, os.sched_param(1))
-
-    def _process(self, node: str) -> int:
-        """Return the process of a node."""
-        if (found := _nodes(self.fleet.place_of(node)).get(node)) is not None:
-            return found
-        raise AssertionError(f"{node} is not running; {self.fleet.place_of(node).log()}")
 
     def _until_whole(self, seen_from: str) -> None:
         """Wait until one of each pair leads while the other stands by, and both recorders record; by later words."""
@@ -234,6 +214,22 @@ class Trials:
         until(whole, lambda: f"all pairs are whole, seen from {seen_from}: {operator.look()}", PATIENCE)
 
 
+def prefer(machines: Hosts, fleet: FleetOnHosts) -> None:
+    """Let all that runs come before what starts: hosts of a fleet have processors of their own."""
+    running_ = [process for station in fleet.stations for process in _nodes(station).values()]
+    for process in [*running_, *(switch.process for switch in machines.switches)]:
+        for thread in Path(f"/proc/{process}/task").iterdir():
+            with suppress(ProcessLookupError):
+                os.sched_setscheduler(int(thread.name), os.SCHED_RR, os.sched_param(1))
+
+
+def process_of(station: Station, node: str) -> int:
+    """Return the process of a node on a host."""
+    if (found := _nodes(station).get(node)) is not None:
+        return found
+    raise AssertionError(f"{node} is not running; {station.log()}")
+
+
 def _nodes(station: Station) -> dict[str, int]:
     """Return the processes of the nodes on a host, by their names."""
     space = _space(station.host.pid)
@@ -256,7 +252,16 @@ def _counts(diagnostics: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
 
 
 @contextmanager
-def _impaired(host: Host, how: Impairment, directions: tuple[str, ...]) -> Iterator[None]:
+def without_power(station: Station) -> Iterator[None]:
+    """Have a host without power."""
+    station.host.kill()
+    yield
+    station.power_on()
+
+
+@contextmanager
+def impaired(host: Host, how: Impairment, directions: tuple[str, ...]) -> Iterator[None]:
+    """Have a host whose cable is impaired."""
     host.impair(how, directions=directions)
     yield
     host.impair(PERFECT)
