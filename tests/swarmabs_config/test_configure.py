@@ -184,7 +184,7 @@ def test_nodes_in_real_time() -> None:
     assert [ports.domains_spanned(participants) for participants in (0, 203, 244, 245)] == [5, 5, 5, 10]
 
 
-PACKED, STEERED, CREDITED, WATCHING, FEELING, CHANGING, SYSTEM, PAIRED, STANDBY, SENSING, OWN_TOPICS = Option
+PACKED, STEERED, CREDITED, WATCHING, FEELING, CHANGING, SYSTEM, PAIRED, STANDBY, SENSING, SEALED, OWN_TOPICS = Option
 STATE, ABSTRACT, AUXILIARY, DESIRED = (topic.name for topic in (AGENT_STATE, *BROADCASTS))
 STATES = "swarm/states"
 MEMBERS = (7, 1234)
@@ -309,8 +309,8 @@ def test_all_options_can_be_asked_for_by_parameters() -> None:
     given = {"packed": True, "steered": True, "recording_window": 100}
     given |= {"type": "parent_response", "feels_gravity": True, "kind": "double_integrator"}
     given |= {"paired": True, "pair": "standby", "own_topics": True}
-    assert options_of({**given, "system.type": "ship"}) == {*Option} - {SENSING}
-    assert options_of({**given, "kind": "single_integrator"}) == {*Option} - {FEELING, SYSTEM, SENSING}
+    assert options_of({**given, "system.type": "ship"}) == {*Option} - {SENSING, SEALED}
+    assert options_of({**given, "kind": "single_integrator"}) == {*Option} - {FEELING, SYSTEM, SENSING, SEALED}
     assert options_of({"packed": False, "recording_window": 0, "type": "sum"}) == frozenset()
     # Robots never hear each other, whatever is asked for.
     for driver in Driver:

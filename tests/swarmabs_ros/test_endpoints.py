@@ -20,6 +20,7 @@ from swarmabs_core.messages import (
     EVENTS,
     FAMILIES,
     PLANE_STATE,
+    RELAY,
     STANDING,
     AgentState,
     EventKind,
@@ -163,7 +164,7 @@ def test_offers_suffice_each_reader_and_assert_life_in_real_time_where_every_per
     driver: Driver, topic: Topic
 ) -> None:
     offered = profile(OFFERED[driver][topic])
-    periodic = {STANDING, *(topic for family in FAMILIES for topic in family.main)}
+    periodic = {STANDING, RELAY, *(topic for family in FAMILIES for topic in family.main)}
     periodic |= {STANDBY_TOPICS[topic] for topic in periodic & STANDBY_TOPICS.keys()}
     asserts = driver is REALTIME and topic in periodic
     assert offered.history is QoSHistoryPolicy.KEEP_LAST

@@ -64,7 +64,7 @@ class LinkSettings:
     degree: int = setting(6, "number of robots that each robot hears with `type: random`", minimum=2)
     seed: int = setting(1, "seed of random links and losses", minimum=0, below=2**63)
     pairs: tuple[Link, ...] = setting((), "pairs of robots that hear each other, each 'ONE OTHER'", make=Link.parse)
-    loss: float = setting(0.0, "share of the messages that a link loses, each way", minimum=0.0, below=1.0)
+    loss: float = setting(0.0, "share of the messages that a link loses, each way, 0 to 1", minimum=0.0, below=1.0)
     sensing: tuple[int, ...] = setting(
         (), "ids of the robots that hear the parent's state; none: all robots", item=0, minimum=1, maximum=65535
     )
