@@ -12,12 +12,10 @@ from typing import Any
 import pytest
 
 from swarmabs_core.messages import DesiredAbstractState, Mode
-from swarmabs_core.realtime import broadcasts, leadership, modes, validation
+from swarmabs_core.realtime import leadership
 from swarmabs_core.realtime.agent import RealtimeAgent
-from swarmabs_core.realtime.base import StepCounter
-from swarmabs_core.realtime.broadcasts import ANY, BroadcastInbox
-from swarmabs_core.realtime.controller import RealtimeController
-from swarmabs_core.realtime.leadership import Leadership, Voice
+from swarmabs_core.realtime.broadcasts import BroadcastInbox
+from swarmabs_core.realtime.leadership import Leadership
 from swarmabs_core.realtime.modes import ModeLatch, PublishedMode
 from swarmabs_core.realtime.observer import RealtimeObserver, RealtimeSums, Role
 from swarmabs_core.realtime.validation import Heard, HeardStates, Writers
@@ -110,25 +108,9 @@ def nobody_takes_over(patch: Patch) -> None:
     patch.setattr(Leadership, "_decide", waiting)
 
 
-def reset_without_guard(patch: Patch) -> None:
-    """A RESET opens the latch although a STOP of about the same time was heard."""
-
-    def stopped(self: ModeLatch) -> bool:
-        return self._stop_step is not None and self.reset_step <= self._stop_step
-
-    patch.setattr(ModeLatch, "stopped", property(stopped))
-
-
-def stop_only_while_it_is_fresh(patch: Patch) -> None:
-    """A STOP that arrives late is refused like any other message."""
-    add = BroadcastInbox.add
-
-    def refusing(self: BroadcastInbox, message: Any, now: int, sender: Any) -> Any:
-        if isinstance(message, DesiredAbstractState) and self._heard.untimely(message, self._schedule.step(now)):
-            message = message._replace(mode=Mode.RUN)
-        return add(self, message, now, sender)
-
-    patch.setattr(BroadcastInbox, "add", refusing)
+def stop_is_not_latched(patch: Patch) -> None:
+    """A robot stops while the newest broadcasts say STOP, and moves again as soon as they say RUN."""
+    patch.setattr(ModeLatch, "stopped", property(lambda self: False))
 
 
 def silent_robots_still_count(patch: Patch) -> None:
@@ -223,8 +205,7 @@ PLANTED: tuple[Callable[[Patch], None], ...] = (
     never_starts_again,
     both_lead,
     nobody_takes_over,
-    reset_without_guard,
-    stop_only_while_it_is_fresh,
+    stop_is_not_latched,
     silent_robots_still_count,
     grows_with_forged_ids,
     older_states_win,
@@ -236,5 +217,3 @@ PLANTED: tuple[Callable[[Patch], None], ...] = (
     impostor_is_believed,
     counts_who_has_left,
 )
-
-_ = ANY, broadcasts, modes, validation, StepCounter, RealtimeController, Voice

@@ -51,6 +51,8 @@ GUARD_MOST = 0.5
 """Upper limit, s, of the time by which a RESET must be newer than a STOP."""
 LONGEST_STOP = 0.2
 """Time, s, for which robots may stop when one of a pair of coordinators has a fault."""
+MAJORITY = 1.2
+"""Time, s, for which robots without coordinators may stop when others have a fault."""
 SPEAKERS = 20
 """Periods over which speakers are counted."""
 EVERY = 16
@@ -132,6 +134,9 @@ class Facts:
         """Return "always" if nothing excuses a robot that stops, "soon" if it may for a while, else an empty text."""
         if self.moving_from > self.now or not (self.is_fine(robot) and self.is_fine(PLANE)):
             return ""
+        if self.case.each_robot:
+            fine = sum(map(self.is_fine, self.case.robot_names))
+            return "soon" if 2 * fine > self.case.robots else ""
         pairs = [[self.is_fine(name) for name in pair] for pair in self.case.pairs]
         if not all(map(any, pairs)):
             return ""
@@ -185,10 +190,12 @@ class ActsOnOneSet(Property):
 
     def __init__(self, facts: Facts) -> None:
         super().__init__(facts)
-        self._robots = {name: _Robot() for name in map(agent_name, range(1, facts.case.robots + 1))}
+        self._robots = {name: _Robot() for name in facts.case.robot_names}
         configs = configure.agent_configs(facts.scenario, facts.clock)
         self._laws = {agent_name(config.agent_id): RealtimeLaw(config) for config in configs}
         self._guard = min(facts.age + facts.ahead, facts.clock.steps(GUARD_MOST))
+        if facts.case.each_robot:  # they hear no broadcasts
+            return
         self.published = {AGENT_STATE: self._state}
         for topic in (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE):
             for variant in _variants(topic):
@@ -296,7 +303,8 @@ class KeepsFollowing(Property):
     def __init__(self, facts: Facts) -> None:
         super().__init__(facts)
         self._stopped: dict[str, int] = {}
-        self._longest = max(LONGEST_STOP, 10 * facts.clock.period) * 1e9
+        longest = MAJORITY if facts.case.each_robot else LONGEST_STOP
+        self._longest = max(longest, 10 * facts.clock.period) * 1e9
         self.published = {AGENT_STATE: self._state}
 
     def _state(self, node: str, state: AgentState) -> None:
@@ -308,7 +316,8 @@ class KeepsFollowing(Property):
         lasting = self.facts.now - since
         if expected and lasting > (self._longest if expected == "soon" else 2 * self.facts.period):
             what = f"is {Status(state.status).name} and does not move for {lasting / 1e9:.3f} s"
-            why = "nothing concerns it" if expected == "always" else "one of each pair of coordinators is fine"
+            others = "most robots are" if self.facts.case.each_robot else "one of each pair of coordinators is"
+            why = "nothing concerns it" if expected == "always" else f"it and {others} fine"
             raise self.broken(node, f"{what}, although {why}")
 
 
@@ -331,7 +340,7 @@ class OneLeads(Property):
         self._last[node] = facts.now
         (pair,) = (pair for pair in facts.case.pairs if node in pair)
         other = pair[1] if node == pair[0] else pair[0]
-        inputs = (PLANE,) if pair[0] == CONTROLLER else tuple(map(agent_name, range(1, facts.case.robots + 1)))
+        inputs = (PLANE,) if pair[0] == CONTROLLER else facts.case.robot_names
         both = facts.is_fine(node) and facts.is_fine(other) and any(map(facts.is_fine, inputs))
         if both and facts.now - self._last.get(other, -(2**62)) <= 2 * facts.period:
             raise self.broken(node, f"publishes step {message.step}, and so does {other}")
@@ -348,8 +357,11 @@ class SumsUpWhatItHears(Property):
 
     def __init__(self, facts: Facts) -> None:
         super().__init__(facts)
-        self._newest: dict[str, dict[int, AgentState]] = {name: {} for name in facts.case.pairs[0]}
+        self._newest: dict[str, dict[int, AgentState]] = {}
         self._counted: dict[str, tuple[int, int]] = {}
+        if facts.case.each_robot:
+            return
+        self._newest = {name: {} for name in facts.case.pairs[0]}
         self.published = {BASIS: self._basis, ABSTRACT_STATE: self._sum}
         for topic in _variants(AGENT_STATE):
             self.heard[topic] = self._state
@@ -408,7 +420,10 @@ class AnswersThePlane(Property):
 
     def __init__(self, facts: Facts) -> None:
         super().__init__(facts)
-        self._heard: dict[str, list[int]] = {name: [] for name in facts.case.pairs[1]}
+        self._heard: dict[str, list[int]] = {}
+        if facts.case.each_robot:  # they have states of the plane from each other
+            return
+        self._heard = {name: [] for name in facts.case.pairs[1]}
         self.published = {DESIRED_ABSTRACT_STATE: self._desired}
         self.heard = {PLANE_STATE: self._plane}
 
@@ -581,14 +596,15 @@ class Ending(Watcher):
         self._prune()
         facts, case = self._facts, self._facts.case
         states = self._newest(AgentState)
-        for name in map(agent_name, range(1, case.robots + 1)):
+        for name in case.robot_names:
             if name not in states:
                 raise self._broken(name, "says nothing")
             state = states[name]
             if state.status != Status.ACTIVE or state.broadcast_step == NEVER:
                 health = self._health(name)
                 raise self._broken(name, f"does not follow: {health.text}")
-        for kind, pair in ((AbstractState, case.pairs[0]), (DesiredAbstractState, case.pairs[1])):
+        pairs = case.pairs or (case.robot_names, case.robot_names)
+        for kind, pair in zip((AbstractState, DesiredAbstractState), pairs, strict=True):
             spoke = [said for said in self._recent if isinstance(said.message, kind)]
             speakers = sorted({said.node for said in spoke})
             if len(speakers) != 1:
@@ -597,7 +613,7 @@ class Ending(Watcher):
                 raise self._broken(speakers[0], f"speaks in {len(spoke)} of {SPEAKERS} periods")
         (count,) = {message.agent_count for message in self._newest(AbstractState).values()}
         if count != case.robots:
-            raise self._broken(case.pairs[0][0], f"counts {count} of {case.robots} robots")
+            raise self._broken(pairs[0][0], f"counts {count} of {case.robots} robots")
         squares = sum(agent.mass * agent.mass for agent in facts.scenario.agents)
         for node, sums in self._newest(AuxiliaryState).items():
             if abs(sums.s0 - squares) > 1e-9:
@@ -635,6 +651,10 @@ class Ending(Watcher):
 STATEMENTS = {one.name: one.statement for one in (*PROPERTIES, Ending)} | {
     "STOP wins": "After a STOP that a controller has accepted and passed on, no robot moves until an operator resets.",
     "memory is bounded": "What a node keeps does not grow with the time or with what others send to it.",
+    "bags survive": "A bag has nothing that its recorder has not heard; after a repair it has all that must survive.",
+    "bags are explained": "Every message in a bag follows from those before it, also after a repair and when merged.",
+    "lockstep goes on": "A run in lockstep ends, whatever the transport does, unless a node is lost for good.",
+    "equal digests": "Every message of a run in lockstep is, bit for bit, that of the simulation in one process.",
     "no node fails": "No node ends with an exception, whatever it hears.",
 }
 """What each property means, for people."""

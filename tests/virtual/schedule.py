@@ -83,13 +83,15 @@ class Case:
     own_topics: bool = False
     stopped: bool = False
     start: str = "wait"
+    each_robot: bool = False
+    recorded: bool = False
     quiet: float = 6.0
     faults: tuple[Fault, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """The nodes."""
-        return (PLANE, *self.coordinators, *map(agent_name, range(1, self.robots + 1)))
+        return (PLANE, *self.coordinators, *self.robot_names)
 
     @property
     def coordinators(self) -> tuple[str, ...]:
@@ -98,8 +100,20 @@ class Case:
 
     @property
     def pairs(self) -> tuple[tuple[str, ...], ...]:
-        """The instances of the observer, and those of the parent controller."""
+        """The instances of the observer, and those of the parent controller, if there are any."""
+        if self.each_robot:
+            return ()
         return tuple((n, standby_name(n)) if self.paired else (n,) for n in (OBSERVER, CONTROLLER))
+
+    @property
+    def robot_names(self) -> tuple[str, ...]:
+        """The robots."""
+        return tuple(map(agent_name, range(1, self.robots + 1)))
+
+    @property
+    def stoppable(self) -> tuple[str, ...]:
+        """Those to whom an operator says STOP and RESET: the parent controllers, or the robots."""
+        return self.pairs[1] if self.pairs else self.robot_names
 
     @property
     def begins(self) -> float:
@@ -114,7 +128,8 @@ class Case:
         """Return the text of the case."""
         words = [
             f"{self.robots} robots at {self.hertz} Hz",
-            "observer and controller with standbys" if self.paired else "one observer, one controller",
+            "each robot coordinates" if self.each_robot else f"observer, controller{', standbys' * self.paired}",
+            *(["two recorders"] if self.recorded else []),
             *(["a topic for each robot"] if self.own_topics else []),
             f"starts in {'STOP' if self.stopped else 'RUN'}, robots needed: {self.start}",
         ]
@@ -130,13 +145,15 @@ def case_of(seed: int, robots: int | None = None) -> Case:
     draw = Random(f"virtual case:{seed}")
     case = Case(
         seed,
-        robots or draw.choice((2, 3, 3, 4, 4, 5, 8)),
-        draw.choice((20, 20, 20, 50, 100)),
+        robots or draw.choice((2, 3, 3, 3, 4, 4, 5, 8)),
+        draw.choice((20, 20, 20, 20, 50, 100)),
         draw.random() < 0.6,
         draw.random() < 0.3,
         draw.random() < 0.3,
         draw.choice(("wait", "wait", "proceed")),
     )
+    if draw.random() < 0.2:
+        case = replace(case, each_robot=True, paired=False, own_topics=False, robots=max(3, case.robots))
     kinds = draw.sample(_MIX, draw.choice((1, 2, 2, 3, 5, len(_MIX))))
     one_at_a_time = draw.random() < 0.5
     faults: list[Fault] = []
@@ -158,6 +175,7 @@ def case_of(seed: int, robots: int | None = None) -> Case:
         quiet = time + lasting
         faults = [f for f in faults if f.kind != "impostor"]  # who takes the place of one that is lost is believed
     faults = sorted(Fault(round(f.at, 3), f.kind, f.who, round(f.lasting, 3), round(f.value, 4)) for f in faults)
+    case = replace(case, recorded=not case.each_robot and case.robots <= 4 and case.hertz <= 20 and draw.random() < 0.2)
     return replace(case, quiet=round(max([quiet, 0.5, *(f.end for f in faults)]), 3), faults=tuple(faults))
 
 
@@ -174,7 +192,7 @@ def _length(draw: Random) -> float:
 
 def _some(draw: Random, case: Case) -> str:
     """Draw a node, a coordinator as often as a robot."""
-    return draw.choice((draw.choice(case.coordinators), draw.choice(case.names)))
+    return draw.choice((draw.choice(case.coordinators or case.names), draw.choice(case.names)))
 
 
 def _crash(draw: Random, case: Case, at: float) -> list[Fault]:
@@ -188,6 +206,8 @@ def _pause(draw: Random, case: Case, at: float) -> list[Fault]:
 def _host(draw: Random, case: Case, at: float) -> list[Fault]:
     """Let the host of two coordinators fail, or of all primaries and a robot."""
     lasting, kind, standby = _length(draw), draw.choice(("crash", "pause")), case.paired and draw.random() < 0.5
+    if case.each_robot:
+        return [Fault(at, kind, name, lasting) for name in draw.sample(case.robot_names, 2)]
     return [Fault(at, kind, pair[standby], lasting) for pair in case.pairs]
 
 
@@ -235,12 +255,12 @@ def _clock(draw: Random, case: Case, at: float) -> list[Fault]:
 
 def _operator(draw: Random, case: Case, at: float) -> list[Fault]:
     """Let an operator stop or reset the swarm at either controller, hand over, or send a robot away."""
-    controllers = case.pairs[1]
+    controllers = case.stoppable
     what = draw.choice(("stop", "stop", "stop", "reset", "again", "leave", "release"))
     if what == "release" and case.paired:
         return [Fault(at, "release", draw.choice(case.coordinators))]
     if what == "leave":
-        name = draw.choice(case.names[1 + len(case.coordinators) :])
+        name = draw.choice(case.robot_names)
         return [Fault(at, "leave", name), Fault(at + _length(draw), "join", name)]
     if what == "again":
         return [
@@ -256,13 +276,13 @@ def _takeover_of_a_stop(draw: Random, case: Case, at: float) -> list[Fault]:
     lasting = _length(draw)
     lost = draw.choice((_crash, _pause, _cut, _host))(draw, case, at)
     when = draw.choice((at, at + lasting)) + draw.uniform(-0.05, 0.15)
-    return [*lost, Fault(max(0.0, when), "stop", draw.choice(case.pairs[1]))]
+    return [*lost, Fault(max(0.0, when), "stop", draw.choice(case.stoppable))]
 
 
 def _absence(draw: Random, case: Case, at: float) -> list[Fault]:
     """Let a robot be dead for long, and meanwhile a coordinator, or both of a pair, for a while."""
     robot = agent_name(draw.randint(1, case.robots))
-    pair, lasting = draw.choice(case.pairs), _length(draw)
+    pair, lasting = draw.choice(case.pairs or (case.robot_names,)), _length(draw)
     lost = draw.choice((pair, pair[:1], pair[-1:]))
     begins = at + draw.uniform(0.3, 1.0)
     faults = [Fault(begins, "crash", name, lasting) for name in lost]

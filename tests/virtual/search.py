@@ -14,14 +14,17 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from hashlib import blake2b
 from itertools import count
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.transport.swarm import Swarm
+from tests.virtual.lockstep import LockstepCase, LockstepStory, lockstep_case
 from tests.virtual.properties import STATEMENTS, BrokenError
 from tests.virtual.schedule import Case, case_of
-from tests.virtual.story import Result, Story
+from tests.virtual.story import Result, Story, outcome
 from tests.virtual.timeline import Timeline, Trace
 
 COMMAND = "./scripts/swarm soak --virtual"
@@ -43,17 +46,27 @@ class Trial(NamedTuple):
     faults: Counter[str]
 
 
+def drawn(seed: int) -> Case | LockstepCase:
+    """Return the case of a seed: every eighth one is in lockstep."""
+    return case_of(seed) if seed % 8 else lockstep_case(seed)
+
+
+def run(case: Case | LockstepCase) -> Result:
+    """Let a case happen; return what comes of it."""
+    return outcome(Story(case) if isinstance(case, Case) else LockstepStory(case))
+
+
 def trial(seed: int) -> Trial:
     """Run a seed."""
-    case = case_of(seed)
-    result = Story(case).run()
+    case = drawn(seed)
+    result = run(case)
     broken = result.broken
     kinds = Counter(fault.kind for fault in case.faults)
     name, text = (broken.name, str(broken)) if broken else ("", "")
     return Trial(seed, name, text, result.time, case.robots, kinds)
 
 
-def shortened(case: Case, wanted: str) -> tuple[int, ...]:
+def shortened(case: Case | LockstepCase, wanted: str) -> tuple[int, ...]:
     """Return the numbers of as few faults of a case as still break a property: delta debugging."""
     left, parts, trials = list(range(len(case.faults))), 2, 0
     while len(left) >= 1 and trials < MOST_TRIALS:
@@ -61,7 +74,7 @@ def shortened(case: Case, wanted: str) -> tuple[int, ...]:
         for start in range(0, len(left), size):
             rest = left[:start] + left[start + size :]
             trials += 1
-            broken = Story(case.only(rest)).run().broken
+            broken = run(case.only(rest)).broken
             if broken is not None and broken.name == wanted:
                 left, parts = rest, max(2, parts - 1)
                 break
@@ -72,21 +85,37 @@ def shortened(case: Case, wanted: str) -> tuple[int, ...]:
     return tuple(left)
 
 
-def replay(case: Case, trace: Path | None = None) -> tuple[Result, Timeline, str]:
+def replay(case: Case | LockstepCase, trace: Path | None = None) -> tuple[Result, Timeline, str]:
     """Run a case again; return what comes of it, its timeline, and the digest of all that was said and heard."""
     timeline = Timeline()
+    if isinstance(case, LockstepCase):
+        told = LockstepStory(case, timeline.tell)
+        result = outcome(told)
+        return result, timeline, said_in(told.swarm, trace)
     story = Story(case, [timeline], timeline.tell)
     timeline.watch(story.fleet)
     output = None if trace is None else trace.open("w", encoding="utf-8")
     traced = Trace(story.fleet, output)
     story.fleet.watchers.append(traced)
-    result = story.run()
+    result = outcome(story)
     if output is not None:
         output.close()
     return result, timeline, traced.digest
 
 
-def report(case: Case, broken: BrokenError, timeline: Timeline, command: str) -> Iterator[str]:
+def said_in(swarm: Swarm, trace: Path | None) -> str:
+    """Return the digest of all that was published in a swarm in lockstep, and how often; write it to a file."""
+    lines = [
+        f"{node} publishes {topic.name} {number} times {data.hex()}\n"
+        for (node, topic, data), number in swarm.published.items()
+    ]
+    text = "".join(lines)
+    if trace is not None:
+        trace.write_text(text, encoding="utf-8")
+    return blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def report(case: Case | LockstepCase, broken: BrokenError, timeline: Timeline, command: str) -> Iterator[str]:
     """Yield the lines that tell people what is wrong."""
     yield f"BROKEN: {broken.name}"
     yield f"  must hold: {STATEMENTS[broken.name]}"
@@ -101,7 +130,7 @@ def report(case: Case, broken: BrokenError, timeline: Timeline, command: str) ->
 
 def show(seed: int, only: tuple[int, ...] | None, trace: Path | None) -> int:
     """Show what happens with a seed, or with some of its faults; return the exit code."""
-    case = case_of(seed)
+    case = drawn(seed)
     chosen = case if only is None else case.only(only)
     result, timeline, digest = replay(chosen, trace)
     command = f"{COMMAND} --seeds {seed}" + ("" if only is None else f" --only {_numbers(only)}")
@@ -153,7 +182,7 @@ def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
 
 def _show_short(one: Trial) -> None:
     """Make the case of a seed as short as possible, and show it."""
-    case = case_of(one.seed)
+    case = drawn(one.seed)
     only = shortened(case, one.property)
     short = case.only(only)
     result, timeline, digest = replay(short)

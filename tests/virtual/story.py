@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import cache, partial
 from math import nan
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from tests.swarmabs_core.helpers import builtin
 from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
 from tests.virtual.properties import BrokenError, Checks, Ending, Facts
+from tests.virtual.recorders import Bags
 from tests.virtual.schedule import ALL, COMMANDS, FORGED, LINKS, SETTLES, Case, Fault
 from tests.virtual.weather import Weather
 
@@ -28,7 +29,7 @@ from swarmabs_core.messages import (
     SwarmEvent,
     Topic,
 )
-from swarmabs_core.nodes import ROBOT_PREFIX, agent_name
+from swarmabs_core.nodes import ROBOT_PREFIX
 from swarmabs_core.realtime.envelope import LATENCY
 
 STARTS = 2.1
@@ -45,7 +46,7 @@ _MILD = {"loss": 0.05, "slow": 0.5, "late": 0.5}
 
 
 @cache
-def scenario_of(robots: int, hertz: int, start: str) -> Scenario:
+def scenario_of(robots: int, hertz: int, start: str, coordination: str) -> Scenario:
     """Return the scenario of a fleet; its limits are as many periods as those of the default at 100 Hz."""
     period = 1.0 / hertz
     agents = []
@@ -62,6 +63,7 @@ def scenario_of(robots: int, hertz: int, start: str) -> Scenario:
         f"swarm.agents=[{', '.join(agents)}]",
         f"step={period:g}",
         f"realtime={{{limits}}}",
+        f"coordination={coordination}",
         "plane.end_stop=0.5",
         "manifold.torque_max=2",
         "duration=10",
@@ -75,6 +77,30 @@ class Result(NamedTuple):
     time: float
 
 
+class Happening(Protocol):
+    """A case that happens: how long it has, s, and what checks it."""
+
+    @property
+    def time(self) -> float: ...
+
+    def check(self) -> None: ...
+
+
+def outcome(story: Happening) -> Result:
+    """Let everything happen; return what comes of it."""
+    try:
+        story.check()
+    except BrokenError as broken:
+        return Result(broken, story.time)
+    except Exception as error:  # noqa: BLE001 - no node may fail, whatever happens
+        trace = error.__traceback__
+        while trace is not None and trace.tb_next is not None:
+            trace = trace.tb_next
+        where = "" if trace is None else f" in {trace.tb_frame.f_code.co_name}, line {trace.tb_lineno}"
+        return Result(BrokenError("no node fails", "a node", f"{type(error).__name__}: {error}{where}"), story.time)
+    return Result(None, story.time)
+
+
 class Story(Watcher):
     """Lets a case happen. `watchers` see everything, too; `tell` is told what is done to whom."""
 
@@ -82,7 +108,8 @@ class Story(Watcher):
         self, case: Case, watchers: Iterable[Watcher] = (), tell: Callable[[float, str, str], None] = lambda *_: None
     ) -> None:
         self.case = case
-        scenario = scenario_of(case.robots, case.hertz, case.start)
+        coordination = "each_robot" if case.each_robot else "central"
+        scenario = scenario_of(case.robots, case.hertz, case.start, coordination)
         self.weather = Weather(case.seed, ("", *case.names))
         mode = Mode.STOP if case.stopped else Mode.RUN
         self.fleet = fleet = VirtualFleet(
@@ -102,31 +129,32 @@ class Story(Watcher):
         self._holders: set[str] = set()
         self._stopped_at: str | None = None
         self._ordered = False
-        self._robots = tuple(map(agent_name, range(1, case.robots + 1)))
-        fleet.watchers += [*watchers, Checks(self.facts), self.ending, self]
+        self._robots = case.robot_names
+        self.bags = Bags(fleet, case) if case.recorded else None
+        recorders = () if self.bags is None else self.bags.recorders
+        fleet.watchers += [*watchers, *recorders, Checks(self.facts), self.ending, self]
         for node in fleet.nodes:
             for watcher in fleet.watchers:
                 watcher.begins(node)
         for fault in case.faults:
             fleet.later(fault.at, partial(self._begin, fault))
 
-    def run(self) -> Result:
-        """Let everything happen; return what comes of it."""
-        try:
-            self._run()
-        except BrokenError as broken:
-            return Result(broken, self.fleet.time)
-        except Exception as error:  # noqa: BLE001 - no node may fail, whatever happens
-            trace = error.__traceback__
-            while trace is not None and trace.tb_next is not None:
-                trace = trace.tb_next
-            where = "" if trace is None else f" in {trace.tb_frame.f_code.co_name}, line {trace.tb_lineno}"
-            return Result(
-                BrokenError("no node fails", "a node", f"{type(error).__name__}: {error}{where}"), self.fleet.time
-            )
-        return Result(None, self.fleet.time)
+    @property
+    def time(self) -> float:
+        """The time since the beginning, s."""
+        return self.fleet.time
 
-    def _run(self) -> None:
+    def check(self) -> None:
+        """Let everything happen; raise an error if a property does not hold."""
+        try:
+            self._happen()
+            if self.bags is not None:
+                self.bags.check(explained=not any(fault.kind in {"clock", "drift"} for fault in self.case.faults))
+        finally:
+            if self.bags is not None:
+                self.bags.remove()
+
+    def _happen(self) -> None:
         case, fleet, facts = self.case, self.fleet, self.facts
         early = any(fault.at < case.begins for fault in case.faults)
         if case.stopped:
@@ -157,7 +185,7 @@ class Story(Watcher):
         self._tell(self.fleet.time, who, what)
 
     def _order(self, command: str) -> None:
-        for name in self.case.pairs[1]:
+        for name in self.case.stoppable:
             self._command(name, command)
 
     def _command(self, name: str, command: str) -> None:
@@ -188,7 +216,7 @@ class Story(Watcher):
         if fault.kind == "crash":
             self._say(name, "dies" if fleet.nodes[name].activity else "is dead, and will be for longer")
             fleet.kill(name)
-            if self.case.stopped and name in self.case.pairs[1]:
+            if self.case.stopped and name in self.case.stoppable:
                 self._ordered, facts.moving_from = True, float("inf")
         elif fault.kind == "pause":
             facts.odd.add(name)
@@ -305,7 +333,7 @@ class Story(Watcher):
         if parcel.topic.message is not DesiredAbstractState or node in self._robots or node in self.facts.odd:
             return
         holds = parcel.sender in self._holders and isinstance(parcel.message, DesiredAbstractState)
-        if holds and parcel.message.mode == Mode.STOP and not self.facts.odd & {*self.case.pairs[1]}:  # type: ignore[union-attr]
+        if holds and parcel.message.mode == Mode.STOP and not self.facts.odd & {*self.case.stoppable}:  # type: ignore[union-attr]
             self._holders.add(node)
 
 

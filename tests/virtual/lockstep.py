@@ -1,0 +1,142 @@
+"""Cases in lockstep: a short run with everything in it, and what the transport and the machines do to it.
+
+The digest must be that of the simulation in one process, whatever happens; where silent robots are dropped, that of a
+run in which their death was planned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from random import Random
+from typing import Any, NamedTuple
+
+from tests.transport.network import LARGEST, Act, script
+from tests.transport.swarm import LONGEST_RUN, Node, Swarm
+from tests.transport.test_lockstep import CASES, assert_planned, cast_of, expected, stored
+from tests.virtual.properties import BrokenError
+
+from swarmabs_config.graph import OBSERVER
+from swarmabs_core.cdr import step_of
+
+DROPPED = "agent_002"
+_LENGTH = 30
+_ALL = (*CASES, "drop", "drop, packed")
+
+
+class Doing(NamedTuple):
+    """A deviation from the usual turns of the scheduler: after how many it comes, what it is, to which of many."""
+
+    after: int
+    act: Act
+    which: int
+
+    kind = "schedule"
+
+    def __str__(self) -> str:
+        return f"after {self.after} usual turns: {self.act.value} ({self.which})"
+
+
+@dataclass(frozen=True)
+class LockstepCase:
+    """A run, its deviations, and after how many turns a robot dies, if silent ones are dropped."""
+
+    seed: int
+    name: str
+    faults: tuple[Doing, ...]
+    dies_after: int
+    robots: int = 3
+
+    def only(self, numbers: Iterable[int]) -> LockstepCase:
+        """Return the case with some of its deviations only."""
+        return replace(self, faults=tuple(self.faults[number] for number in numbers))
+
+    def __str__(self) -> str:
+        death = f"; {DROPPED} dies after {self.dies_after} turns" if self.name.startswith("drop") else ""
+        return "\n".join([f"seed {self.seed}: lockstep, {self.name}{death}", *(f"  {doing}" for doing in self.faults)])
+
+
+def lockstep_case(seed: int) -> LockstepCase:
+    """Draw a case."""
+    draw = Random(f"virtual lockstep:{seed}")
+    doings = tuple(Doing(*deviation) for deviation in script(draw.randint(0, 2**40), _LENGTH))
+    return LockstepCase(seed, draw.choice(_ALL), doings, draw.randint(0, LARGEST) % 120)
+
+
+class _Told(Swarm):
+    """A swarm that tells what happens in it."""
+
+    def __init__(self, case: LockstepCase, tell: Callable[[float, str, str], None]) -> None:
+        self._tell = tell
+        super().__init__(cast_of(case.name), list(case.faults))  # type: ignore[arg-type]
+
+    def freeze(self, name: str, seconds: float) -> None:
+        self._tell(self.now, name, f"stands still for {seconds:g} s")
+        super().freeze(name, seconds)
+
+    def kill(self, name: str) -> None:
+        self._tell(self.now, name, "dies")
+        super().kill(name)
+
+    def _meet(self, act: Act, index: int) -> None:
+        parcel = self._under_way[index]
+        what = f"{parcel.topic.name} of step {step_of(parcel.data)} of {parcel.sender.name}"
+        done = {Act.OTHER: "arrives out of order", Act.LOSE: "is lost", Act.TWICE: "arrives twice"}[act]
+        self._tell(self.now, parcel.receiver.name, f"{what} {done}{' unless it is resent' * parcel.reliable}")
+        super()._meet(act, index)
+
+    def _go_on(self, node: Node) -> None:
+        super()._go_on(node)
+        if node.ended:
+            self._tell(self.now, node.name, "has ended")
+        if node.name in self.problems:
+            self._tell(self.now, node.name, f"fails: {self.problems[node.name]}")
+
+
+class LockstepStory:
+    """Lets a case happen; as `tests.virtual.story.Story`."""
+
+    def __init__(self, case: LockstepCase, tell: Callable[[float, str, str], None] = lambda *_: None) -> None:
+        self.case = case
+        self.swarm = _Told(case, tell)
+
+    @property
+    def time(self) -> float:
+        """The time since the beginning, s."""
+        return self.swarm.now
+
+    def check(self) -> None:
+        """Run; raise an error if a property does not hold."""
+        swarm, case = self.swarm, self.case
+        if case.name.startswith("drop"):
+            self._drop()
+            return
+        if not swarm.run():
+            waiting = {node.name: node.spec.behaviour.missing() for node in swarm.nodes.values() if node.alive}
+            said = swarm.problems or f"does not end within {LONGEST_RUN:g} s; it waits for {waiting}"
+            raise BrokenError("lockstep goes on", "the swarm", str(said))
+        wanted, _ = expected(case.name)
+        if stored(swarm.recorded) != wanted:
+            raise BrokenError("equal digests", "the recorder", _first_difference(stored(swarm.recorded), wanted))
+
+    def _drop(self) -> None:
+        swarm, case = self.swarm, self.case
+        while swarm.nodes[OBSERVER].spec.behaviour.missing()[0] == 0 and not swarm.problems:
+            swarm.step()
+        swarm.run_turns(case.dies_after)
+        swarm.kill(DROPPED)
+        if swarm.run(30.0):
+            try:
+                assert_planned(swarm, cast_of(case.name))
+            except AssertionError as error:
+                raise BrokenError("equal digests", "the recorder", f"differs from a planned death: {error}") from None
+        elif cast_of(case.name).packed:  # all but the observer know of the death from the observer
+            raise BrokenError("lockstep goes on", "the swarm", f"does not end: {swarm.problems or swarm.stalls()}")
+
+
+def _first_difference(found: list[Any], wanted: list[Any]) -> str:
+    """Return where two recordings differ."""
+    for one, other in zip(found, wanted, strict=False):
+        if one != other:
+            return f"step {one[0]} is not that of the simulation"
+    return f"has {len(found)} steps; the simulation has {len(wanted)}"
