@@ -8,10 +8,13 @@ from tests.swarmabs_fleet.test_profile import peers, xml
 from tests.swarmabs_fleet.test_security import wireguard
 
 from agent_node.realtime_peer import PARAMETERS
-from swarmabs_config.fleet.loader import load_fleet
+from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
 from swarmabs_config.fleet.participants import node_plans, operator_hosts
-from swarmabs_config.graph import CONTROLLER, OBSERVER, PEER
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PEER, PLANE, RECORDER
+from swarmabs_config.seals import EcdsaSeals, opened
 from swarmabs_core.errors import InputError
+from swarmabs_core.messages import PARENT
+from swarmabs_core.realtime.seals import SealFiles
 from swarmabs_fleet.bundle import deploy
 from swarmabs_fleet.parameters import parameters
 from swarmabs_fleet.permissions import node_rights
@@ -61,6 +64,57 @@ def test_a_tunnel_joins_all_hosts(tmp_path: Path) -> None:
     files = {file.parts[-3]: wireguard(file)[1] for file in (tmp_path / "out").glob("*/wireguard/*.conf")}
     assert len(files) == 4
     assert all(len(others) == 3 for others in files.values())
+
+
+def sealed_fleet(folder: Path) -> LoadedFleet:
+    secure = "security: {level: sros2}\ninstallation: {ros: sourced}"
+    path = edited(folder / "sealed.yaml", TEXT, ("security: {level: none}", secure), ("no_observer\n", "hall\n"))
+    return load_fleet(path)
+
+
+def seals_in(fleet: LoadedFleet, bundles: Path, author: int) -> EcdsaSeals:
+    """Return the keys with which the node of an author starts, from the files of its bundle."""
+    (node,) = (node for node in node_plans(fleet.fleet) if node.author == author)
+    given = parameters(fleet, node)
+    key, keys = (
+        str(bundles / node.host / Path(str(given[name])).relative_to("/etc/swarmabs/hall"))
+        for name in ("seal.key", "seal.keys")
+    )
+    return opened(SealFiles(key, keys), author)
+
+
+def test_with_certificates_robots_and_plane_sign_their_states_with_the_keys_of_these(tmp_path: Path) -> None:
+    fleet = sealed_fleet(tmp_path)
+    deploy(fleet, tmp_path / "out", tmp_path / "keys")
+    authors = (PARENT, 1, 2, 3, 4)
+    seals = {author: seals_in(fleet, tmp_path / "out", author) for author in authors}
+    for author in authors:
+        signature = seals[author].sign(b"state")
+        for one in seals.values():
+            assert [who for who in authors if one.holds(who, b"state", signature)] == [author]
+    others = [node for node in node_plans(fleet.fleet) if node.author is None]
+    assert [node.kind for node in others] == [RECORDER]
+    assert not any("seal.key" in parameters(fleet, node) for node in others)
+    assert not any("seal.key" in parameters(example("no_observer"), node) for node in node_plans(fleet.fleet))
+
+
+def test_a_revoked_key_no_longer_signs(tmp_path: Path) -> None:
+    fleet = sealed_fleet(tmp_path)
+    deploy(fleet, tmp_path / "out", tmp_path / "keys")
+    signature = seals_in(fleet, tmp_path / "out", 2).sign(b"state")
+    deploy(fleet, tmp_path / "later", tmp_path / "keys", ["robot-2"])
+    assert not seals_in(fleet, tmp_path / "later", 3).holds(2, b"state", signature)
+    renewed = seals_in(fleet, tmp_path / "later", 2).sign(b"state")
+    assert all(seals_in(fleet, tmp_path / "later", author).holds(2, b"state", renewed) for author in (PARENT, 1, 4))
+
+
+def test_only_the_plane_may_publish_its_signed_states_and_robots_may_read_them(tmp_path: Path) -> None:
+    fleet = sealed_fleet(tmp_path)
+    rights = {node.name: node_rights(fleet.fleet, node) for node in node_plans(fleet.fleet)}
+    assert [name for name, right in rights.items() if "rt/plane/relay" in right.publish] == [PLANE]
+    assert [name for name, right in rights.items() if "rt/plane/relay" in right.subscribe] == [
+        f"agent_00{robot}" for robot in (1, 2, 3, 4)
+    ]
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
+from swarmabs_fleet.host_plan import PUBLIC_KEYS
 from swarmabs_run.doctor import Finding
 
 if TYPE_CHECKING:
@@ -139,13 +140,15 @@ def read_timedatectl(text: str) -> ClockState | None:
 
 
 def _packages(manifest: Manifest) -> Verdict:
-    for module in (*manifest.modules, "rclpy", "swarmabs_msgs"):
+    signing = ("cryptography",) if PUBLIC_KEYS in manifest.files else ()
+    for module in (*manifest.modules, "rclpy", "swarmabs_msgs", *signing):
         try:
             installed = importlib.util.find_spec(module) is not None
         except ImportError:
             installed = False
         if not installed:
-            return "bad", f"{module} cannot be imported; bring this checkout to the fleet's version"
+            remedy = "install it" if module in signing else "bring this checkout to the fleet's version"
+            return "bad", f"{module} cannot be imported; {remedy}"
     return "ok", f"{len(manifest.modules)} node modules are installed"
 
 

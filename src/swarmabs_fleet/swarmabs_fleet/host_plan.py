@@ -13,6 +13,9 @@ from swarmabs_run.rendering import templates
 if TYPE_CHECKING:
     from swarmabs_config.fleet.model import Fleet
 
+PUBLIC_KEYS = "keystore/seals.txt"
+"""The file of a bundle with the public keys of robots and plane, in a fleet whose states are signed."""
+
 
 @dataclass(frozen=True)
 class HostPlan:
@@ -78,6 +81,11 @@ class HostPlan:
     def tools(self, role: str) -> str:
         """Return the name of the security enclave of the tools of a role, ``operator`` or ``driver``."""
         return f"{role}_{self.name.replace('-', '_')}"
+
+    @property
+    def keystore(self) -> str:
+        """The folder of the certificates, with the keys of nodes below."""
+        return f"{self.installed}/keystore"
 
     def enclave(self, name: str) -> str:
         """Return the security enclave of a node or of tools."""

@@ -28,8 +28,9 @@ from swarmabs_config.files import write_whole
 from swarmabs_config.fleet.participants import node_plans
 from swarmabs_config.fleet.parts import Sros2Security
 from swarmabs_config.model.fields import nearest
+from swarmabs_config.seals import public_keys
 from swarmabs_core.errors import InputError, RunError
-from swarmabs_fleet.host_plan import HostPlan
+from swarmabs_fleet.host_plan import PUBLIC_KEYS, HostPlan
 from swarmabs_fleet.permissions import host_rights
 
 if TYPE_CHECKING:
@@ -217,7 +218,15 @@ def _keystore(keys: Keys, host: HostPlan) -> dict[str, bytes]:
         if revoked is not None:
             enclave["crl.pem"] = revoked.public_bytes(serialization.Encoding.PEM)
         files |= {f"keystore/enclaves{path}/{file}": content for file, content in enclave.items()}
+    if host.fleet.sealed:
+        files[PUBLIC_KEYS] = _public_keys(authority, host).encode()
     return files
+
+
+def _public_keys(authority: _Authority, host: HostPlan) -> str:
+    """Return the public keys of all who sign states, which are those of their certificates."""
+    authors = {node.author: node.name for node in node_plans(host.fleet) if node.author is not None}
+    return public_keys({author: authority.secret(name).public_key() for author, name in authors.items()})
 
 
 class _Authority:
@@ -277,7 +286,7 @@ class _Authority:
 
     def entity(self, name: str, path: str) -> tuple[bytes, bytes, Certificate]:
         """Return the private key of an enclave in PEM, and its certificate in PEM and as an object."""
-        key, secret = self._kept_key(f"sros2/{name}/key.pem")
+        key, secret = self._kept_key(_key_of(name))
         pem, certificate = self._kept_certificate(
             f"sros2/{name}/cert.pem", lambda: self._issue(path, secret, self._certificate)
         )
@@ -288,6 +297,10 @@ class _Authority:
                 "or remove it and deploy to all hosts again"
             )
         return key, pem, certificate
+
+    def secret(self, name: str) -> EllipticCurvePrivateKey:
+        """Return the private key of an enclave."""
+        return self._kept_key(_key_of(name))[1]
 
     def signed(self, name: str, text: str) -> bytes:
         """Return a text as a signed S/MIME message."""
@@ -355,6 +368,10 @@ class _Authority:
         if issuer is None:
             builder = builder.add_extension(_OF_AUTHORITY, critical=True)
         return builder.sign(self._key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+
+
+def _key_of(name: str) -> str:
+    return f"sros2/{name}/key.pem"
 
 
 def _today() -> datetime:

@@ -140,7 +140,7 @@ def _environment(host: HostPlan, role: str, participant: int) -> dict[str, str]:
         variables |= {
             "ROS_SECURITY_ENABLE": "true",
             "ROS_SECURITY_STRATEGY": "Enforce",
-            "ROS_SECURITY_KEYSTORE": f"{host.installed}/keystore",
+            "ROS_SECURITY_KEYSTORE": host.keystore,
         }
     return variables
 

@@ -19,8 +19,9 @@ from swarmabs_core.messages import Mode
 from swarmabs_core.realtime.agent import RealtimeAgentConfig
 from swarmabs_core.realtime.instruments import TopicSettings
 from swarmabs_core.realtime.leadership import Pair
+from swarmabs_core.realtime.seals import SealFiles
 from swarmabs_core.robot_controller import Limits
-from swarmabs_fleet.host_plan import HostPlan
+from swarmabs_fleet.host_plan import PUBLIC_KEYS, HostPlan
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,7 +44,16 @@ def parameters(loaded: LoadedFleet, node: NodePlan) -> Parameters:
     if node.kind == DISCOVERY:
         return {}
     own = loaded.fleet.own_topics and (node.robot is not None or node.kind in _READERS_OF_ROBOTS)
-    return _parameters(loaded, node) | ({"own_topics": True} if own else {})
+    return _parameters(loaded, node) | ({"own_topics": True} if own else {}) | _seal(loaded.fleet, node)
+
+
+def _seal(fleet: Fleet, node: NodePlan) -> Parameters:
+    """Return the files with the keys of an author of states, in a fleet whose states are signed."""
+    if not fleet.sealed or node.author is None:
+        return {}
+    host = HostPlan(fleet, node.host)
+    key = f"{host.keystore}/enclaves{host.enclave(node.name)}/key.pem"
+    return {**values_of(SealFiles(key, f"{host.installed}/{PUBLIC_KEYS}"))}
 
 
 def _parameters(loaded: LoadedFleet, node: NodePlan) -> Parameters:

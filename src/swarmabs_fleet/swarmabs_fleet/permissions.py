@@ -67,7 +67,8 @@ def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
     options = options_of({"pair": node.pair, "paired": fleet.paired, "own_topics": fleet.own_topics})
     everybody = [robot.id for robot in fleet.members]
     members = [node.robot.id] if node.robot else everybody
-    options |= {Option.SENSING}  # whether a robot has that sensor is up to the scenario
+    # Whether a robot has that sensor is up to the scenario.
+    options |= {Option.SENSING, Option.SEALED} if fleet.sealed else {Option.SENSING}
     ends = endpoints(node.kind, REALTIME, options, members=members, neighbours=everybody)
     publish += [_topic(ns, topic.name) for topic in ends.publications if not topic.agent_id]  # covered by the wildcard
     subscribe += dict.fromkeys(_topic(ns, _of_any_robot(topic)) for topic in ends.subscriptions)

@@ -141,6 +141,11 @@ class Fleet(Model):
         return self.security.level == "sros2"
 
     @property
+    def sealed(self) -> bool:
+        """Whether robots and plane sign their states: robots pass them on, and have keys."""
+        return self.decentralised and self.security.level == "sros2"
+
+    @property
     def tunnel(self) -> TunnelSecurity | None:
         """The tunnel, if there is one."""
         return self.security if isinstance(self.security, TunnelSecurity) else None

@@ -24,6 +24,7 @@ from swarmabs_config.graph import (
     standby_name,
 )
 from swarmabs_config.ports import DATA_OFFSET, METATRAFFIC_OFFSET, metatraffic_port
+from swarmabs_core.messages import PARENT
 from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.leadership import PRIMARY, SINGLE, STANDBY
 
@@ -66,6 +67,13 @@ class NodePlan:
         if self.robot is not None:
             return agent_name(self.robot.id)
         return standby_name(self.kind) if self.pair == STANDBY else self.kind
+
+    @property
+    def author(self) -> int | None:
+        """Its number among the authors of states: the id of a robot, `PARENT` for the plane, None for others."""
+        if self.robot is not None:
+            return self.robot.id
+        return PARENT if self.kind in {PLANE, PLANE_DRIVER} else None
 
 
 def node_plans(fleet: Fleet) -> tuple[NodePlan, ...]:
