@@ -240,10 +240,13 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
     (PLANE_DRIVER, REALTIME, set(), {"plane/state", "swarm/events"}, set()),
     (OBSERVER, REALTIME, set(), SUMS, {STATE, "swarm/events", "swarm/removals"}),
     (CONTROLLER, REALTIME, set(), {DESIRED, "swarm/events", "recording/basis"}, {"plane/state", ABSTRACT, STANDS}),
-    (RECORDER, REALTIME, set(), set(), {*MAIN, STANDS, "swarm/events", "recording/basis", "swarm/removals"}),
+    (RECORDER, REALTIME, set(), set(), {*MAIN, *NEAR, STANDS, "swarm/events", "recording/basis", "swarm/removals"}),
     (ROBOT, REALTIME, set(), {STATE, "swarm/events"}, {ABSTRACT, AUXILIARY, DESIRED}),
     (ROBOT, REALTIME, {PAIRED}, {STATE, "swarm/events"}, both(ABSTRACT, AUXILIARY, DESIRED)),
-    (RECORDER, REALTIME, {PAIRED}, set(), {STATE, "plane/state", "swarm/events", "swarm/removals", *both(*BY_PAIRS)}),
+    (
+        *(RECORDER, REALTIME, {PAIRED}, set()),
+        {STATE, *NEAR, "plane/state", "swarm/events", "swarm/removals", *both(*BY_PAIRS)},
+    ),
     (PLANE, REALTIME, {PAIRED}, {"plane/state", "swarm/events", "recording/basis"}, {STATE}),
     (
         *(OBSERVER, REALTIME, {PAIRED}, SUMS),
@@ -276,7 +279,8 @@ CASES: list[tuple[str, Driver, set[Option], set[str], set[str]]] = [
     ),
     (
         *(RECORDER, REALTIME, {OWN_TOPICS}, set()),
-        ({*MAIN, STANDS, "swarm/events", "recording/basis", "swarm/removals"} | OWN_STATES | OWN_EVENTS) - {STATE},
+        ({*MAIN, *NEAR, STANDS, "swarm/events", "recording/basis", "swarm/removals"} | OWN_STATES | OWN_EVENTS)
+        - {STATE},
     ),
 ]
 

@@ -279,6 +279,19 @@ def test_a_run_in_real_time_starts_steps_stops_and_verifies(folder: Path) -> Non
     assert verdict["messages"] + sum(verdict["not_checkable"].values()) == sum(received.values()) + divided
 
 
+def test_robots_in_real_time_that_compute_the_swarm_by_themselves_verify(folder: Path) -> None:
+    words = ("--set", "coordination=each_robot", "--set", runs.seconds(1.0))
+    done = runs.swarm("run", "--realtime", *words, "-o", folder, "--json")
+    assert done.code == 0, done.err
+    messages = runs.bag_messages(folder)
+    relays = [sum(message.topic == f"agent_00{robot}/relay" for message in messages) for robot in AGENTS]
+    assert min(relays) > 80
+    verified = runs.swarm("verify", folder, "--json")
+    verdict = verified.summary()
+    assert (verified.code, verdict["ok"], verdict["complete"], verdict["notes"][1:]) == (0, True, True, [])
+    assert sum(verdict["not_checkable"].values()) < 0.2 * verdict["messages"]
+
+
 DYING = {1: "agent_003", 30: "plane_sim"}
 """By the step from which on it may happen."""
 

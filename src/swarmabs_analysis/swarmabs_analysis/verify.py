@@ -178,7 +178,7 @@ class BagToVerify:
         read: set[Topic | None] = (
             {*self._bag.family.recorded, *self._relays(), EVENTS}
             if self._realtime is None
-            else {topic for topic in RECORDED if usual_topic(topic) not in further}
+            else {*self._relays(), *(topic for topic in RECORDED if usual_topic(topic) not in further)}
         )
         return tuple(
             channel.name for channel in self._bag.of_swarm() if channel.message_count and channel.topic not in read
@@ -213,7 +213,7 @@ class BagToVerify:
         """Feed the bag's messages to the verification until it is decided; return the damage of the file, if any."""
         try:
             family = self.scenario.family
-            topics = RECORDED if self._realtime else (*family.recorded, *self._relays(), EVENTS)
+            topics = (*(RECORDED if self._realtime else (*family.recorded, EVENTS)), *self._relays())
             for part in self._bag.published(topics) if self._realtime else self._bag.whole_steps(topics):
                 if isinstance(part, Step):
                     verification.add_steps(part)

@@ -277,7 +277,8 @@ class _Run:
         """Return what selects the messages of the merged bag."""
         if self.world is None:
             return _Agreed(" and ".join(str(source.named) for source in self.sources))
-        return _Collected(RealtimeCollector(configure.members(self.scenario), self.world.schedule))
+        members, each_robot = configure.members(self.scenario), self.scenario.decentralised
+        return _Collected(RealtimeCollector(members, self.world.schedule, each_robot=each_robot))
 
     def joined(self) -> Iterator[_Received]:
         """Yield the messages of all bags, in an order that does not depend on that of the bags."""
@@ -288,7 +289,7 @@ class _Run:
         """Read all bags once, without writing anything."""
         union, topics = self.union(), Counter[str]()
         lockstep = LockstepCompleteness(self.scenario, self.scenario.family)
-        realtime = None if self.world is None else RealtimeCompleteness(self.world)
+        realtime = None if self.world is None else RealtimeCompleteness(self.world, configure.relaying(self.scenario))
         for received in self.joined():
             message = received.record.message
             if not isinstance(message, SwarmEvent):

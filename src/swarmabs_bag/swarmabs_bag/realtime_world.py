@@ -11,8 +11,9 @@ from swarmabs_bag.run.realtime_gatherer import RECORDED
 from swarmabs_config import configure
 from swarmabs_config.graph import STANDBY_TOPICS
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import BASIS, Basis, Source
+from swarmabs_core.messages import BASIS, Basis, Relay, Source, relay_topic
 from swarmabs_core.realtime.base import Schedule
+from swarmabs_core.realtime.relayed import law_time
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -59,12 +60,16 @@ def realtime_world(bag: BagReader) -> RealtimeWorld:
 
 
 def law_begins(bag: BagReader) -> dict[int, int]:
-    """Return, for every step answered by the parent controller, the step at which the time of its law began."""
-    return {
-        message.step: message.begun
-        for _, _, message in bag.decoded((BASIS, STANDBY_TOPICS[BASIS]))
-        if isinstance(message, Basis) and message.source == Source.CONTROLLER
-    }
+    """Return, for every step answered by a parent controller, the step at which the time of its law began."""
+    begins: dict[int, int] = {}
+    relays = (topic for topic in bag.topics() if topic.message is Relay)
+    for _, _, message in bag.decoded((BASIS, STANDBY_TOPICS[BASIS], *relays)):
+        if isinstance(message, Relay):
+            step, begun = law_time(message)
+            begins.setdefault(step, begun)
+        elif isinstance(message, Basis) and message.source == Source.CONTROLLER:
+            begins[message.step] = message.begun
+    return begins
 
 
 def realtime_figures(bag: BagReader, scenario: Scenario) -> RealtimeFigures:
@@ -73,6 +78,6 @@ def realtime_figures(bag: BagReader, scenario: Scenario) -> RealtimeFigures:
     Raises `DamagedBagError` if the bag is damaged.
     """
     figures = RealtimeFigures(configure.law_reference(scenario), Schedule(scenario.step_ns))
-    for record in bag.records(RECORDED):
+    for record in bag.records((*RECORDED, *map(relay_topic, configure.relaying(scenario)))):
         figures.add(record)
     return figures

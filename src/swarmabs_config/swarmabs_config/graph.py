@@ -429,7 +429,7 @@ GRAPH = (
             End(PLANE, driver=REALTIME, only=Option.SEALED),
             End(PLANE_DRIVER, driver=REALTIME, only=Option.SEALED),
         ),
-        (End(PEER, 100, driver=LOCKSTEP), End(PEER, 10, driver=REALTIME), End(RECORDER, 1000, driver=LOCKSTEP)),
+        (End(PEER, 100, driver=LOCKSTEP), End(PEER, 10, driver=REALTIME), *_recorder()),
         system=RELAY,
     ),
 )

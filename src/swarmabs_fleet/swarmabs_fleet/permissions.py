@@ -69,7 +69,8 @@ def node_rights(fleet: Fleet, node: NodePlan) -> Rights:
     members = [node.robot.id] if node.robot else everybody
     # Whether a robot has that sensor is up to the scenario.
     options |= {Option.SENSING, Option.SEALED} if fleet.sealed else {Option.SENSING}
-    ends = endpoints(node.kind, REALTIME, options, members=members, neighbours=everybody)
+    relaying = everybody if fleet.decentralised else []
+    ends = endpoints(node.kind, REALTIME, options, members=members, neighbours=relaying)
     publish += [_topic(ns, topic.name) for topic in ends.publications if not topic.agent_id]  # covered by the wildcard
     subscribe += dict.fromkeys(_topic(ns, _of_any_robot(topic)) for topic in ends.subscriptions)
     if node.kind != RECORDER:  # services, including those of parameters and lifecycle

@@ -46,7 +46,7 @@ class Recorded(NamedTuple):
 def record(fleet: VirtualFleet, scenario: Scenario, *, loss: float = 0.0, jitter: float = 0.0) -> Recorded:
     """Record what a fleet has published; on the way, messages are lost (probability) and late (s)."""
     clock = configure.schedule(scenario, EPOCH)
-    collector = RealtimeCollector(lockstep.members(scenario), clock)
+    collector = RealtimeCollector(lockstep.members(scenario), clock, each_robot=scenario.decentralised)
     figures = RealtimeFigures(lockstep.parent_controller(scenario).reference, clock)
     draw = Random("recorder")
     arrived = [

@@ -1,8 +1,9 @@
 """Recomputation of every message of a run in real time from its sender's inputs (docs/explanation/realtime.md).
 
 In real time the messages that a node receives depend on the network. Each message therefore names its inputs: a robot's
-state the step of the broadcasts, a coordinator's answer its provenance. From these, the same pure functions that run in
-the nodes recompute it. Messages that need inputs lost on the way to the recorder are counted as not checkable.
+state the step of the broadcasts, a coordinator's answer its provenance, and a relay what a robot has computed without
+coordinators. From these, the same pure functions that run in the nodes recompute it. Messages that need inputs lost on
+the way to the recorder are counted as not checkable.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from swarmabs_analysis.difference import PUBLISH_TIME, Difference, surplus, wron
 from swarmabs_analysis.verification.base import Verification
 from swarmabs_analysis.verification.history import WAIT, History, StandbyHistory, wrong_stamp
 from swarmabs_analysis.verification.realtime_nodes import ControllerCheck, ObserverCheck, PlaneCheck, RobotCheck
+from swarmabs_analysis.verification.realtime_relays import PeerChecks, PeerRobotCheck
 from swarmabs_bag.run.realtime_gatherer import MEMORY, SECOND_WRITER, TWO_MESSAGES
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_core.messages import AGENT_STATE, EVENTS, PLANE_STATE, Basis, DesiredAbstractState
@@ -47,8 +49,9 @@ class RealtimeVerification(Verification):
         self._judged: int | None = None
         self._newest = -1
         starts = {agent.id: (agent.position, agent.velocity) for agent in scenario.agents if agent.id in world.robots}
+        check = PeerRobotCheck if scenario.decentralised else RobotCheck
         self._robots = {
-            config.agent_id: RobotCheck(
+            config.agent_id: check(
                 config,
                 history,
                 tolerance,
@@ -59,6 +62,8 @@ class RealtimeVerification(Verification):
             for config in configure.agent_configs(scenario, schedule)
         }
         self._plane = PlaneCheck(configure.plane_config(scenario, schedule), history, max(tolerance, of_plane))
+        peers = {i: robot for i, robot in self._robots.items() if isinstance(robot, PeerRobotCheck)}
+        self._peers = PeerChecks(scenario, schedule, history, peers, tolerance) if scenario.decentralised else None
         observer = configure.observer_config(scenario, schedule)
         controller = configure.controller_config(scenario, schedule)
         self._coordinators = [
@@ -139,6 +144,8 @@ class RealtimeVerification(Verification):
             self._history.forget(step)
 
     def _findings(self, step: int) -> Iterator[Finding]:
+        if self._peers is not None:
+            yield from self._peers.read(step)
         for agent_id, stored in sorted(self._history.on(AGENT_STATE, step).items()):
             robot = self._robots.get(agent_id)
             if robot is None:
@@ -149,6 +156,9 @@ class RealtimeVerification(Verification):
             yield from self._plane.check(step)
         else:
             yield from [MEASURED] * len(self._history.on(PLANE_STATE, step))
+        if self._peers is not None:
+            yield from self._peers.spoken(step)
+            return
         for checks in self._coordinators[: 1 + self._history.paired]:
             for check in checks:
                 yield from check.check(step)

@@ -155,7 +155,9 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
     own, clock, fleet = settings.declared(RecorderSettings), settings.declared(Clock), settings.declared(Fleet)
     scenario = on_plane(own.load(), "real time")
     members = configure.members(scenario)
-    subscriptions = settings.endpoints(RECORDER, REALTIME, members=members).subscriptions
+    subscriptions = settings.endpoints(
+        RECORDER, REALTIME, members=members, neighbours=configure.relaying(scenario)
+    ).subscriptions
     recorder = RealtimeRecorder(node, subscriptions, status, fleet.pair)
     epoch = clock.schedule.epoch_ns
     if clock.await_epoch:

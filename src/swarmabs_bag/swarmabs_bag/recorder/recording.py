@@ -162,7 +162,11 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         paired: bool = False,
     ) -> None:
         self._collector = RealtimeCollector(
-            configure.members(scenario), world.schedule, bounds(scenario), scenario.realtime
+            configure.members(scenario),
+            world.schedule,
+            bounds(scenario),
+            scenario.realtime,
+            each_robot=scenario.decentralised,
         )
         self._received = 0
         self._heard = self._heard_before = 0
@@ -174,7 +178,7 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
             folder,
             figures,
             stated,
-            topics=recorded(paired=paired),
+            topics=recorded(paired=paired, relaying=configure.relaying(scenario)),
             qos=OFFERED[REALTIME],
             namespace=namespace,
             split=split,

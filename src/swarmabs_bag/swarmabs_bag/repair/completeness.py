@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from swarmabs_bag.repair.spans import Spans
 from swarmabs_bag.run.realtime_gatherer import MEMORY
 from swarmabs_config import configure
 from swarmabs_config.graph import usual_topic
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, MalformedMessageError
 from swarmabs_core.membership import Membership, Span
 from swarmabs_core.messages import (
     ABSTRACT_STATE,
@@ -37,10 +38,11 @@ from swarmabs_core.messages import (
     Topic,
     relay_topic,
 )
+from swarmabs_core.realtime.relayed import read
 from swarmabs_core.relays import StepRelays
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from swarmabs_bag.realtime_world import RealtimeWorld
@@ -174,12 +176,14 @@ class RealtimeCompleteness:
 
     A robot's state names the broadcasts behind it, a coordinator's provenance the robots' states, or the division
     of the abstract state, behind its answer, and the answer and its provenance are published together. Steps without
-    any message between others are a gap too. What was sent before the first message of its kind was recorded, or
+    any message between others are a gap too. A relay in real time names the states that its sender has summed up, and
+    each of its own states comes with a relay. What was sent before the first message of its kind was recorded, or
     arrived later than the recorder takes it, is not.
     """
 
-    def __init__(self, world: RealtimeWorld) -> None:
+    def __init__(self, world: RealtimeWorld, relaying: Sequence[int] = ()) -> None:
         self._schedule = world.schedule
+        self._relaying = tuple(relaying)
         self._simulated_plane = world.plane
         self._there: dict[int, set[Place]] = {}
         self._named: dict[int, set[Place]] = {}
@@ -196,7 +200,7 @@ class RealtimeCompleteness:
             return
         step = message.step
         agent = message.source if isinstance(message, Basis) else record.agent_id
-        place = usual_topic(record.topic), agent
+        place = (record.topic, 0) if isinstance(message, Relay) else (usual_topic(record.topic), agent)
         self._there.setdefault(step, set()).add(place)
         self._begun[place] = min(step, self._begun.get(place, step))
         end = self._schedule.step(now) - MEMORY
@@ -209,7 +213,9 @@ class RealtimeCompleteness:
 
     def _names(self, message: Message) -> Iterator[tuple[int, Place]]:
         """Yield step and place of the messages that a message proves to have been sent."""
-        if isinstance(message, AgentState):
+        if self._relaying and not isinstance(message, (PlaneState, Basis)):
+            yield from self._relayed(message)
+        elif isinstance(message, AgentState):
             yield from ((message.broadcast_step, (topic, 0)) for topic in BROADCASTS)
         elif isinstance(message, Basis):
             yield from ((message.step, (topic, 0)) for topic in _ANSWERS.get(message.source, ()))
@@ -221,6 +227,18 @@ class RealtimeCompleteness:
             yield message.step, (BASIS, Source.PLANE)
         elif isinstance(message, DesiredAbstractState) and message.mode == Mode.RUN:
             yield message.step, (BASIS, Source.CONTROLLER)
+
+    def _relayed(self, message: Message) -> Iterator[tuple[int, Place]]:
+        """Yield what `_names` does of a message of a robot that computes the broadcasts by itself."""
+        if isinstance(message, AgentState):
+            yield message.step, (relay_topic(message.agent_id), 0)
+        elif isinstance(message, Relay):
+            with suppress(MalformedMessageError):
+                told = read(message, len(self._relaying))
+                for answer in told.answers:
+                    yield from (
+                        (step, (AGENT_STATE, self._relaying[rank])) for rank, step in (answer.states or {}).items()
+                    )
 
     def _judge(self, end: int) -> None:
         """Judge the steps before `end`."""

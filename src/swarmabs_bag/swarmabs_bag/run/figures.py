@@ -15,12 +15,14 @@ from swarmabs_core.messages import (
     Basis,
     EventKind,
     PlaneState,
+    Relay,
     Source,
     SwarmEvent,
     Topic,
     vector_of,
 )
 from swarmabs_core.ranges import Strays
+from swarmabs_core.realtime.relayed import law_time
 from swarmabs_core.summation import added
 from swarmabs_core.systems.interface import PLANE_TABLES, Quantity
 
@@ -281,6 +283,11 @@ class RealtimeFigures(Figures):
                 self._begun[message.step] = self._law_begun = message.begun
                 self._follow(message.step)
             return
+        if isinstance(message, Relay):
+            step, begun = law_time(message)
+            if step in self._angles:
+                self._begun[step] = self._law_begun = begun
+                self._follow(step)
         place = record.topic, record.agent_id
         if place not in self._spans:
             self._spans[place] = _Span(message.step)

@@ -14,11 +14,14 @@ from swarmabs_core.messages import (
     BROADCASTS,
     EVENTS,
     PLANE_STATE,
+    STANDING,
     AgentState,
     Basis,
     DesiredAbstractState,
+    Relay,
     SwarmEvent,
     Topic,
+    topic_of,
 )
 from swarmabs_core.realtime.base import Realtime, Schedule
 from swarmabs_core.realtime.validation import Bounds, Origin, Problem, Refusals, Writers, participant_of
@@ -28,13 +31,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 
-def recorded(*, paired: bool) -> tuple[Topic, ...]:
-    """Return the topics of a recording, with those of standby coordinators if any coordinator has one."""
-    return tuple(endpoints(RECORDER, REALTIME, frozenset({Option.PAIRED} if paired else ())).subscriptions)
+def recorded(*, paired: bool, relaying: Iterable[int] = ()) -> tuple[Topic, ...]:
+    """Return the topics of a recording, with those of standby coordinators if any has one, and of relaying robots."""
+    options = frozenset({Option.PAIRED} if paired else ())
+    return tuple(endpoints(RECORDER, REALTIME, options, neighbours=tuple(relaying)).subscriptions)
 
 
 RECORDED = recorded(paired=True)
-"""All topics of a recording in real time."""
+"""All topics of a recording in real time but for those on which robots pass on what they know."""
 _UNKNOWN_BOUNDS, _LIMITS = Bounds(inf, inf), Realtime()
 MEMORY = 1000
 """Steps around the recorder's current one within which messages are recorded, and duplicates recognised."""
@@ -117,7 +121,9 @@ class RealtimeCollector:
     ones. Duplicates are dropped.
 
     As nodes do, it binds each topic and robot to a writer, and drops the messages of a second one. Different messages
-    for the same place, and messages of another swarm or time, are dropped too. Events report this: two for each
+    for the same place, and messages of another swarm or time, are dropped too. Of a swarm in which each robot computes
+    the broadcasts, several robots may publish them for a while: the first of each step is recorded, whoever sent it.
+    Events report what is dropped for other reasons than repetition: two for each
     dispute, with its first and its last step, because other receivers may be bound to the other writer. Nodes publish
     more than events: an event waits until a process that has sent it is bound to another topic, or is dropped.
 
@@ -125,6 +131,8 @@ class RealtimeCollector:
     ----------
     bounds : Bounds, optional
         What is credible: as for the nodes, only a credible message binds its origin to its writer.
+    each_robot : bool
+        Whether each robot computes the broadcasts.
     limits : Realtime
         Their age limits are the silence after which another writer may take the place of the first.
 
@@ -143,6 +151,8 @@ class RealtimeCollector:
         schedule: Schedule,
         bounds: Bounds = _UNKNOWN_BOUNDS,
         limits: Realtime = _LIMITS,
+        *,
+        each_robot: bool = False,
     ) -> None:
         self._members = frozenset(members)
         self._schedule = schedule
@@ -150,6 +160,7 @@ class RealtimeCollector:
         self._oldest = 0
         self._refusals = Refusals()
         self._bounds = bounds
+        self._shared = frozenset((*BROADCASTS, STANDING) if each_robot else ())
         broadcasts = dict.fromkeys((topic.name for topic in BROADCASTS), schedule.steps(limits.broadcast_age_limit))
         plane = schedule.steps(limits.plane_age_limit)
         self.writers = Writers(schedule.steps(limits.state_age_limit), {**broadcasts, PLANE_STATE.name: plane})
@@ -209,13 +220,13 @@ class RealtimeCollector:
     def _keep(self, record: Record, step: int, writer: bytes) -> tuple[Record, ...]:
         """Return the records to write of a message that is not refused."""
         if record.topic.agent_id:
-            record = record._replace(topic=usual_topic(record.topic))
+            record = record._replace(topic=topic_of(record.message))
         topic, _, message, payload, *_ = record
         recorded = self._known.setdefault(message.step, {})
         place = (topic, payload if isinstance(message, SwarmEvent) else part(record))
         first = recorded.get(place)
         second = self._is_of_second(record, step, writer)
-        if first == payload:
+        if first == payload or (first is not None and topic in self._shared):
             self.repeated += 1
             return ()
         if first is None and not second:
@@ -227,7 +238,7 @@ class RealtimeCollector:
     def _is_of_second(self, record: Record, step: int, writer: bytes) -> bool:
         """Return whether a message is that of a second writer, by the rule of the nodes."""
         message = record.message
-        if not writer or isinstance(message, SwarmEvent):
+        if not writer or isinstance(message, SwarmEvent) or record.topic in self._shared:
             return False
         origin = origin_of(record)
         if self.writers.refuses(origin, writer):
@@ -306,4 +317,6 @@ def part(record: Record) -> int:
     message = record.message
     if isinstance(message, DesiredAbstractState):
         return message.mode
+    if isinstance(message, Relay):
+        return message.round
     return message.source if isinstance(message, Basis) else record.agent_id

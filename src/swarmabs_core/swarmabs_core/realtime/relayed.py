@@ -44,7 +44,7 @@ SIGNATURE = 64
 _WITH_PLANE, _WITH_PROGRESS, _AFRESH, _SEALED = 1, 2, 4, 8
 """Flags of the header: which parts follow, that the desired state begins with the law's next torque, and that states
 have signatures."""
-_MOST_ANSWERS, _MOST_USED = 12, 40
+MOST_ANSWERS, _MOST_USED = 12, 40
 """Answers in a relay, and states in one that are not those expected: of more, it is not told which they are."""
 _NOT_TOLD = 254
 BUDGET = 1_300
@@ -115,7 +115,7 @@ def answers_of(bases: Iterable[Basis], rank: Mapping[int, int], age: int) -> lis
         else:
             answer = answer._replace(since=basis.since, division=next(iter(basis.state_steps), None))
         answers[basis.step] = answer
-    return list(answers.values())[-_MOST_ANSWERS:]
+    return list(answers.values())[-MOST_ANSWERS:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -417,6 +417,15 @@ def read(relay: Relay, robots: int) -> Told:
         bool(signed),
         plane_signature,
     )
+
+
+def law_time(relay: Relay) -> tuple[int, int]:
+    """Return the last step that the sender's law has computed, and its step 0; -1 for both if there are none."""
+    try:
+        _, _, begun, step, *_ = _HEADER.unpack_from(relay.content)
+    except struct.error:
+        return -1, -1
+    return (step, begun) if begun >= 0 else (-1, -1)
 
 
 def _malformed(problem: str) -> MalformedMessageError:
