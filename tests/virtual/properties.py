@@ -250,13 +250,15 @@ class ActsOnOneSet(Property):
             reset = "no RESET" if robot.reset < 0 else f"its newest RESET is of step {robot.reset}"
             text = f"moved in step {decided}, but has heard a STOP of step {robot.stop}, and {reset}"
             raise self.broken(node, f"{text} (needed: {self._guard + 1} steps later)")
+        robot.count += 1
+        if robot.sets.get(used, {}).keys() == _ONE_SET and robot.count % EVERY:
+            return
         sets = self._sets(robot.sets.get(used, {}))
         if not sets:
             has = ", ".join(_said(key) for key in robot.sets.get(used, {})) or "nothing"
             text = f"moved in step {decided} on broadcasts of step {used}, of which it has received {has}"
             raise self.broken(node, text)
-        robot.count += 1
-        if state.status == Status.ACTIVE and (len(sets) > 1 or robot.count % EVERY == 0):
+        if state.status == Status.ACTIVE:
             laws = [self._laws[node].decide(before.position, before.velocity, one)[0].command for one in sets]
             if state.command not in laws:
                 text = (
@@ -275,6 +277,10 @@ class ActsOnOneSet(Property):
                 abstract, sums, desired = (heard[key] for key in keys)
                 sets.append(Broadcast(desired.stamp, desired.step, abstract, sums, desired))  # type: ignore[arg-type]
         return sets
+
+
+_ONE_SET = {(topic, False) for topic in (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)}
+"""What has been heard of a step in which only primaries have spoken."""
 
 
 def _said(key: tuple[Topic, bool]) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import time
 from collections import Counter
@@ -32,6 +33,8 @@ MOST_TRIALS = 150
 """Runs that are spent on making a case shorter."""
 MOST_SHOWN = 5
 """Cases that are shortened and shown; of further ones only the seeds are."""
+LONGEST = 60.0
+"""Time of the processor, s, of a seed; usual ones need one."""
 YEAR = 365.25 * 86400.0
 
 
@@ -52,8 +55,17 @@ def drawn(seed: int) -> Case | LockstepCase:
 
 
 def run(case: Case | LockstepCase) -> Result:
-    """Let a case happen; return what comes of it."""
-    return outcome(Story(case) if isinstance(case, Case) else LockstepStory(case))
+    """Let a case happen; return what comes of it. One that takes `LONGEST` seconds of the processor hangs."""
+    signal.signal(signal.SIGVTALRM, _hangs)
+    signal.setitimer(signal.ITIMER_VIRTUAL, LONGEST)
+    try:
+        return outcome(Story(case) if isinstance(case, Case) else LockstepStory(case))
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+
+
+def _hangs(*_: object) -> None:
+    raise TimeoutError(f"this seed does not end within {LONGEST:g} s")
 
 
 def trial(seed: int) -> Trial:
