@@ -45,6 +45,8 @@ from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.agent import RealtimeLaw
 from swarmabs_core.realtime.base import Level
 
+CLEAN = {"crash", "pause", "cut"}
+"""Faults of one of a pair of coordinators because of which no robot stops at all."""
 SETTLES_SINGLE = 1.5
 """Time, s, in which a fleet without standbys settles."""
 GUARD_MOST = 0.5
@@ -82,6 +84,10 @@ class Facts:
         For each node the time, ns, until which a fault or its consequences concern it.
     odd : set
         Nodes whose clock was ever wrong, or which stood still; their steps and bodies may repeat or continue.
+    removed : set
+        Robots of which an operator has said that they were carried away.
+    late_until : float
+        Time, ns, until which there are other faults than those of `CLEAN`, or their consequences.
     started : dict
         For each node the time, ns, of its last start.
     moving_from : float
@@ -103,6 +109,8 @@ class Facts:
         self.moving_from = inf
         self.settles = (SETTLES if case.paired else SETTLES_SINGLE) * 1e9
         self.started: dict[str, int] = {}
+        self.removed: set[int] = set()
+        self.late_until = 0.0
         self._concerned: dict[str, int] = {}
 
     @property
@@ -113,14 +121,18 @@ class Facts:
         """Return the step by a node's clock."""
         return self.clock.step(self.fleet.now(node))
 
-    def begin(self, nodes: tuple[str, ...]) -> None:
-        """Note that a fault begins to concern nodes."""
+    def begin(self, nodes: tuple[str, ...], kind: str) -> None:
+        """Note that a fault of a kind begins to concern nodes."""
+        if kind not in CLEAN:
+            self.late_until = inf
         for node in nodes:
             self._concerned[node] = self._concerned.get(node, 0) + 1
             self.until[node] = inf
 
-    def end(self, nodes: tuple[str, ...]) -> None:
+    def end(self, nodes: tuple[str, ...], kind: str) -> None:
         """Note that it is over; they settle after a while."""
+        if kind not in CLEAN:
+            self.late_until = self.now + self.settles
         for node in nodes:
             self._concerned[node] -= 1
             if not self._concerned[node]:
@@ -140,7 +152,7 @@ class Facts:
         pairs = [[self.is_fine(name) for name in pair] for pair in self.case.pairs]
         if not all(map(any, pairs)):
             return ""
-        return "always" if all(map(all, pairs)) else "soon"
+        return "always" if all(map(all, pairs)) or self.late_until < self.now else "soon"
 
 
 class Property:
@@ -173,8 +185,10 @@ class _Robot:
         self.sets: dict[int, dict[tuple[Topic, bool], Message]] = {}
         self.stop: int | None = None
         self.reset = -(2**62)
-        self.new: list[tuple[bool, Topic, Message]] = []
-        self.stopped = 0
+        self.new: list[tuple[bool, Topic, Message, bool]] = []
+        self.forged: dict[tuple[int, Topic, bool], Message] = {}
+        self.doubted: int | None = None
+        self.age = 0
         self.count = 0
 
 
@@ -193,6 +207,8 @@ class ActsOnOneSet(Property):
         self._robots = {name: _Robot() for name in facts.case.robot_names}
         configs = configure.agent_configs(facts.scenario, facts.clock)
         self._laws = {agent_name(config.agent_id): RealtimeLaw(config) for config in configs}
+        self._spoke: set[str] = set()
+        self._longest_age = max(config.measurement_age_limit for config in configs) * 1e9
         self._guard = min(facts.age + facts.ahead, facts.clock.steps(GUARD_MOST))
         if facts.case.each_robot:  # they hear no broadcasts
             return
@@ -209,8 +225,7 @@ class ActsOnOneSet(Property):
         robot = self._robots.get(node)
         if robot is not None and parcel.message is not None:
             stops = topic is DESIRED_ABSTRACT_STATE and parcel.message.mode == Mode.STOP  # type: ignore[union-attr]
-            if parcel.sender or stops:  # a STOP counts from anybody
-                robot.new.append((standby, topic, parcel.message))
+            robot.new.append((standby, topic, parcel.message, not parcel.sender and not stops))
 
     def _state(self, node: str, state: AgentState) -> None:
         robot, facts = self._robots[node], self.facts
@@ -220,14 +235,21 @@ class ActsOnOneSet(Property):
                 raise self.broken(node, "moves in its first step, before it has decided anything")
             self._check(node, robot, before, state)
         robot.before = state
+        robot.age = facts.fleet.now(node) - state.stamp
+        self._spoke.add(node)
         if robot.new:
             self._take(robot, facts.step_of(node))
 
     def _take(self, robot: _Robot, step: int) -> None:
         """Let what was heard since the last state count for the next decision."""
-        for standby, topic, message in robot.new:
+        for standby, topic, message, forged in robot.new:
             of = message.step
             if of > step + self.facts.ahead:
+                continue
+            if forged:
+                robot.forged[of, topic, standby] = message
+                if (known := robot.sets.get(of, {}).get((topic, standby))) is not None:
+                    self._compare(robot, message, known, step)
                 continue
             if topic is DESIRED_ABSTRACT_STATE and (mode := message.mode) != Mode.RUN:  # type: ignore[union-attr]
                 if mode == Mode.STOP:
@@ -236,15 +258,34 @@ class ActsOnOneSet(Property):
                     robot.reset = max(robot.reset, of)
                 continue
             robot.sets.setdefault(of, {}).setdefault((topic, standby), message)
+            if robot.forged and (other := robot.forged.get((of, topic, standby))) is not None:
+                self._compare(robot, other, message, step)
         robot.new.clear()
         if len(robot.sets) > 4 * (self.facts.age + self.facts.ahead):
             for old in [k for k in robot.sets if not step - 2 * self.facts.age <= k <= step + self.facts.ahead]:
                 del robot.sets[old]
 
+    def _compare(self, robot: _Robot, forged: Message, genuine: Message, step: int) -> None:
+        """Let a robot doubt from a step on, if it can tell that somebody forges credible broadcasts."""
+        if forged != genuine and step - self.facts.age <= genuine.step and all(map(isfinite, forged)):
+            robot.doubted = step
+
     def _check(self, node: str, robot: _Robot, before: AgentState, state: AgentState) -> None:
         used, decided, facts = state.broadcast_step, before.step, self.facts
         if not -facts.ahead <= decided - used <= facts.age:
             text = f"moved in step {decided} on broadcasts of step {used}; {facts.age} steps is the age limit"
+            raise self.broken(node, text)
+        if facts.case.start == "wait" and len(self._spoke) < facts.case.robots:
+            raise self.broken(
+                node, f"moved in step {decided}, but {facts.case.robots - len(self._spoke)} robots never spoke"
+            )
+        if robot.age > self._longest_age:
+            text = f"moved in step {decided} with a measurement of its motion that was {robot.age / 1e9:g} s old"
+            raise self.broken(node, text)
+        if robot.doubted is not None and not facts.case.paired and 0 <= decided - robot.doubted <= facts.age:
+            text = (
+                f"moved in step {decided}, but since step {robot.doubted} it knows two different broadcasts of a step"
+            )
             raise self.broken(node, text)
         if robot.stop is not None and robot.reset - robot.stop <= self._guard:
             reset = "no RESET" if robot.reset < 0 else f"its newest RESET is of step {robot.reset}"
@@ -302,8 +343,8 @@ class KeepsFollowing(Property):
 
     name = "keeps following"
     statement = (
-        "A robot that no fault concerns follows, whatever happens to other robots; also while one of a pair of "
-        f"coordinators is lost, then with at most {LONGEST_STOP:g} s of safe stop."
+        "A robot that no fault concerns follows, whatever happens to other robots, and also while one of a pair of "
+        f"coordinators is lost; at most {LONGEST_STOP:g} s of safe stop if that one is late or its clock is wrong."
     )
 
     def __init__(self, facts: Facts) -> None:
@@ -320,10 +361,10 @@ class KeepsFollowing(Property):
         since = self._stopped.setdefault(node, self.facts.now)
         expected = self.facts.follows(node)
         lasting = self.facts.now - since
-        if expected and lasting > (self._longest if expected == "soon" else 2 * self.facts.period):
+        if expected and lasting > (self._longest if expected == "soon" else 3 * self.facts.period):
             what = f"is {Status(state.status).name} and does not move for {lasting / 1e9:.3f} s"
             others = "most robots are" if self.facts.case.each_robot else "one of each pair of coordinators is"
-            why = "nothing concerns it" if expected == "always" else f"it and {others} fine"
+            why = f"it and {others} fine"
             raise self.broken(node, f"{what}, although {why}")
 
 
@@ -368,6 +409,7 @@ class SumsUpWhatItHears(Property):
         if facts.case.each_robot:
             return
         self._newest = {name: {} for name in facts.case.pairs[0]}
+        self._standing: dict[str, set[int]] = {name: set() for name in facts.case.pairs[0]}
         self.published = {BASIS: self._basis, ABSTRACT_STATE: self._sum}
         for topic in _variants(AGENT_STATE):
             self.heard[topic] = self._state
@@ -392,11 +434,19 @@ class SumsUpWhatItHears(Property):
         if node in facts.odd:
             return
         used = dict(zip(basis.agent_ids, zip(basis.state_steps, basis.standing, strict=True), strict=True))
+        standing = self._standing[node]
+        for robot in standing - used.keys() - facts.removed:
+            if robot not in newest:  # the memory of the host knows it
+                raise self.broken(
+                    node, f"in step {basis.step} it has forgotten robot {robot}, which stands on the plane"
+                )
+        standing.clear()
+        standing.update(robot for robot, (_, stands) in used.items() if stands)
         for robot, state in newest.items():
             name = agent_name(robot)
             # A node that has just started counts as a second sender until the one before it is forgotten.
             new = facts.now - facts.started[name] <= 2 * facts.state_age * facts.period
-            if name in facts.odd or facts.until[name] == inf or new:
+            if name in facts.odd or facts.until[name] == inf or new or robot in facts.removed:
                 continue
             if (state.status == Status.LEFT) == (robot in used):
                 text = "has left, and still counts" if robot in used else "is on the plane, and does not count"

@@ -27,6 +27,8 @@ NODES = ("crash", "pause", "clock", "drift", "blind")
 """What can happen to a node: it dies and starts; stands still; its clock is wrong or too fast; its sensor is silent."""
 COMMANDS = ("stop", "reset", "release", "leave", "join")
 """What an operator can say to a node."""
+REMOVAL = "removal"
+"""An operator says to all observers that a robot was carried off the plane."""
 FORGED = ("stranger", "nonsense", "future", "garbage", "impostor")
 """What somebody else can send to a node: states of an unknown robot, values that cannot be, steps that have not come,
 bytes of another layout; or messages in the name of a node that are credible."""
@@ -56,7 +58,7 @@ class Fault(NamedTuple):
             fault = cls(float(at), kind, who, lasting, float(value[0]) if value else 0.0)
         except (ValueError, IndexError):
             raise InputError(f"{line!r} is not a fault", "write such as '2.130 +0.400 crash controller'") from None
-        if kind not in (*LINKS, *NODES, *COMMANDS, *FORGED):
+        if kind not in (*LINKS, *NODES, *COMMANDS, REMOVAL, *FORGED):
             raise InputError(f"{line!r}: there is no fault {kind!r}", "see tests/virtual/schedule.py")
         return fault
 
@@ -286,6 +288,8 @@ def _absence(draw: Random, case: Case, at: float) -> list[Fault]:
     lost = draw.choice((pair, pair[:1], pair[-1:]))
     begins = at + draw.uniform(0.3, 1.0)
     faults = [Fault(begins, "crash", name, lasting) for name in lost]
+    if not case.each_robot and draw.random() < 0.3:
+        faults.append(Fault(at + draw.uniform(0.0, 0.5), REMOVAL, draw.choice((robot, draw.choice(case.robot_names)))))
     return [Fault(at, "crash", robot, begins - at + lasting + SETTLES + 1.0), *faults]
 
 

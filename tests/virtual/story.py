@@ -16,8 +16,10 @@ from tests.virtual.weather import Weather
 
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import encode
+from swarmabs_core.events import EventCode
 from swarmabs_core.messages import (
     NEVER,
+    REMOVALS,
     TOPIC_OF,
     AbstractState,
     AgentState,
@@ -26,6 +28,7 @@ from swarmabs_core.messages import (
     Message,
     Mode,
     PlaneState,
+    Removal,
     SwarmEvent,
     Topic,
 )
@@ -197,12 +200,14 @@ class Story(Watcher):
 
     def _begin(self, fault: Fault) -> None:
         concerned = self._concerned(fault)
-        self.facts.begin(concerned)
+        self.facts.begin(concerned, fault.kind)
         if fault.kind in LINKS:
             self.weather.begin(fault)
             self._say(*_of_link(fault))
         elif fault.kind in COMMANDS:
             self._command(fault.who, fault.kind)
+        elif fault.kind == "removal":
+            self._remove(fault.who)
         elif fault.kind in FORGED:
             self._say(fault.who, f"gets forged messages: {fault.kind}")
             self._forge(fault)
@@ -253,7 +258,17 @@ class Story(Watcher):
         elif fault.kind == "blind":
             self._drive(name).blind = False
             self._say(name, "measures its motion again")
-        self.facts.end(concerned)
+        self.facts.end(concerned, fault.kind)
+
+    def _remove(self, name: str) -> None:
+        """Let an operator say that a robot was carried away; of one that lives nobody believes it."""
+        self._say(name, "is said by an operator to be carried away")
+        fleet, robot = self.fleet, int(name.removeprefix(ROBOT_PREFIX))
+        if fleet.nodes[name].activity is None:
+            self.facts.removed.add(robot)
+        step = fleet.clock.step(fleet.now(name))
+        removal = Removal(*EventCode.CARRIED_AWAY.event(0, max(0, step), robot=robot))
+        fleet.deliver(Parcel("operator", REMOVALS, encode(removal), b"", removal), self.case.coordinators)
 
     def _drive(self, name: str) -> Any:
         return self.fleet.drives[int(name.removeprefix(ROBOT_PREFIX))]
@@ -264,6 +279,8 @@ class Story(Watcher):
             return tuple(sorted(self._of_links(fault)))
         if fault.kind == "leave":
             return (fault.who,)
+        if fault.kind == "removal":
+            return ()
         if fault.kind in {"crash", "pause", "clock", "blind"}:
             return (fault.who,)
         return self.case.names if fault.kind == "impostor" else ()
@@ -320,7 +337,7 @@ class Story(Watcher):
             self._ordered = True
             self.facts.moving_from = float("inf")
         elif command == "join" and self.facts.until[node] == float("inf"):
-            self.facts.end((node,))
+            self.facts.end((node,), "crash")
 
     def ends(self, node: str) -> None:
         self._holders.discard(node)
