@@ -168,7 +168,7 @@ def case_of(seed: int, robots: int | None = None) -> Case:
         for _ in range(draw.randint(1, 3)):
             fault = draw.choice(kinds)(draw, case, time + draw.uniform(0.0, 0.3))
             faults += fault
-            time = max(f.end for f in fault) + SETTLES
+            time = max([time, *(f.end for f in fault)]) + SETTLES
         quiet = time - SETTLES
     else:
         lasting = draw.choice((1.0, 2.5, 2.5, 5.0))
