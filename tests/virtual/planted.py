@@ -13,11 +13,10 @@ import pytest
 
 from swarmabs_core.messages import DesiredAbstractState, Mode
 from swarmabs_core.realtime import leadership
-from swarmabs_core.realtime.agent import RealtimeAgent
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 from swarmabs_core.realtime.leadership import Leadership
 from swarmabs_core.realtime.modes import ModeLatch, PublishedMode
-from swarmabs_core.realtime.observer import RealtimeObserver, RealtimeSums, Role
+from swarmabs_core.realtime.observer import RealtimeObserver
 from swarmabs_core.realtime.validation import Heard, HeardStates, Writers
 
 Patch = pytest.MonkeyPatch
@@ -113,16 +112,6 @@ def stop_is_not_latched(patch: Patch) -> None:
     patch.setattr(ModeLatch, "stopped", property(lambda self: False))
 
 
-def silent_robots_still_count(patch: Patch) -> None:
-    """The observer takes robots that have fallen silent for active for three times as long as it may."""
-    role = RealtimeSums.role
-
-    def late(self: RealtimeSums, state: Any, step: int) -> Role:
-        return role(self, state, step if state is None or step - state.step > 3 * self._age else state.step)
-
-    patch.setattr(RealtimeSums, "role", late)
-
-
 def grows_with_forged_ids(patch: Patch) -> None:
     """What is heard is kept for ever."""
     add = Heard.add
@@ -134,66 +123,9 @@ def grows_with_forged_ids(patch: Patch) -> None:
     patch.setattr(HeardStates, "add", keeping)
 
 
-def older_states_win(patch: Patch) -> None:
-    """The observer takes the state that arrives last for the newest."""
-    hear = RealtimeObserver.hear
-
-    def hearing(self: RealtimeObserver, message: Any, now: int, sender: Any) -> Any:
-        answer = hear(self, message, now, sender)
-        if type(message).__name__ == "AgentState" and not answer and message.agent_id in self.roles:
-            self._states[message.agent_id] = message
-            self._steps[message.agent_id] = message.step
-        return answer
-
-    patch.setattr(RealtimeObserver, "hear", hearing)
-
-
-def holds_through_a_clock_set_back(patch: Patch) -> None:
-    """A robot whose clock is set back keeps what it has heard."""
-    patch.setattr(BroadcastInbox, "forget", lambda self, now: None)
-    patch.setattr(RealtimeAgent, "_doubt", lambda self, now: ())
-
-
-def leads_although_cut_off(patch: Patch) -> None:
-    """An observer that hears no robot leads."""
-    patch.setattr(RealtimeObserver, "_hears_robots", property(lambda self: True))
-
-
-def release_is_forgotten(patch: Patch) -> None:
-    """A coordinator that is released never leads again if the other one is gone."""
-    patch.setattr(leadership, "_LISTENS", {**leadership._LISTENS})
-    listen = Leadership._listen
-
-    def patient(self: Leadership, step: int, steps: int, why: str) -> None:
-        listen(self, step, 10**9 if why == "released" else steps, why)
-
-    patch.setattr(Leadership, "_listen", patient)
-
-
-def follows_a_stale_leader(patch: Patch) -> None:
-    """A robot never leaves the coordinators that it has followed first."""
-    patch.setattr(BroadcastInbox, "_choose", lambda self, step: None)
-
-
-def stop_of_the_silent_controller(patch: Patch) -> None:
-    """A STOP that an operator gives to the silent controller is not passed on."""
-    patch.setattr(PublishedMode, "told_to_stop", property(lambda self: False))
-
-
 def impostor_is_believed(patch: Patch) -> None:
     """A second writer is refused, but what it says counts."""
     patch.setattr(Writers, "refuses", lambda self, origin, writer: False)
-
-
-def counts_who_has_left(patch: Patch) -> None:
-    """A robot that has left counts as silent when its last state is old."""
-    role = RealtimeSums.role
-
-    def forgetting(self: RealtimeSums, state: Any, step: int) -> Role:
-        found = role(self, state, step)
-        return Role.SILENT if found is Role.LEFT and step - state.step > 5 * self._age else found
-
-    patch.setattr(RealtimeSums, "role", forgetting)
 
 
 PLANTED: tuple[Callable[[Patch], None], ...] = (
@@ -206,14 +138,6 @@ PLANTED: tuple[Callable[[Patch], None], ...] = (
     both_lead,
     nobody_takes_over,
     stop_is_not_latched,
-    silent_robots_still_count,
     grows_with_forged_ids,
-    older_states_win,
-    holds_through_a_clock_set_back,
-    leads_although_cut_off,
-    release_is_forgotten,
-    follows_a_stale_leader,
-    stop_of_the_silent_controller,
     impostor_is_believed,
-    counts_who_has_left,
 )
