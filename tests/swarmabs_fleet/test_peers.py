@@ -1,5 +1,7 @@
 """Bundles of a fleet without observer and controller: whom each robot meets, what it may do, what its node is told."""
 
+import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -8,14 +10,18 @@ from tests.swarmabs_fleet.test_profile import peers, xml
 from tests.swarmabs_fleet.test_security import wireguard
 
 from agent_node.realtime_peer import PARAMETERS
+from swarmabs_cli import main
+from swarmabs_cli.fleet import operate
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
 from swarmabs_config.fleet.participants import node_plans, operator_hosts
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PEER, PLANE, RECORDER
 from swarmabs_config.seals import EcdsaSeals, opened
 from swarmabs_core.errors import InputError
+from swarmabs_core.hearing import Hearing
 from swarmabs_core.messages import PARENT
 from swarmabs_core.realtime.seals import SealFiles
 from swarmabs_fleet.bundle import deploy
+from swarmabs_fleet.operate import HealthMonitor
 from swarmabs_fleet.parameters import parameters
 from swarmabs_fleet.permissions import node_rights
 from swarmabs_ros.parameters import table_of
@@ -54,6 +60,32 @@ def test_a_robot_may_publish_its_own_relay_and_read_all_and_offers_no_service_of
     assert not any("agent_001" in topic or topic == "rt/plane/state" for topic in rights.publish)
     assert {"rt/agent_*/relay", "rt/plane/state", "rt/swarm/removals"} <= set(rights.subscribe)
     assert not any("swarm/stop" in topic for topic in rights.subscribe)
+
+
+def test_status_tells_whom_each_robot_hears(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hearing = Hearing((1, 3), 3, {1: 2, 2: 0, 3: 3}, (4,), majority=True).values()
+
+    class Client:
+        """Hears two nodes."""
+
+        def listen(self, monitor: HealthMonitor, *_: object) -> None:
+            monitor.hear("plane_sim", 0, "moves", {}, time.monotonic())
+            monitor.hear("agent_002", 0, "follows", dict(hearing), time.monotonic())
+            monitor.hear("agent_003", 0, "follows", dict(hearing) | {"neighbours": "some"}, time.monotonic())
+            monitor.hear("agent_004", 0, "follows", dict(hearing), time.monotonic() - 100.0)
+
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setattr(operate, "joined", lambda _: nullcontext(Client()))
+    assert main(["status", str(EXAMPLES["no_observer"])]) == 1
+    printed = capsys.readouterr().out
+    rows = {line.split()[0]: " ".join(line.split()) for line in printed.splitlines()}
+    assert rows["node"] == "node host health links message"
+    assert rows["plane_sim"] == "plane_sim base OK moves"
+    assert rows["agent_002"] == "agent_002 robot-2 OK hears 2 of 3, oldest 3 steps, lacks 4 follows"
+    assert rows["agent_003"] == "agent_003 robot-3 OK follows"
+    assert rows["agent_004"].startswith("agent_004 robot-4 silent no diagnostics for 100 s")
 
 
 def test_a_tunnel_joins_all_hosts(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Who leads and who stands by, as pages get it: from the diagnostics of the nodes."""
+"""Who leads and who stands by, as pages get it: from the diagnostics of the nodes, some of which tell of links."""
 
 import pytest
 import rclpy
@@ -8,13 +8,21 @@ from tests.processes import until
 from tests.swarmabs_view.conftest import PageServer
 
 from swarmabs_config.graph import CONTROLLER, DIAGNOSTICS, OBSERVER, SILENCE, standby_name
+from swarmabs_core.hearing import Hearing
 from swarmabs_core.pair_role import role_values
 from swarmabs_core.realtime.base import Health, Level
 from swarmabs_ros.managed import diagnostic_array
 from swarmabs_ros.start import SwarmNode, initialise
 from swarmabs_view.coordinators import DiagnosedRoles
+from swarmabs_view.linked_robots import DiagnosedLinks
 from swarmabs_view.listener import DiagnosticsListener
-from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators
+from swarmabs_view.protocol import Coordinator, CoordinatorPair, Coordinators, Links
+
+TOLD = (
+    (OBSERVER, role_values("primary", "leads", 7.0)),
+    ("agent_001", (("x", "y"),)),
+    ("agent_002", Hearing((1,), 1, {1: 4, 2: 0}, (), majority=True).values()),
+)
 
 
 def shown(message: Coordinators | None) -> list[tuple[str, int | None, str, int | None]]:
@@ -39,17 +47,19 @@ def test_diagnostics_are_heard_on_the_topic_of_the_nodes() -> None:
     try:
         node = SwarmNode("hearer")
         publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
-        listener, roles = DiagnosticsListener(node), DiagnosedRoles()
+        listener, roles, links = DiagnosticsListener(node), DiagnosedRoles(), DiagnosedLinks()
 
         def complete() -> bool:
-            for name, values in ((OBSERVER, role_values("primary", "leads", 7.0)), ("agent_001", (("x", "y"),))):
+            for name, values in TOLD:
                 publisher.publish(diagnostic_array(name, Health(Level.OK, "fine", values), 0))
             for found in listener.poll():
                 roles.hear(*found, 0.0)
-            return roles.message(0.0) is not None
+                links.hear(*found, 0.0)
+            return roles.message(0.0) is not None and links.message(0.0) is not None
 
         until(complete, "a role has been heard", 15.0)
         assert shown(roles.message(0.0)) == [("leads", 7, "is silent", None)]
+        assert [robot.hears for robot in (links.message(0.0) or Links(robots=[])).robots] == [[1]]
         node.destroy_node()  # type: ignore[no-untyped-call]
     finally:
         rclpy.try_shutdown()

@@ -10,6 +10,7 @@ from tests.virtual.fleet import Network, VirtualFleet
 
 from swarmabs_config.graph import PLANE
 from swarmabs_core import messages as msg
+from swarmabs_core.hearing import Hearing
 from swarmabs_core.messages import EventKind, Mode
 from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.peer import RealtimePeer
@@ -101,6 +102,32 @@ def test_a_majority_goes_on_when_robots_die(case: str) -> None:
     assert active(fleet) == left
     assert not stopped(fleet, begun)
     assert abs(angles(fleet)[max(angles(fleet))]) < 0.1
+
+
+def hearing(fleet: VirtualFleet, robot: int) -> Hearing:
+    found = Hearing.read(dict(behaviour(fleet, robot).health(fleet.now(agent_name(robot))).values))
+    assert found is not None
+    return found
+
+
+def test_diagnostics_tell_whom_a_robot_hears_and_how_old_the_states_are() -> None:
+    fleet = peers_of("pd_het_4", *generated(8), "links={type: ring}", begun=0.5)
+    fleet.run(0.5)
+    first = hearing(fleet, 1)
+    assert (first.hears, first.neighbours, first.lacks, first.majority) == ((2, 8), 2, (), True)
+    assert first.ages.keys() == set(range(1, 9))
+    assert max(first.ages, key=first.ages.__getitem__) == 5, "the state of the opposite robot takes the longest"
+    fleet.call(agent_name(3), "leave")
+    fleet.kill(agent_name(8))
+    fleet.run(1.0)
+    first = hearing(fleet, 1)
+    assert (first.hears, first.lacks, first.majority) == ((2,), (8,), True)
+    assert 3 not in first.ages
+    assert first.ages[8] > AGE_LIMIT / PERIOD > (first.oldest or 0)
+    fleet.network.cut.add(agent_name(5))
+    fleet.run(1.0)
+    fifth = hearing(fleet, 5)
+    assert (fifth.hears, fifth.lacks, fifth.majority) == ((), (1, 2, 4, 6, 7, 8), False)
 
 
 def test_two_of_four_stop_if_the_first_two_die_at_once() -> None:

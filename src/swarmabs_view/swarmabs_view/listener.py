@@ -25,6 +25,7 @@ from swarmabs_config.graph import (
 )
 from swarmabs_core.cdr import decode, misplaced
 from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.hearing import HEARS
 from swarmabs_core.messages import BASIS, EVENTS, FAMILIES, SwarmEvent, Topic
 from swarmabs_core.nodes import ROBOT_PREFIX
 from swarmabs_core.pair_role import ROLE
@@ -44,6 +45,8 @@ LOOK = 1.0
 """Time, s, between two searches for robots' own topics."""
 _DIAGNOSTICS = Topic(DIAGNOSTICS, SwarmEvent, "diagnostic_msgs/msg/DiagnosticArray")
 """The diagnostics, which are no messages of the swarm: their class here is never used."""
+_NAMES = (ROLE.encode(), HEARS.encode())
+"""Values that are shown: diagnostics without one of these are not worth deserializing."""
 _ID = re.compile(r"\d{3,5}")
 
 
@@ -56,7 +59,7 @@ class Heard(NamedTuple):
 
 
 class DiagnosticsListener:
-    """Listens to the diagnostics of the nodes of a swarm in real time that are one of a pair."""
+    """Listens to the diagnostics of the nodes that are one of a pair, and of robots that sum up the swarm."""
 
     def __init__(self, node: SwarmNode) -> None:
         self._take = Receiver(node, {_DIAGNOSTICS: Qos("best_effort", DEPTH)}).take
@@ -67,7 +70,7 @@ class DiagnosticsListener:
             payload = self._take(_DIAGNOSTICS)
             if payload is None:
                 return
-            if ROLE.encode() not in payload:
+            if not any(name in payload for name in _NAMES):
                 continue
             try:
                 array = deserialize_message(payload, DiagnosticArray)

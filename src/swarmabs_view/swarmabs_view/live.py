@@ -14,6 +14,7 @@ from swarmabs_core.messages import SystemDescription
 from swarmabs_core.systems import PLANE_TABLES, SystemTables
 from swarmabs_view.coordinators import DiagnosedRoles
 from swarmabs_view.facts import Shading
+from swarmabs_view.linked_robots import DiagnosedLinks
 from swarmabs_view.presenter import Placed, Presenter, sides
 from swarmabs_view.protocol import State
 from swarmabs_view.session import CurveBuffer, Session
@@ -85,6 +86,7 @@ class LiveView:
         self._learned = 0
         self.rate = StepRate()
         self.roles = DiagnosedRoles()
+        self.links = DiagnosedLinks()
         self._drawn: object = None
         self._frame: Frame | None = None
         self.learn(hello, state)
@@ -148,7 +150,7 @@ class LiveView:
     def latest(self, now: float) -> tuple[protocol.Message | None, ...]:
         """Return the messages that hold at a time (s) for every page."""
         sets, state = self.shading.of(self.state.members()), State(phase=self.phase, text=self.text)
-        return self.frame(now), sets, self.health, self.roles.message(now), state
+        return self.frame(now), sets, self.health, self.roles.message(now), self.links.message(now), state
 
     def add(self, message: Message) -> None:
         """Process a message of the swarm; the description of a parent system begins the view of that."""
@@ -214,6 +216,7 @@ class LiveView:
                 self.add(heard.message)
             for node, values in diagnostics.poll():
                 self.roles.hear(node, values, clock())
+                self.links.hear(node, values, clock())
             self.refresh(clock())
             left = left - 1 if over() else 3
             await asyncio.sleep(INTERVAL)

@@ -252,6 +252,25 @@ class Coordinators(Message):
     pairs: list[CoordinatorPair]
 
 
+class LinkedRobot(Part):
+    """What a robot knows of the others, by its diagnostics."""
+
+    id: int
+    silent: bool = Field(description="whether its diagnostics are missing, so that the rest is not known")
+    hears: list[int] = Field(description="ids of the neighbours that it hears")
+    neighbours: int = Field(description="number of robots that it should hear")
+    oldest: int | None = Field(description="age of the oldest state that it uses, steps")
+    lacks: list[int] = Field(description="ids of the robots of which it knows no state, or only one that is too old")
+    majority: bool = Field(description="whether it hears a majority; otherwise it stops")
+
+
+class Links(Message):
+    """Who hears whom, at most once a second; not sent unless each robot sums up the swarm by itself."""
+
+    type: Literal["links"] = "links"
+    robots: list[LinkedRobot] = Field(description="by id")
+
+
 class State(Message):
     """State of the source; sent at least once a second, so that silence means a lost connection."""
 
@@ -369,7 +388,7 @@ CONTROL: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminat
 
 FROM_SERVER: tuple[type[Message], ...] = (
     *(Hello, Frame, Sets, Curves, Positions, Events),
-    *(Health, Coordinators, State, Steering, Answer),
+    *(Health, Coordinators, Links, State, Steering, Answer),
 )
 FROM_PAGE: tuple[type[Request], ...] = (Play, Pause, Seek, Speed, Unlock, Steer)
 

@@ -23,6 +23,7 @@ from swarmabs_cli.options import Number, examples, json_option, together
 from swarmabs_cli.output import print_json, print_warnings
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.errors import RunError
+from swarmabs_core.hearing import Hearing
 from swarmabs_core.realtime.observer import Role
 from swarmabs_core.realtime.peer import SWARM
 from swarmabs_fleet import pairs
@@ -243,7 +244,8 @@ def remove(swarm: Path, robot: int, patience: float) -> None:
 def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
     """Show the health of every node of a fleet or a real-time run.
 
-    Of coordinators with a standby it shows which one leads, and since when. It warns about certificates that expire
+    Of coordinators with a standby it shows which one leads, and since when, and of robots that sum up the swarm by
+    themselves whom they hear and how old the states are that they use. It warns about certificates that expire
     within 30 days. The exit code is 1 if a node is silent or reports an error.
     """
     if watch and as_json:
@@ -272,10 +274,13 @@ def status(swarm: Path, patience: float, *, watch: bool, as_json: bool) -> int:
 def _table(operated: Target, rows: Sequence[Row]) -> Table:
     table = Table(box=None, pad_edge=False)
     roles = pairs.has_standbys(operated)
-    for head in ("node", "host", "health", *(["role"] * roles), "message"):
+    links = operated.decentralised
+    for head in ("node", "host", "health", *(["role"] * roles), *(["links"] * links), "message"):
         table.add_column(head, overflow="fold")
     for row in rows:
         level = Text(row.level, style=_STYLES.get(row.level, "red"))
         role = [Text("" if row.level == SILENT else pairs.role(row.values))] * roles
-        table.add_row(Text(row.node), Text(row.host), level, *role, Text(row.text))
+        hearing = None if row.level == SILENT else Hearing.read(row.values)
+        hears = [Text(hearing.words() if hearing else "")] * links
+        table.add_row(Text(row.node), Text(row.host), level, *role, *hears, Text(row.text))
     return table

@@ -14,6 +14,7 @@ import numpy as np
 
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.errors import MalformedMessageError
+from swarmabs_core.hearing import Hearing
 from swarmabs_core.links import LinkSettings, lost
 from swarmabs_core.messages import (
     PARENT,
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     from swarmabs_core.realtime.relayed import Constants, Motion
 
 _THERE = (Role.ACTIVE, Role.STOPPED)
+_LACKED = (Role.UNHEARD, Role.SILENT)
 _PROGRESS_PERIODS = 10
 """Periods after which a relay tells again from which desired state its sender continues."""
 SWARM, LAW = "swarm: ", "law: "
@@ -203,12 +205,17 @@ class RealtimePeer:
         """Return the health of the robot, with what it knows of the swarm."""
         robot, swarm, law = (part.health(now) for part in (self._agent, self._observer, self._controller))
         step = self._schedule.step(now)
-        near = [robot_id for robot_id, (heard, _) in sorted(self._told.items()) if step - heard <= self._age]
-        ages = [f"{i}:{step - state.step}" for i, state in sorted(self._observer.states.items()) if state.step]
+        roles, states = self._observer.roles, sorted(self._observer.states.items())
+        hearing = Hearing(
+            tuple(robot_id for robot_id, (heard, _) in sorted(self._told.items()) if step - heard <= self._age),
+            len(self._config.neighbours),
+            {i: max(0, step - state.step) for i, state in states if state.step and roles[i] is not Role.LEFT},
+            tuple(i for i, role in sorted(roles.items()) if role in _LACKED),
+            self._majority,
+        )
         values = (
             *robot.values,
-            ("hears robots", " ".join(map(str, near))),
-            ("ages of states, steps", " ".join(ages)),
+            *hearing.values(),
             ("counted robots", " ".join(map(str, sorted(self._electorate.counted)))),
             *((f"{SWARM}{name}", text) for name, text in swarm.values),
             *((f"{LAW}{name}", text) for name, text in law.values),

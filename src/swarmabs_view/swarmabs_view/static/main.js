@@ -4,6 +4,7 @@ import { Charts } from "./charts.js";
 import { Connection, VERSION } from "./connection.js";
 import { Controls } from "./controls.js";
 import { capital, massesOf } from "./description.js";
+import { Links } from "./links.js";
 import { Picture } from "./picture.js";
 import { SteeringPanel } from "./steering.js";
 import { legend } from "./symbols.js";
@@ -24,6 +25,7 @@ const robots = new Robots();
 const events = new Events();
 const processes = new Processes();
 const coordinators = new Coordinators();
+const links = new Links();
 const connection = new Connection(take, shown);
 const controls = new Controls((message) => connection.send(message));
 const steering = new SteeringPanel((message) => connection.send(message), status);
@@ -58,6 +60,8 @@ function take(message) {
     processes.take(message);
   } else if (message.type === "coordinators") {
     coordinators.take(message);
+  } else if (message.type === "links") {
+    links.take(message, hello.period);
   } else if (message.type === "steering") {
     steering.take(message);
   } else if (message.type === "answer") {
@@ -84,6 +88,7 @@ function greet(message) {
   element("processes-panel").hidden = message.source === "bag";
   processes.take({ processes: [] });
   coordinators.take({ pairs: [] });
+  links.take({ robots: [] });
   if (same) {
     controls.resume(before);
   }

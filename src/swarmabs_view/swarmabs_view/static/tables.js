@@ -46,7 +46,7 @@ function show(node, value, text) {
   node.textContent = text ?? short(value);
 }
 
-function cell(row, tag = "td") {
+export function cell(row, tag = "td") {
   const node = document.createElement(tag);
   if (tag === "th") {
     node.scope = "row";
