@@ -13,10 +13,11 @@ import pytest
 
 from swarmabs_core.messages import DesiredAbstractState, Mode
 from swarmabs_core.realtime import leadership
+from swarmabs_core.realtime.agent import RealtimeAgent
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 from swarmabs_core.realtime.leadership import Leadership
 from swarmabs_core.realtime.modes import ModeLatch, PublishedMode
-from swarmabs_core.realtime.observer import RealtimeObserver
+from swarmabs_core.realtime.observer import RealtimeObserver, RealtimeSums, Role
 from swarmabs_core.realtime.validation import Heard, HeardStates, Writers
 
 Patch = pytest.MonkeyPatch
@@ -128,6 +129,27 @@ def impostor_is_believed(patch: Patch) -> None:
     patch.setattr(Writers, "refuses", lambda self, origin, writer: False)
 
 
+def silent_robots_still_count(patch: Patch) -> None:
+    """The observer takes robots that have fallen silent for active for three times as long as it may."""
+    role = RealtimeSums.role
+
+    def late(self: RealtimeSums, state: Any, step: int) -> Role:
+        return role(self, state, step if state is None or step - state.step > 3 * self._age else state.step)
+
+    patch.setattr(RealtimeSums, "role", late)
+
+
+def holds_through_a_clock_set_back(patch: Patch) -> None:
+    """A robot whose clock is set back keeps what it has heard."""
+    patch.setattr(BroadcastInbox, "forget", lambda self, now: None)
+    patch.setattr(RealtimeAgent, "_doubt", lambda self, now: ())
+
+
+def follows_a_stale_leader(patch: Patch) -> None:
+    """A robot never leaves the coordinators that it has followed first."""
+    patch.setattr(BroadcastInbox, "_choose", lambda self, step: None)
+
+
 PLANTED: tuple[Callable[[Patch], None], ...] = (
     stop_is_lost_in_a_takeover,
     mixed_sets,
@@ -140,4 +162,7 @@ PLANTED: tuple[Callable[[Patch], None], ...] = (
     stop_is_not_latched,
     grows_with_forged_ids,
     impostor_is_believed,
+    follows_a_stale_leader,
+    holds_through_a_clock_set_back,
+    silent_robots_still_count,
 )

@@ -409,6 +409,7 @@ class SumsUpWhatItHears(Property):
         if facts.case.each_robot:
             return
         self._newest = {name: {} for name in facts.case.pairs[0]}
+        self._doubtful = any(fault.kind == "impostor" for fault in facts.case.faults)  # robots may be refused, too
         self._standing: dict[str, set[int]] = {name: set() for name in facts.case.pairs[0]}
         self.published = {BASIS: self._basis, ABSTRACT_STATE: self._sum}
         for topic in _variants(AGENT_STATE):
@@ -446,7 +447,7 @@ class SumsUpWhatItHears(Property):
             name = agent_name(robot)
             # A node that has just started counts as a second sender until the one before it is forgotten.
             new = facts.now - facts.started[name] <= 2 * facts.state_age * facts.period
-            if name in facts.odd or facts.until[name] == inf or new or robot in facts.removed:
+            if self._doubtful or name in facts.odd or new or robot in facts.removed:
                 continue
             if (state.status == Status.LEFT) == (robot in used):
                 text = "has left, and still counts" if robot in used else "is on the plane, and does not count"
