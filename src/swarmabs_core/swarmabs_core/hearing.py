@@ -28,7 +28,7 @@ _HIGHEST_ID = 65535
 class Hearing(NamedTuple):
     """What a robot knows of the others.
 
-    Parameters
+    Attributes
     ----------
     hears : tuple of int
         Ids of the neighbours that it hears, ascending.
