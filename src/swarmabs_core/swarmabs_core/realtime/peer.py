@@ -2,7 +2,7 @@
 
 It hosts the state machines of observer, parent controller and robot, and passes messages between them. Once per period
 it tells its neighbours what they may lack: the newest state of each robot and of the plane, STOP and RESET as operators
-ordered them anywhere, and how far its instance of the law is (docs/explanation/decentralised.md).
+ordered them anywhere, and how far its instance of the law is (docs/explanation/decentralised_realtime.md).
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from swarmabs_core.messages import (
     PlaneState,
     Relay,
     StandingState,
+    Status,
     SwarmEvent,
 )
 from swarmabs_core.realtime.base import (
@@ -74,6 +75,8 @@ _THERE = (Role.ACTIVE, Role.STOPPED)
 _LACKED = (Role.UNHEARD, Role.SILENT)
 _PROGRESS_PERIODS = 10
 """Periods after which a relay tells again from which desired state its sender continues."""
+COPIES = 16
+"""Neighbours from which a robot hears a state that it lacks in a period, if it has so many."""
 SWARM, LAW = "swarm: ", "law: "
 """What the values in a health status begin with that are those of the hosted observer and controller."""
 _UNREADABLE = "a relay that cannot be read"
@@ -340,12 +343,16 @@ class RealtimePeer:
         """Sum up the swarm as of a step."""
         self._summed, now = step, self._schedule.begin(step, OBSERVER_PHASE)
         answers = self._observer.tick(now)
-        heard = [i for i, role in self._observer.roles.items() if role in _THERE]
+        heard = [i for i, state in self._observer.states.items() if self._is_heard(state, step)]
         if not self._begun and any(isinstance(answer, AbstractState) for answer in answers):
             self._begun = True
             self._electorate.begin(heard)
         self._majority = not self._begun or self._electorate.hears_majority(heard, step)
         return self._share(answers, now)
+
+    def _is_heard(self, state: AgentState, step: int) -> bool:
+        """Return whether a robot counts as heard: losses alone must not make a minority, so for twice the age limit."""
+        return state.status != Status.LEFT and bool(state.step) and step - state.step <= 2 * self._age
 
     def _share(self, messages: Messages, now: int) -> Messages:
         """Pass on what observer and controller say; return what is published, if this robot speaks for all."""
@@ -443,6 +450,8 @@ class RealtimePeer:
         if held[own] >= 0:
             yield own
         turns = (np.arange(robots) + own + step) % robots
+        if len(near) > COPIES:  # in other periods it is the turn of other robots
+            lacks[turns * len(near) >= COPIES * robots] = 0
         for rank in np.lexsort((turns, lacks)).tolist():
             if lacks[rank] >= 0:
                 return

@@ -5,7 +5,7 @@ not matter. Constants of a robot - kind, mass, damping - are passed on only to t
 once more where a tag shows that they have changed. For recordings it also tells what it has computed from which states,
 as the `Basis` of an observer and of a parent controller does, in few bytes: most states are those that it holds. In a
 sealed swarm each state is followed by its author's signature. All numbers are little-endian;
-docs/explanation/decentralised.md describes the layout.
+docs/explanation/decentralised_realtime.md describes the layout.
 """
 
 from __future__ import annotations
