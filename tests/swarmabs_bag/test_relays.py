@@ -26,10 +26,10 @@ SCENARIO = builtin("pd_het_4", "duration=0.2", "coordination=each_robot", "links
 
 
 def sent(scenario: Scenario) -> list[bytes]:
-    """Run all nodes; return the relays by step, round and robot."""
+    """Run all nodes; return the relays up to the last step by step, round and robot."""
     network = Network(peers_in_process(scenario).values())
     network.start()
-    relays = [message for message in network.deliver() if isinstance(message, Relay)]
+    relays = [m for m in network.deliver() if isinstance(m, Relay) and m.step <= scenario.steps]
     return [encode(relay) for relay in sorted(relays, key=lambda relay: (relay.step, relay.round, relay.agent_id))]
 
 

@@ -92,10 +92,14 @@ def test_all_kinds_of_faults_together_change_what_was_planned_and_verify(folder:
     assert done.summary()["messages"] == len(runs.bag_messages(folder))
 
 
-def test_a_dropped_robot_is_verified_and_simulated(folder: Path, tmp_path: Path, mark: str) -> None:
+@pytest.mark.parametrize("coordination", [(), ("coordination=each_robot", "links={loss: 0.2}")], ids=str)
+def test_a_dropped_robot_is_verified_and_simulated(
+    folder: Path, tmp_path: Path, mark: str, coordination: tuple[str, ...]
+) -> None:
     drop = "lockstep={on_stall: drop, stall_timeout: 0.5}"
     kill = partial(runs.signal_process, mark, "agent_003", signal.SIGKILL)
-    outcome = runs.lockstep(folder, "pd_het_4", runs.seconds(10.0), drop, on_progress=runs.at({1: kill}))
+    given = (runs.seconds(10.0), drop, *coordination)
+    outcome = runs.lockstep(folder, "pd_het_4", *given, on_progress=runs.at({1: kill}))
     assert outcome.status == "ok", outcome.reason
     ((step, robot),) = {(event.step, event.agent_id) for event in runs.events(folder) if event.kind == EventKind.DEAD}
     messages = runs.bag_messages(folder)

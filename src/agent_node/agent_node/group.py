@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, ROBOT, Option
-from swarmabs_core.behaviours import Agent, AgentGroup, PeerGroup, Steered
+from swarmabs_config.scenario import Scenario
+from swarmabs_core.behaviours import Agent, AgentGroup, Patience, PeerGroup, Steered
 from swarmabs_core.declaration import setting
 from swarmabs_core.errors import InputError
-from swarmabs_core.messages import PLANE_STATE
-from swarmabs_ros.lockstep import NodeSpec
+from swarmabs_core.messages import PLANE_STATE, Message, Messages
+from swarmabs_ros.lockstep import NodeSpec, RunningClock, silence_limit
 from swarmabs_ros.runner import LockstepProgram, Settings
 from swarmabs_ros.scenario_file import ScenarioFile
 from swarmabs_ros.settings import Variant
@@ -36,9 +37,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
         raise InputError(f"parameter agent_ids: the scenario has no robot {strangers[0]}")
     also = configure.options_for(scenario)
     if scenario.decentralised:
-        peers = PeerGroup(configure.peers(scenario, hosted.agent_ids, steered=variant.steered))
-        ends = configure.peer_endpoints(scenario, hosted.agent_ids, steered=variant.steered)
-        return NodeSpec(Steered(peers) if variant.steered else peers, ends)
+        return _peers(scenario, hosted.agent_ids, steered=variant.steered)
     group = AgentGroup(
         [
             Agent(config, packed=variant.packed, steered=variant.steered)
@@ -48,6 +47,31 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     )
     feeling = (Option.FEELING,) if PLANE_STATE in group.needs else ()
     return NodeSpec(group, settings.endpoints(ROBOT, LOCKSTEP, *feeling, *also))
+
+
+def _peers(scenario: Scenario, ids: tuple[int, ...], *, steered: bool) -> NodeSpec:
+    """Return robots that coordinate the swarm by themselves, and, if they may, drop silent ones."""
+    robots, ends = (
+        configure.peers(scenario, ids, steered=steered),
+        configure.peer_endpoints(scenario, ids, steered=steered),
+    )
+    group = PeerGroup(robots)
+    gate = Steered(group) if steered else None
+    if scenario.lockstep.on_stall != "drop":
+        return NodeSpec(gate or group, ends)
+    clock, limit = RunningClock(), silence_limit(scenario.lockstep.stall_timeout)
+    watches = [Patience(robot, limit) for robot in robots]
+
+    def look() -> Messages:
+        now, published = clock(), list[Message]()
+        for watch in watches:
+            if gate is not None and not gate.open:  # the node waits for an order, and listens to no robot
+                watch.start_over(now)
+            else:
+                published += watch.look(now)
+        return tuple(published)
+
+    return NodeSpec(gate or group, ends, on_idle=look)
 
 
 main = LockstepProgram("agent_group", PARAMETERS, make)

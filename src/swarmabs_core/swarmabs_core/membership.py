@@ -164,6 +164,10 @@ class Membership:
         """Return the ids, ascending, of the robots that have not ended before a step."""
         return tuple(agent_id for agent_id in self._spans if self.lasts(agent_id, step))
 
+    def is_dropped(self, agent_id: int) -> bool:
+        """Return whether a robot has ended because it did not answer."""
+        return self._spans[agent_id].reason == SILENT
+
     def constant_until(self, step: int) -> int:
         """Return the first step after a step in which other robots publish; later than any run if there is none."""
         return self._around(step).end

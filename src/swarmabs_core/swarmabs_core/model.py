@@ -252,6 +252,9 @@ class ParentConfig(CoordinatorConfig):
         unit="N m",
         make=StepChange.parse,
     )
+    confirmed: bool = setting(
+        False, "whether robots send their states of a step again once one of them is announced to have ended before it"
+    )
 
     @property
     def coordinates(self) -> tuple[Quantity, ...]:

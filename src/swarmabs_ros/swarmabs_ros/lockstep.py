@@ -43,6 +43,11 @@ INTERRUPTED = "interrupted"
 """Argument of `NodeSpec.on_exit` if the user has stopped the node (SIGINT)."""
 
 
+def silence_limit(stall_timeout: float) -> float:
+    """Return how long, s, a node may say nothing, not even repeat itself, before robots without an observer drop it."""
+    return stall_timeout + LONGEST
+
+
 Wait = tuple[tuple["Topic", ...], float]
 """What a loop waits for: a message of one of the topics, and the longest time, s; without topics, only the time."""
 

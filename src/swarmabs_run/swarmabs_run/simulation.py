@@ -75,12 +75,13 @@ def peers_in_process(scenario: Scenario) -> dict[NodeName, NodeInProcess]:
     """Return plane and robots by name, where each robot coordinates the swarm by itself."""
     peers = configure.peers(scenario, configure.members(scenario), recorded=False)
     robots = {NodeName(NodeKind.AGENT, peer.agent_id): NodeInProcess(peer, peer.needs) for peer in peers}
-    return {NodeName(NodeKind.PARENT): _parent(scenario)} | robots
+    return {NodeName(NodeKind.PARENT): _parent(scenario, confirmed=True)} | robots
 
 
-def _parent(scenario: Scenario) -> NodeInProcess:
+def _parent(scenario: Scenario, *, confirmed: bool = False) -> NodeInProcess:
     """Return the node of the plane, or of another parent system."""
-    return _node(Parent(configure.parent_config(scenario)), PLANE, configure.options_for(scenario))
+    config = replace(configure.parent_config(scenario), confirmed=confirmed)
+    return _node(Parent(config), PLANE, configure.options_for(scenario))
 
 
 def behaviour_of(nodes: Mapping[NodeName, NodeInProcess], name: NodeName, kind: type[Machine]) -> Machine:

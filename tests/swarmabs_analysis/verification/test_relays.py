@@ -118,7 +118,7 @@ def test_a_changed_bit_of_a_motion_is_found(place: int, what: str) -> None:
 
 def test_a_state_that_nobody_has_passed_on_is_not_held() -> None:
     """In a chain robot 1 hears of robot 2 in round 0, of robot 3 in round 1, and of robot 4 in round 2."""
-    bag = changed(recorded(CHAIN), 5, 1, 2, flipped(0, 3))
+    bag = changed(recorded(CHAIN), 5, 1, 2, flipped(1, 3))
     reason = "round 2: it cannot have heard the state of robot 4: no neighbour has passed it on"
     assert found(world(CHAIN), bag) == ("agent_001/relay", 5, 1, "held", reason)
 
@@ -137,7 +137,7 @@ def test_a_state_that_a_robot_has_not_heard_is_not_passed_on() -> None:
     def early(relay: Relay) -> Relay:
         told = content.read(relay, before)
         passed = sorted((*told.states, states[5, 4]), key=lambda state: state.agent_id)
-        return relay._replace(content=content.written(told.held, passed, told.parent, before))
+        return relay._replace(content=content.written(told.held, passed, told.parent, before, told.votes))
 
     topic, step, robot, field, reason = found(scenario, changed(bag, 5, 2, 1, early))
     assert (topic, step, robot, field) == ("agent_002/relay", 5, 2, "passed_on")

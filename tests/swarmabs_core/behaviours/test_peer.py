@@ -132,9 +132,9 @@ def test_a_robot_uses_only_what_it_hears() -> None:
         if relay.step == 3 and relay.complete:
             complete.setdefault(relay.agent_id, relay.round)
     assert complete == {1: 3, 2: 2, 3: 2, 4: 3}  # the ends are three links apart
-    one, silent = chain[1], PlaneState(0, 0, 0.1, 0.0)
-    one.start()
-    assert isinstance(one.handle(silent)[-1], Relay)
+    one = chain[1]
+    assert [type(message) for message in one.start()] == [Relay], "its state is given once it knows those of all"
+    assert one.handle(PlaneState(0, 0, 0.1, 0.0)) == ()
     assert one.missing() == (0, ("agent 2",))
 
 
@@ -171,7 +171,7 @@ def test_the_run_waits_for_its_recorder() -> None:
     window = configure.recording_window(scenario)
     steps = settle()
     assert steps == window
-    assert {peer.missing() for peer in peers} == {(window, ("recorder",))}
+    assert {peer.missing() for peer in peers} == {(window + 1, ("recorder",))}
     waiting.append(RecordingProgress(0, 0, 40))
     assert settle() == window + 41
     assert Controller(configure.controller_config(scenario, recording_window=window)).awaits()

@@ -9,7 +9,7 @@ machine continues from recorded inputs. The first difference therefore originate
 from __future__ import annotations
 
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from swarmabs_analysis.difference import MESSAGE, Difference, judge, missing, surplus
 from swarmabs_analysis.verification.base import Verification
@@ -38,7 +38,7 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.record import Record
-from swarmabs_core.relays import StepRelays
+from swarmabs_core.relays import Content, StepRelays
 from swarmabs_run.simulation import behaviour_of, nodes_in_process
 from swarmabs_run.swarm_columns import on_columns
 
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from swarmabs_analysis.verification.base import Finding
     from swarmabs_analysis.verification.trial import Trial
     from swarmabs_config.scenario import Scenario
-    from swarmabs_core.messages import Message, Messages
+    from swarmabs_core.messages import AnyParentState, Message, Messages
 
 WINDOW = 100
 """Number of steps by which the messages of a bag may be out of order."""
@@ -65,8 +65,8 @@ class Slot:
 
     __slots__ = ("by_topic", "malformed", "present", "relays", "repeated")
 
-    def __init__(self) -> None:
-        self.relays: StepRelays[Record] = StepRelays()
+    def __init__(self, content: Content) -> None:
+        self.relays: StepRelays[Record] = StepRelays(content)
         self.repeated: list[Record] = []
         self.by_topic: dict[Topic, list[Record]] = {}
         self.malformed: list[Difference] = []
@@ -92,10 +92,14 @@ class Slot:
 
 
 class Window:
-    """The steps that are not judged yet, of a run with the given period (ns) and number of publishers."""
+    """The steps that are not judged yet, of a run with the given period (ns) and number of publishers.
 
-    def __init__(self, period_ns: int, publishers: int) -> None:
-        self._period_ns = period_ns
+    `content` reads what relays tell. `dropped` are the robots that any event so far has told to be dropped.
+    """
+
+    def __init__(self, period_ns: int, publishers: int, content: Content) -> None:
+        self._period_ns, self._content = period_ns, content
+        self.dropped: set[int] = set()
         self._slots: dict[int, Slot] = {}
         self._capacity = (WINDOW + 2) * _MOST_PER_MEMBER * publishers
         self._count = 0
@@ -128,24 +132,27 @@ class Window:
         self._count += 1
         slot = self._slots.get(step)
         if slot is None:
-            slot = self._slots[step] = Slot()
+            slot = self._slots[step] = Slot(self._content)
             self.newest = max(self.newest, step)
         if isinstance(stored, Difference):
             slot.malformed.append(stored)
-        else:
-            slot.add(stored)
+            return
+        slot.add(stored)
+        event = stored.message
+        if isinstance(event, SwarmEvent) and event.kind == EventKind.DEAD and event.detail == SILENT:
+            self.dropped.add(event.agent_id)
 
     def present(self, step: int) -> int:
         """Return how many of the messages that a step has once are present."""
         return self._slots[step].present if step in self._slots else 0
 
     def has_relays(self, step: int, robots: Iterable[int]) -> bool:
-        """Return whether the relays of all these robots are present."""
-        return step in self._slots and not self._slots[step].relays.lacking(robots)
+        """Return whether the relays of all these robots are present, but for those that are dropped."""
+        return step in self._slots and self.dropped.issuperset(self._slots[step].relays.lacking(robots))
 
     def take(self, step: int) -> Slot:
         """Remove the slot of a step and return it."""
-        slot = self._slots.pop(step, None) or Slot()
+        slot = self._slots.pop(step, None) or Slot(self._content)
         self._count -= len(slot)
         return slot
 
@@ -185,7 +192,8 @@ class LockstepVerification(Verification):
         self._robots = family.robot
         self._coordinators = tuple(topic for topic in family.stepwise[1:] if topic not in absent)
         self._topics = tuple(topic for topic in family.recorded if topic not in absent)
-        self._window = Window(scenario.step_ns, len(scenario.agents) + len(self._topics))
+        content = Content(configure.members(scenario), family)
+        self._window = Window(scenario.step_ns, len(scenario.agents) + len(self._topics), content)
         self._digest = Digest()
         self._membership = Membership(configure.members(scenario), configure.schedule(scenario))
         self._division = configure.division(scenario) if division is None else division
@@ -366,7 +374,7 @@ class LockstepVerification(Verification):
             isinstance(stored.message, AgentState) and abs(stored.message.position) > self._end
             for stored in slot.get(self._robots)
         )
-        self._drop_silent(slot)
+        dropped = self._drop_silent(slot)
         for number, topic in enumerate(self._topics):
             later = (*self._topics[number + 1 :], EVENTS)
             cut = last and not any(other in slot.by_topic for other in later)
@@ -374,9 +382,12 @@ class LockstepVerification(Verification):
                 self._ended = True
                 return
             if topic is self._scenario.family.parent and self._relays is not None:
-                states, parent = slot.get(self._robots), slot.get(topic)[0].message
+                states, parent = slot.get(self._robots), cast("AnyParentState", slot.get(topic)[0].message)
                 relays = slot.relays.ordered()
-                yield from self._relays.findings(self.step, parent, states, relays, cut=last)
+                if self._is_timed(slot, dropped):
+                    yield from self._relays.timed(self.step, parent, states, relays, dropped)
+                else:
+                    yield from self._relays.findings(self.step, parent, states, relays, cut=last)
                 yield from (surplus(stored, self.step, "it is a duplicate") for stored in slot.repeated)
             for stored in slot.get(topic):
                 for handle in self._handles[topic]:
@@ -413,14 +424,25 @@ class LockstepVerification(Verification):
             else:
                 self._expected.setdefault(TOPIC_OF[type(answer)], {})[agent_id_of(answer)] = answer
 
-    def _drop_silent(self, slot: Slot) -> None:
-        """Drop the robots that the observer has declared dead in this step because they did not answer.
+    def _is_timed(self, slot: Slot, dropped: Collection[int]) -> bool:
+        """Return whether it depended on time which relays robots sent in a step, because one of them was silent.
+
+        That is so if they tell votes, or if a robot that is dropped in this step or later has ended before its last
+        relay.
+        """
+        if self._scenario.lockstep.on_stall != "drop":
+            return False
+        lacking = slot.relays.lacking(self._membership.lasting(self.step))
+        return slot.relays.voted or bool(dropped) or not self._window.dropped.isdisjoint(lacking)
+
+    def _drop_silent(self, slot: Slot) -> list[int]:
+        """Drop the robots that are declared dead in this step because they did not answer, and return them.
 
         Such a robot is expected to publish nothing more; it may or may not have published its events of the step.
         """
         events = slot.get(EVENTS)
         if self._scenario.lockstep.on_stall != "drop" or not events:
-            return
+            return []
         present = {stored.agent_id for stored in slot.get(self._robots)}
         dead = {
             m.agent_id for m in (e.message for e in events) if isinstance(m, SwarmEvent) and m.kind == EventKind.DEAD
@@ -438,6 +460,8 @@ class LockstepVerification(Verification):
             self._ask(behaviour_of(self._nodes, OBSERVER, Observer).drop, dropped, SILENT)
             for agent_id in dropped:
                 self._ask(self._nodes[PARENT].behaviour.handle, EventCode.SILENT.event(0, self.step, robot=agent_id))
+                self._membership.end(agent_id, self.step - 1, stays=True, reason=SILENT)
+        return dropped
 
     def _on_topic(self, slot: Slot, topic: Topic, *, cut: bool) -> Generator[Finding, None, bool]:
         """Yield the findings on a topic; return whether the run continues.

@@ -9,6 +9,7 @@ used, what it cannot have known.
 from __future__ import annotations
 
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmabs_analysis.difference import MESSAGE, Difference, differing_fields, in_hex, judge, surplus
@@ -18,17 +19,19 @@ from swarmabs_core.messages import ROBOT_STATES, Relay
 from swarmabs_core.relays import Content, reduced
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from swarmabs_analysis.difference import Value
     from swarmabs_analysis.verification.base import Finding
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.behaviours import Peer
-    from swarmabs_core.messages import AnyRobotState, Message
+    from swarmabs_core.messages import AnyParentState, AnyRobotState, Message, Messages
     from swarmabs_core.record import Record
     from swarmabs_core.relays import Knowledge
 
     Heard = Mapping[tuple[int, int], Record]
+
+TIMED = "which relays robots send while one of them is silent depends on time; what these repeat is as recorded"
 
 
 class RelayVerification:
@@ -51,12 +54,13 @@ class RelayVerification:
         self._sent: deque[Relay] = deque()
         self._states: dict[int, dict[int, AnyRobotState]] = {}
         self._before: dict[int, AnyRobotState] = {}
+        self._parent: AnyParentState | None = None
         self._failed = False
         for peer in self._peers.values():
             self._note(peer.start())
 
     def findings(
-        self, step: int, parent: Message, states: Sequence[Record], relays: Iterable[Record], *, cut: bool
+        self, step: int, parent: AnyParentState, states: Sequence[Record], relays: Iterable[Record], *, cut: bool
     ) -> Iterator[Finding]:
         """Yield the findings on a step's relays, and the differences of the robots' states from what they had heard.
 
@@ -69,23 +73,53 @@ class RelayVerification:
         cut : bool
             Whether the bag is cut off in this step, so that relays may be missing.
         """
-        yield from self._used(self._states.pop(step, {}), states)
         heard = {(relay.agent_id, relay.round): stored for stored in relays if (relay := _relay(stored))}
         open_ = dict(heard)
-        for robot, peer in self._peers.items():
-            if self._links.senses(robot):
-                self._ask(peer, parent)
         while self._sent and not self._failed:
             expected = self._sent.popleft()
             stored = open_.pop((expected.agent_id, expected.round), None)
             if stored is not None:
                 yield self._judged(stored, expected, heard)
                 for near in self._links.of(expected.agent_id):
-                    self._ask(self._peers[near], stored.message)
+                    if near in self._peers:
+                        self._ask(self._peers[near], stored.message)
             elif not cut:
                 yield _missing(expected)
         if not self._failed:
             yield from (_surplus(stored, step) for stored in open_.values())
+        yield from self._used(self._states.pop(step, {}), states)
+        self._go_on(parent, states)
+
+    def timed(
+        self,
+        step: int,
+        parent: AnyParentState,
+        states: Sequence[Record],
+        relays: Iterable[Record],
+        dropped: Iterable[int],
+    ) -> Iterator[Finding]:
+        """Yield the findings as `findings` does, in a step in which it depended on time which relays robots sent.
+
+        Then none is missed, and each of them is only compared with the recorded states that it passes on. The robots
+        complete the step with these states, without those that are `dropped`.
+        """
+        self._sent.clear()
+        known = {state.agent_id: reduced(state) for stored in states if (state := _state(stored))}
+        for stored in relays:
+            yield self._repeated(stored, step, known) or TIMED
+        for robot in dropped:
+            del self._peers[robot]
+        for peer in self._peers.values():
+            self._attempt(partial(peer.settle, step, known.values(), self._parent))
+        yield from self._used(self._states.pop(step, {}), states)
+        self._go_on(parent, states)
+
+    def _go_on(self, parent: AnyParentState, states: Iterable[Record]) -> None:
+        """Let robots hear the parent's state of a step that is verified, so that they begin the next one."""
+        for robot, peer in self._peers.items():
+            if self._links.senses(robot):
+                self._ask(peer, parent)
+        self._parent = parent
         self._before = {stored.agent_id: reduced(state) for stored in states if (state := _state(stored))}
 
     def _used(self, expected: Mapping[int, AnyRobotState], states: Iterable[Record]) -> Iterator[Finding]:
@@ -100,9 +134,15 @@ class RelayVerification:
                 yield difference._replace(reason="it does not follow from what the robot had heard")
 
     def _ask(self, peer: Peer, message: Message) -> None:
-        """Let a robot hear a message; a run that fails here ends."""
+        """Let a robot hear a message."""
+        self._attempt(partial(peer.handle, message))
+
+    def _attempt(self, act: Callable[[], Messages]) -> None:
+        """Let a robot act; a run that fails here ends."""
+        if self._failed:
+            return
         try:
-            self._note(peer.handle(message))
+            self._note(act())
         except RunError:
             self._failed = True
 
@@ -123,6 +163,32 @@ class RelayVerification:
         head = judge(stored, expected._replace(content=recorded.content), 0.0, expected.step * self._step_ns)
         return None if head is None else head._replace(reason=_in_round(expected))
 
+    def _repeated(self, stored: Record, step: int, states: Mapping[int, AnyRobotState]) -> Difference | None:
+        """Return in what a relay differs from the recorded states that it repeats, None if it does not."""
+        relay = _relay(stored)
+        assert relay is not None  # noqa: S101 - by its topic
+        if relay.agent_id not in self._peers:
+            return _surplus(stored, step)
+        try:
+            said = self._content.read(relay, self._before)
+        except MalformedMessageError as error:
+            return Difference.of(relay, "content", in_hex(relay.content), "", _in_round(relay, str(error)))
+        before = self._content.set_of(self._before)
+        if said.before != before:
+            there = (self._content.robots_in(said.before), self._content.robots_in(before))
+            return Difference.of(relay, "before", *there, _in_round(relay))
+        pairs: list[tuple[str, Message, Message]] = [
+            (f"robot_{state.agent_id}", state, states[state.agent_id])
+            for state in _sorted(said)
+            if state.agent_id in states
+        ]
+        if said.parent is not None and self._parent is not None:
+            pairs.append(("parent", said.parent, self._parent))
+        for whose, one, other in pairs:
+            for field, ours, theirs in differing_fields(one, other, self._tolerance):
+                return Difference.of(relay, f"{whose}.{field}", ours, theirs, _in_round(relay))
+        return judge(stored, relay._replace(stamp=step * self._step_ns), 0.0, step * self._step_ns)
+
     def _told(self, recorded: Relay, expected: Relay, heard: Heard) -> Difference | None:
         """Return in what a recorded content differs from the expected one, None if it does not."""
         if recorded.content == expected.content:
@@ -132,7 +198,7 @@ class RelayVerification:
             said = self._content.read(recorded, self._before)
         except MalformedMessageError as error:
             return _content(recorded, expected, str(error))
-        for field, of in (("held", self._held), ("passed_on", _passed_on)):
+        for field, of in (("before", self._took_part), ("held", self._held), ("passed_on", _passed_on)):
             a, b = of(said), of(due)
             if a != b:
                 unheard = sorted({*a} - {*self._held(due)})
@@ -149,7 +215,10 @@ class RelayVerification:
         for whose, one, other in pairs:
             for field, ours, theirs in differing_fields(one, other, self._tolerance):
                 return Difference.of(expected, f"{whose}.{field}", ours, theirs, _in_round(expected))
-        return None if self._tolerance else _content(recorded, expected)
+        return None if self._tolerance and said.votes == due.votes else _content(recorded, expected)
+
+    def _took_part(self, told: Knowledge) -> tuple[int, ...]:
+        return self._content.robots_in(told.before)
 
     def _held(self, told: Knowledge) -> tuple[int, ...]:
         return self._content.robots_in(told.held)

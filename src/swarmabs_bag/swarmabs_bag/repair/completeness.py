@@ -39,7 +39,7 @@ from swarmabs_core.messages import (
     relay_topic,
 )
 from swarmabs_core.realtime.relayed import read
-from swarmabs_core.relays import StepRelays
+from swarmabs_core.relays import Content, StepRelays
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -92,6 +92,7 @@ class LockstepCompleteness:
         self._members = configure.members(scenario)
         self._membership = Membership(self._members, configure.schedule(scenario))
         self._found: dict[Place, Spans] = {}
+        self._content = Content(self._members, family)
         self._relays: dict[tuple[int, int], StepRelays[None]] = {}
 
     def add(self, topic: Topic, message: Message) -> None:
@@ -110,7 +111,7 @@ class LockstepCompleteness:
     def _add_relay(self, topic: Topic, relay: Relay) -> None:
         """Add a relay; a step has those of a robot once they are whole."""
         place = relay.agent_id, relay.step
-        of_robot = self._relays.setdefault(place, StepRelays())
+        of_robot = self._relays.setdefault(place, StepRelays(self._content))
         of_robot.put(relay, None)
         spans = self._spans(topic, 0)
         if not of_robot.lacking((relay.agent_id,)):
@@ -134,7 +135,10 @@ class LockstepCompleteness:
             robot = agent or topic.agent_id
             span = self._membership.span(robot) if robot else Span()
             first = span.first if agent else 0  # a robot passes on messages before it joins
-            yield agent, first, self._planned if span.last is None else min(span.last, self._planned)
+            last = self._planned if span.last is None else min(span.last, self._planned)
+            if robot and not agent and self._membership.is_dropped(robot):  # it may have ended before its last relay
+                last = min(last, self._spans(topic, 0).last)
+            yield agent, first, last
 
     @property
     def first(self) -> int:

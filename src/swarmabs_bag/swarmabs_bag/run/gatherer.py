@@ -41,7 +41,7 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.nodes import NodeKind
 from swarmabs_core.record import Record
-from swarmabs_core.relays import StepRelays
+from swarmabs_core.relays import Content, StepRelays
 from swarmabs_core.steering import STEERER, change_of
 
 if TYPE_CHECKING:
@@ -89,7 +89,8 @@ class RunCollector:
     system : int, optional
         Hash of the parent system, if it is not the plane.
     relayed : bool
-        Whether robots pass on to each other what they know. Then a step is complete only with all their relays.
+        Whether robots pass on to each other what they know. Then a step is complete only with all their relays, but for
+        those of robots that are dropped, and those that depend on time (`StepRelays.voted`).
     """
 
     def __init__(
@@ -107,9 +108,10 @@ class RunCollector:
         relayed: bool = False,
     ) -> None:
         self._relays: dict[int, StepRelays[tuple[Topic, bytes]]] | None = {} if relayed else None
+        ids = sorted(members)
+        self._content = Content(ids, family)
         self._family, self._stepwise = family, family.stepwise
         self._system = system
-        ids = sorted(members)
         changes = tuple(schedule)
         self._membership = Membership(ids, changes)
         self._division = division
@@ -244,7 +246,7 @@ class RunCollector:
         if self._relays is None or relay.step < self._step:
             return
         form = (relay_topic(relay.agent_id), record.payload)
-        if self._relays.setdefault(relay.step, StepRelays()).put(relay, form) != form:
+        if self._relays.setdefault(relay.step, StepRelays(self._content)).put(relay, form) != form:
             raise ConflictError(f"{form[0].name} in round {relay.round}", relay.step)
 
     def _add_event(self, payload: bytes, event: SwarmEvent) -> list[Step]:
@@ -300,7 +302,8 @@ class RunCollector:
         """Return the robots of which a step lacks relays."""
         if self._relays is None:
             return []
-        return self._relays.get(step, StepRelays()).lacking(self._membership.lasting(step))
+        awaited = [robot for robot in self._membership.lasting(step) if not self._membership.is_dropped(robot)]
+        return self._relays.get(step, StepRelays(self._content)).lacking(awaited)
 
     def _others_there(self, step: int) -> bool:
         """Return whether the messages of a step on topics that have none in other steps have arrived."""
@@ -315,7 +318,7 @@ class RunCollector:
             if topic not in self._stepwise:
                 payloads = [self._others[number][topic] for number in range(step, step + count)]
                 tables[topic] = rows_of(topic, payloads)
-        relays = [] if self._relays is None else self._relays.pop(step, StepRelays()).ordered()
+        relays = [] if self._relays is None else self._relays.pop(step, StepRelays(self._content)).ordered()
         events = self._events.get(step + count - 1, {})
         told = tuple(payload for payload, event in sorted(events.items()) if not self._is_void(event))
         self._step += count

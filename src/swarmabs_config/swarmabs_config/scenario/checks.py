@@ -73,13 +73,6 @@ def _links(scenario: "Scenario") -> Iterator[Finding]:
         configure.links(scenario)
     except InputError as error:
         yield Finding.of(("links",), error.problem, error.remedy)
-    if scenario.lockstep.on_stall == "drop":
-        yield Finding.of(
-            ("lockstep", "on_stall"),
-            "robots that coordinate the swarm by themselves do not agree on dropping a silent one",
-            "use `fail`, or `coordination: central`",
-            see=("coordination",),
-        )
 
 
 def _generated(scenario: "SystemScenario") -> Iterator[Finding]:

@@ -5,6 +5,7 @@ from swarmabs_core.behaviours.base import Behaviour
 from swarmabs_core.behaviours.controller import Controller
 from swarmabs_core.behaviours.observer import Observer
 from swarmabs_core.behaviours.parent import Parent
+from swarmabs_core.behaviours.patience import Patience
 from swarmabs_core.behaviours.peer import Peer, PeerGroup
 from swarmabs_core.behaviours.steering import Decision, Request, Steered, SteeringConfig, SteeringController
 
@@ -16,6 +17,7 @@ __all__ = [
     "Decision",
     "Observer",
     "Parent",
+    "Patience",
     "Peer",
     "PeerGroup",
     "Request",

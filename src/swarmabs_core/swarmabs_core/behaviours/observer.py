@@ -176,14 +176,21 @@ class Observer:
 
     def _announce(self) -> Messages:
         """Return events for the membership changes that take effect at the current step."""
+        events = self.changes()
+        if events:
+            previous = {state.agent_id: state for state in self._previous}
+            for event in events:
+                if event.kind is EventKind.DEAD and event.agent_id in previous:
+                    self._standing[event.agent_id] = at_rest(previous[event.agent_id])
+        return events
+
+    def changes(self) -> tuple[SwarmEvent, ...]:
+        """Return events for the membership changes, as far as they are known, that take effect at the current step."""
         step = self._gathering.step
-        stamp = step * self._config.period_ns
-        events = []
         changes = self._membership.changes(step)
-        previous = {state.agent_id: state for state in self._previous} if changes else {}
-        for agent_id, kind, reason in changes:
-            if kind is EventKind.DEAD and agent_id in previous:
-                self._standing[agent_id] = at_rest(previous[agent_id])
-            position = place_of(previous[agent_id]) if agent_id in previous else 0.0
-            events.append(SwarmEvent(stamp, step, agent_id, kind, position, reason))
-        return tuple(events)
+        places = {state.agent_id: place_of(state) for state in self._previous} if changes else {}
+        stamp = step * self._config.period_ns
+        return tuple(
+            SwarmEvent(stamp, step, agent_id, kind, places.get(agent_id, 0.0), reason)
+            for agent_id, kind, reason in changes
+        )

@@ -110,6 +110,8 @@ class Parent:
                 "moved with its state of that step: either its last state reached it and not the observer, or a "
                 "second swarm is in this namespace; run again"
             )
+        if self._config.confirmed:
+            self._gathering.resume(now)
 
     def steer(self, order: Steering) -> None:
         """Apply an ordered disturbance or membership change."""

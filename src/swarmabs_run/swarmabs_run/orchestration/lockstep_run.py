@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_config import configure
 from swarmabs_core.membership import Change, ChangeKind
+from swarmabs_ros.lockstep import silence_limit
 from swarmabs_run.orchestration.process_run import ProcessRun
 from swarmabs_run.orchestration.supervision import Failure
 from swarmabs_run.run import DEFAULTS, RunOptions
@@ -76,9 +77,7 @@ class LockstepRun(ProcessRun):
     def _inject_faults(self) -> None:
         """End or stop the processes of faulty robots once their last state is recorded; no node uses them later."""
         self._apply_steering()
-        # Where robots pass on states, all others know the last one of a robot once the next step is recorded.
-        behind = int(self._scenario.decentralised)
-        while self._faults and self._faults[0].step + behind <= self._recorded():
+        while self._faults and self._faults[0].step <= self._recorded():
             fault = self._faults.pop(0)
             name = self._own_process.get(fault.agent_id)
             if name is None:  # its state machine falls silent; the others in the process continue
@@ -92,7 +91,7 @@ class LockstepRun(ProcessRun):
         return -1 if self._supervision.progress is None else int(self._supervision.progress["step"])
 
     def _check_stalls(self, now: float) -> Failure | None:
-        state, lockstep = self._supervision, self._scenario.lockstep
+        state, lockstep, decentralised = self._supervision, self._scenario.lockstep, self._scenario.decentralised
         recorded = self._recorded()
         # Nodes that wait during a pause report a stall. Afterwards they recover when they have read what others have
         # repeated meanwhile, which takes large swarms seconds.
@@ -105,7 +104,10 @@ class LockstepRun(ProcessRun):
         if self._stalled_since is None:
             self._stalled_since = now
         # Where silent robots are dropped, allow the time that this takes, and fail only if the run still stalls.
-        grace = STALL_GRACE if lockstep.on_stall == "fail" else STALL_GRACE + 2.0 * lockstep.stall_timeout
+        grace = STALL_GRACE
+        if lockstep.on_stall == "drop":
+            # Without an observer, robots may first notice who is silent, and then that the plane still waits.
+            grace += 3.0 * silence_limit(lockstep.stall_timeout) if decentralised else 2.0 * lockstep.stall_timeout
         if now - self._stalled_since < grace + self._recovery:
             return None
         failure = state.diagnose({name: self._machine.state_of(pid) for name, pid in state.pids.items()})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import TYPE_CHECKING
 
@@ -158,7 +158,7 @@ def _lockstep_plan(
     # These nodes begin each step by applying the steering requests for it.
     obeying = common | values_of(Variant(packed, options.steered))
     coordinators = {
-        PLANE: obeying | values_of(configure.parent_config(scenario)),
+        PLANE: obeying | values_of(replace(configure.parent_config(scenario), confirmed=scenario.decentralised)),
         OBSERVER: obeying | values_of(configure.observer_config(scenario)) | {"on_stall": scenario.lockstep.on_stall},
         CONTROLLER: obeying | values_of(configure.controller_config(scenario, recording_window=window)),
         RECORDER: obeying | recorder,

@@ -1,0 +1,180 @@
+"""How robots without an observer agree, in a step, on going on without those that are silent.
+
+Each robot has one `Vote` per step, whose sets only grow. Robots pass on all votes that they know, in any order and
+repeatedly; of two votes of a robot the union counts. Sets are bits by rank, the order of ascending ids.
+
+A robot tells which neighbours are silent. From what all have told it follows whom a robot still reaches, and it votes
+to leave out the others. From then on it takes no state from them, and it does not complete the step unless all that it
+reaches have voted alike. The states that they hold between them count in the step; who is left out and whose state
+nobody holds is dropped. If no state is missing, and all of them have waited in vain for the parent, it must lack states
+of some that are left out, and all these are dropped. Who has waited does not complete the step without that decision.
+
+Only a majority of the robots that publish in the step may go on, or half of them with the one of lowest id.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+
+class Vote(NamedTuple):
+    """What a robot says in a step; every set is bits by rank.
+
+    Attributes
+    ----------
+    silent : int
+        Neighbours that it has not heard, not even repeating themselves, while it waited.
+    out : int
+        Robots that it does not reach any more past all silences that it knows.
+    held : int
+        Robots whose states of the step it held when `out` became what it is.
+    waited : int
+        The set `out` with which it knew all states and waited in vain for the parent; empty if it did not.
+    """
+
+    silent: int = 0
+    out: int = 0
+    held: int = 0
+    waited: int = 0
+
+    def joined(self, other: Vote) -> Vote:
+        """Return the union with another vote of the robot."""
+        return Vote(*(one | more for one, more in zip(self, other, strict=True)))
+
+
+NOTHING = Vote()
+
+
+class Agreement:
+    """What a robot knows of the votes of a step.
+
+    Parameters
+    ----------
+    rank : int
+        Rank of this robot.
+    links : sequence of int
+        The robots that each robot hears, by rank, as bits.
+    present : int
+        The robots that pass on messages in the step.
+    publishing : int
+        Those of them that publish a state in it; none after the last step.
+
+    Attributes
+    ----------
+    votes : dict
+        The known votes by rank.
+    """
+
+    def __init__(self, rank: int, links: Sequence[int], present: int, publishing: int) -> None:
+        self._rank, self._links = rank, links
+        self._present, self._publishing = present, publishing
+        self._kept: int | None = None
+        self.votes: dict[int, Vote] = {}
+
+    @property
+    def own(self) -> Vote:
+        """The vote of this robot."""
+        return self.votes.get(self._rank, NOTHING)
+
+    @property
+    def out(self) -> int:
+        """The robots that this one votes to leave out."""
+        return self.own.out
+
+    @property
+    def inside(self) -> int:
+        """The robots that this one reaches, itself among them."""
+        return self._present & ~self.out
+
+    def unheard(self, rank: int) -> int:
+        """Return the robots with which a robot is out of contact: either has told that the other one is silent."""
+        bits = self.votes.get(rank, NOTHING).silent
+        for other, vote in self.votes.items():
+            if vote.silent >> rank & 1:
+                bits |= 1 << other
+        return bits
+
+    def tell(self, silent: int, held: int) -> bool:
+        """Tell which neighbours are silent, given the states that this robot holds; return whether that is news."""
+        return self.take({self._rank: Vote(silent)}, held)
+
+    def wait(self) -> bool:
+        """Tell that this robot holds all states and waits in vain for the parent; return whether that is news."""
+        return self.take({self._rank: Vote(waited=self.out)}, 0)
+
+    def take(self, votes: Mapping[int, Vote], held: int) -> bool:
+        """Take votes, given the states that this robot holds; return whether they are news."""
+        joined = {rank: self.votes.get(rank, NOTHING).joined(vote) for rank, vote in votes.items()}
+        if all(self.votes.get(rank) == vote for rank, vote in joined.items()):
+            return False
+        self.votes |= joined
+        out = self._present & ~self._reached()
+        if out & ~self.out:
+            self.votes[self._rank] = self.own.joined(Vote(out=out, held=held))
+        return True
+
+    def follow(self, kept: int) -> None:
+        """Go on as others have, with whom this robot is in contact: they have completed the step with these states."""
+        self._kept = kept
+
+    @property
+    def alike(self) -> bool:
+        """Whether this robot leaves nobody out, or all that it reaches have voted to leave out the same ones."""
+        if not self.out or self._kept is not None:
+            return True
+        return all(self.votes.get(rank, NOTHING).out == self.out for rank in ranks(self.inside))
+
+    @property
+    def settled(self) -> bool:
+        """Whether this robot may complete the step without `dropped`: it leaves nobody out, or all vote alike."""
+        free = not self.out or self._kept is not None
+        return free or (self.alike and (not self.own.waited or self._waited()))
+
+    @property
+    def dropped(self) -> int:
+        """The robots that do not take part in the step and from then on, once it is settled."""
+        if self._kept is not None:
+            return self._publishing & ~self._kept
+        if not self.out or not self.alike:
+            return 0
+        return self.out if self._waited() else self.out & ~self._held()
+
+    @property
+    def outnumbered(self) -> bool:
+        """Whether those that this robot reaches are too few to go on without the others."""
+        there = self._publishing
+        inside = (there & self.inside).bit_count()
+        if not there or not self.out or 2 * inside > there.bit_count():
+            return False
+        return 2 * inside < there.bit_count() or not there & -there & self.inside
+
+    def _reached(self) -> int:
+        """Return the robots that this one reaches past all silences that have been told."""
+        reached = new = 1 << self._rank
+        while new:
+            near = 0
+            for rank in ranks(new):
+                near |= self._links[rank] & ~self.unheard(rank)
+            new = near & self._present & ~reached
+            reached |= new
+        return reached
+
+    def _waited(self) -> bool:
+        return all(self.votes.get(rank, NOTHING).waited == self.out for rank in ranks(self.inside))
+
+    def _held(self) -> int:
+        """Return the robots whose states those inside held as they voted."""
+        bits = 0
+        for rank in ranks(self.inside):
+            bits |= self.votes.get(rank, NOTHING).held
+        return bits
+
+
+def ranks(bits: int) -> Iterator[int]:
+    """Return the ranks in a set, ascending."""
+    while bits:
+        yield (bits & -bits).bit_length() - 1
+        bits &= bits - 1
