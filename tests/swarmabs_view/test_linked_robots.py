@@ -104,12 +104,14 @@ def test_of_few_robots_all_have_labels_and_a_row_each(page: Page, page_server: P
     assert (graph.locator("path.both").get_attribute("d") or "").count("M") == 1
     expect(graph).to_have_attribute(
         "aria-label",
-        "1 pairs of 4 robots hear each other; of 1 pairs only one hears the other; robot 3 is silent; " + MINORITY,
+        "of 4 robots, pairs that hear each other: 1; pairs of which only one hears the other: 1; robot 3 is silent; "
+        + MINORITY,
     )
     expect(page.locator("#links-left-out")).to_be_hidden()
     for width in (390, 1280):
         page.set_viewport_size({"width": width, "height": 844})
         assert page.evaluate("document.documentElement.scrollWidth") <= width
+        expect(panel.locator(".scroll + .more")).to_be_hidden()
 
 
 def test_of_many_robots_the_table_has_the_worst(page: Page, page_server: PageServer) -> None:

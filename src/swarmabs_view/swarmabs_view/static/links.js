@@ -114,7 +114,7 @@ export class Links {
     });
     graph.replaceChildren(shape("path", { class: "both", d: lines }), ...dashed, ...dots, ...labels);
     const trouble = robots.filter(bad).slice(0, FEW).map(words);
-    const said = [`${mutual.length} pairs of ${robots.length} robots hear each other`, ...(single.length ? [`of ${single.length} pairs only one hears the other`] : []), ...trouble];
+    const said = [`of ${robots.length} robots, pairs that hear each other: ${mutual.length}`, `pairs of which only one hears the other: ${single.length}`, ...trouble];
     graph.setAttribute("aria-label", said.join("; "));
   }
 
