@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from tests.hosts.cluster import hosts
 from tests.hosts.fleet_hosts import PATIENCE, FleetOnHosts
+from tests.hosts.peer_trials import Recorded, running
 from tests.hosts.switch import Impairment
 from tests.hosts.test_fleet import check_stopped
 from tests.processes import until
@@ -38,6 +39,7 @@ def test_a_fleet_of_peers_survives_the_loss_of_any_robot(tmp_path: Path) -> None
             fleet.robots[1].power_on()
             operator.until_following(*fleet.ids)
             machines.impair(Impairment())
+            operator.until_calm()  # for longer than it takes until robot 1 counts for a majority again
 
             machines.partition([0, 1, 2], [3, 4])
             cut = time.time_ns()
@@ -54,3 +56,14 @@ def test_a_fleet_of_peers_survives_the_loss_of_any_robot(tmp_path: Path) -> None
         with fleet.operator() as operator:
             operator.reset_until_calm(*fleet.ids, service="agent_003/reset")
         fleet.check_bodies()
+
+
+@pytest.mark.full
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("seed", ["1", "2"])
+def test_no_fault_of_some_stops_others(seed: str, tmp_path: Path) -> None:
+    with running(tmp_path / "fleet", seed, tell=print) as trials:
+        done = [trials.run(number) for number in range(25)]
+    recorded = Recorded(trials.fleet)
+    found = {number: recorded.problems(*each) for number, each in enumerate(done)}
+    assert not any(found.values()), [(done[number][0], problems) for number, problems in found.items() if problems]
