@@ -168,6 +168,7 @@ def run(asked: argparse.Namespace) -> int:
             output=asked.output,
             overrides=tuple(asked.set),
             duration=asked.duration,
+            coordination=None,
             no_bag=False,
             max_bag_size=0,
             max_bag_duration=0,

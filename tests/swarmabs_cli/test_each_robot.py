@@ -47,6 +47,15 @@ def test_a_cut_off_bag_is_repaired_and_merged_with_another(run: Path, tmp_path: 
     assert document("verify", tmp_path / "merged")["complete"]
 
 
+def test_an_option_is_short_for_the_setting(run: Path, tmp_path: Path) -> None:
+    links = "links={type: ring, loss: 0.5}"
+    asked = ("--coordination", "each_robot", "--duration", "2", "--set", links)
+    short = document("simulate", "pd_het_4", *asked, "-o", tmp_path / "short")
+    assert (tmp_path / "short" / "scenario.yaml").read_bytes() == (run / "scenario.yaml").read_bytes()
+    assert short["digest"] == document("verify", run)["digest"]
+    assert "--coordination" in refused("simulate", "pd_het_4", "--coordination", "nobody")
+
+
 def test_no_node_is_tested_in_a_playback(run: Path) -> None:
     said = refused("replay", run, "--node", "agent:1")
     assert "each robot of this run coordinates the swarm by itself" in said

@@ -9,6 +9,7 @@ from typing import Generic, TypedDict, TypeVar
 import click
 
 from swarmabs_config.installation import COMMAND
+from swarmabs_core.links import CENTRAL, EACH_ROBOT
 from swarmabs_core.nodes import NodeName
 
 RUNS = Path("runs")
@@ -145,6 +146,7 @@ class RunParameters(TypedDict):
     output: Path | None
     overrides: tuple[str, ...]
     duration: str | None
+    coordination: str | None
     no_bag: bool
     max_bag_size: int
     max_bag_duration: int
@@ -157,6 +159,11 @@ run_options = together(
     output_option("Folder of the results.  [default: runs/NAME-NNN]"),
     set_option(),
     duration_option,
+    click.option(
+        "--coordination",
+        type=click.Choice((CENTRAL, EACH_ROBOT)),
+        help="Where the swarm is summed up and controlled; short for --set coordination=.",
+    ),
     click.option("--no-bag", is_flag=True, help="Write no bag; the digest and the summary are still computed."),
     click.option(
         "--max-bag-size",

@@ -55,8 +55,8 @@ def carry_out(
     `since_start` when the run was requested, s; 0 for the run of the command itself.
     """
     scenario, bag_scenario, overrides = options["scenario"], options["bag_scenario"], options["overrides"]
-    if options["duration"] is not None:
-        overrides = (*overrides, f"duration={options['duration']}")
+    short = (("duration", options["duration"]), ("coordination", options["coordination"]))
+    overrides = (*overrides, *(f"{name}={value}" for name, value in short if value is not None))
     if bag_scenario is not None and not names_bag(scenario):
         raise InputError(f"--scenario is for a bag without one, but {scenario} is not a bag; remove --scenario")
     recorded = _recorded_run(scenario, overrides, bag_scenario) if names_bag(scenario) else None
