@@ -15,13 +15,13 @@ from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.realtime.controller import RealtimeControllerConfig
 from swarmabs_core.realtime.leadership import TAKEOVER_STEPS, Pair
 from swarmabs_core.realtime.observer import RealtimeObserverConfig
-from swarmabs_core.realtime.peer import RealtimePeerConfig
 from swarmabs_core.realtime.plane import RealtimePlaneConfig
 from swarmabs_core.realtime.validation import Bounds
 from swarmabs_core.summation import exact_sum
 
 if TYPE_CHECKING:
     from swarmabs_config.scenario import PlaneScenario, Scenario
+    from swarmabs_core.realtime.peer import RealtimePeerConfig
 
 
 def check_realtime(scenario: Scenario) -> PlaneScenario:
@@ -109,6 +109,8 @@ def controller_config(
 
 def peer_config(scenario: PlaneScenario, clock: Schedule, agent_id: int) -> RealtimePeerConfig:
     """Return what a robot that coordinates the swarm by itself needs to know beyond what it hosts."""
+    from swarmabs_core.realtime.peer import RealtimePeerConfig  # noqa: PLC0415 - loading NumPy would delay every run
+
     links = configure.links(scenario)
     return gathered(
         RealtimePeerConfig,

@@ -22,7 +22,6 @@ from swarmabs_core.messages import (
     vector_of,
 )
 from swarmabs_core.ranges import Strays
-from swarmabs_core.realtime.relayed import law_time
 from swarmabs_core.summation import added
 from swarmabs_core.systems.interface import PLANE_TABLES, Quantity
 
@@ -284,6 +283,8 @@ class RealtimeFigures(Figures):
                 self._follow(message.step)
             return
         if isinstance(message, Relay):
+            from swarmabs_core.realtime.relayed import law_time  # noqa: PLC0415 - loading NumPy would delay every run
+
             step, begun = law_time(message)
             if step in self._angles:
                 self._begun[step] = self._law_begun = begun

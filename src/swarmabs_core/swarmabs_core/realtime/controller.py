@@ -32,6 +32,7 @@ from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedu
 from swarmabs_core.realtime.leadership import Pair, Voice
 from swarmabs_core.realtime.modes import ModeLatch, Orders, PublishedMode
 from swarmabs_core.realtime.validation import Bounds, Heard, Origin, Problem, Refusals, Writers
+from swarmabs_core.summation import each_sum
 from swarmabs_core.swarm_law import SwarmGains
 
 if TYPE_CHECKING:
@@ -276,7 +277,7 @@ class RealtimeController:
             if view.begun == self._first_step and len(view.memory) == len(own.get(view.step, ())) > 0
         ]
         if apart:
-            shift = [PULL * sum(column) / len(apart) for column in zip(*apart, strict=True)]
+            shift = [PULL * total / len(apart) for total in each_sum(zip(*apart, strict=True))]
             self._memories = {
                 step: tuple(ours + by for ours, by in zip(memory, shift, strict=True)) for step, memory in own.items()
             }

@@ -54,6 +54,7 @@ from swarmabs_core.realtime.relayed import (
     read,
     read_plane,
     room,
+    set_of,
     written,
 )
 from swarmabs_core.realtime.seals import Seals, Signatures, author_name
@@ -399,7 +400,7 @@ class RealtimePeer:
         if seal is None:
             plane = None
         law = self._controller.view
-        counted = sum(1 << self._rank[i] for i in self._electorate.counted)
+        counted = set_of(map(self._rank.__getitem__, self._electorate.counted))
         answers, self._bases = answers_of(self._bases, self._rank, self._age), []
         progress = self._controller.progress
         tells = not progress or (step + self._rank[self._config.agent_id]) % _PROGRESS_PERIODS == 0

@@ -208,6 +208,14 @@ class Motion(NamedTuple):
         )
 
 
+def set_of(ranks: Iterable[int]) -> int:
+    """Return a set of robots as bits by rank."""
+    bits = 0
+    for rank in ranks:
+        bits |= 1 << rank
+    return bits
+
+
 def constants_of(state: AgentState) -> Constants:
     """Return the constants of a robot."""
     return Constants(state.kind, state.mass, state.damping)
@@ -308,7 +316,7 @@ def _written_answer(step: int, answer: Answer, ages: NDArray[np.uint8]) -> bytes
     )
     if not told:
         return head
-    there = sum(1 << rank for rank in states).to_bytes(-(-len(ages) // 8), "little")
+    there = set_of(states).to_bytes(-(-len(ages) // 8), "little")
     return b"".join((head, there, *(_USED.pack(*one) for one in used)))
 
 
