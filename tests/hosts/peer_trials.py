@@ -7,11 +7,9 @@ That is for people, as root. Of what holds during the trials only the bag tells,
 
 import argparse
 import math
-import os
-import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
@@ -21,7 +19,7 @@ from tests.hosts.cluster import Host, Hosts, hosts
 from tests.hosts.fleet_hosts import CALM, FleetOnHosts, Operator
 from tests.hosts.namespaces import say
 from tests.hosts.switch import DIRECTIONS, Impairment
-from tests.hosts.trials import impaired, prefer, process_of, without_power
+from tests.hosts.trials import impaired, killed, paused, prefer, without_power
 
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime_world import realtime_world
@@ -102,25 +100,15 @@ class Trials:
         return trial, begin, end
 
     def _fault(self, fault: Fault) -> AbstractContextManager[None]:
-        station = self.fleet.robots[fault.robot]
-        if fault.kind in {"kill", "pause"}:
-            return self._signalled(fault)
+        station, node = self.fleet.robots[fault.robot], agent_name(fault.robot)
+        if fault.kind == "kill":
+            return killed(station, node, f"swarmabs-{_NAME}-{node}.service")
+        if fault.kind == "pause":
+            return paused(station, node)
         if fault.kind == "power":
             return without_power(station)
         how = Impairment(fault.delay, loss=float(fault.kind == "cut"))
         return impaired(station.host, how, fault.directions)
-
-    @contextmanager
-    def _signalled(self, fault: Fault) -> Iterator[None]:
-        station, node = self.fleet.robots[fault.robot], agent_name(fault.robot)
-        process = process_of(station, node)
-        os.kill(process, signal.SIGKILL if fault.kind == "kill" else signal.SIGSTOP)
-        yield
-        if fault.kind == "kill":
-            station.until_active(f"swarmabs-{_NAME}-{node}.service")
-        else:
-            with suppress(ProcessLookupError):  # the service manager has restarted it meanwhile
-                os.kill(process, signal.SIGCONT)
 
 
 class Recorded:

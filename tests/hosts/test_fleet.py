@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.hosts.cluster import hosts
-from tests.hosts.fleet_hosts import CALM, CALM_FOR, PATIENCE, FleetOnHosts
+from tests.hosts.cluster import Hosts, hosts
+from tests.hosts.fleet_hosts import CALM, CALM_FOR, PATIENCE, FleetOnHosts, Operator
 from tests.hosts.storm import BOUND, Storm, stands
 from tests.hosts.switch import Impairment
 from tests.processes import until
@@ -31,6 +31,18 @@ def check_stopped(fleet: FleetOnHosts, number: int, since: int) -> None:
     after = [note for note in fleet.notes(number) if note.now > bound]
     assert all(map(stands, after))
     assert abs(after[-1].velocity) < 1e-3
+
+
+def check_partition(machines: Hosts, fleet: FleetOnHosts, operator: Operator) -> None:
+    """Prove that robots 3 and 4 stop while they are cut off, robots 1 and 2 go on, and then all of them."""
+    machines.partition([0, 1, 2], [3, 4])
+    cut = time.time_ns()
+    for number in (3, 4):
+        check_stopped(fleet, number, cut)
+    operator.until_following(1, 2)
+    machines.partition()
+    operator.until_following(*fleet.ids)
+    operator.until_calm()
 
 
 def check_sockets(fleet: FleetOnHosts, groups: Collection[str] = ()) -> None:
@@ -58,14 +70,7 @@ def test_a_fleet_survives_what_networks_and_hosts_do(tmp_path: Path) -> None:
             operator.until_calm()
             check_sockets(fleet)
 
-            machines.partition([0, 1, 2], [3, 4])
-            cut = time.time_ns()
-            for number in (3, 4):
-                check_stopped(fleet, number, cut)
-            operator.until_following(1, 2)
-            machines.partition()
-            operator.until_following(*fleet.ids)
-            operator.until_calm()
+            check_partition(machines, fleet, operator)
             # What was said meanwhile is reliable.
             for number in (3, 4):
                 said = [number, EventKind.SAFE_STOP, "the broadcasts are outdated"]

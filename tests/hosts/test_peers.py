@@ -1,6 +1,5 @@
 """A fleet without observer and controller: any robot's host may be lost, and a minority stops."""
 
-import time
 from pathlib import Path
 
 import pytest
@@ -8,7 +7,7 @@ from tests.hosts.cluster import hosts
 from tests.hosts.fleet_hosts import PATIENCE, FleetOnHosts
 from tests.hosts.peer_trials import Recorded, running
 from tests.hosts.switch import Impairment
-from tests.hosts.test_fleet import check_stopped
+from tests.hosts.test_fleet import check_partition
 from tests.processes import until
 
 from swarmabs_core.messages import EventKind
@@ -41,14 +40,7 @@ def test_a_fleet_of_peers_survives_the_loss_of_any_robot(tmp_path: Path) -> None
             machines.impair(Impairment())
             operator.until_calm()  # for longer than it takes until robot 1 counts for a majority again
 
-            machines.partition([0, 1, 2], [3, 4])
-            cut = time.time_ns()
-            for number in (3, 4):
-                check_stopped(fleet, number, cut)
-            operator.until_following(1, 2)
-            machines.partition()
-            operator.until_following(*fleet.ids)
-            operator.until_calm()
+            check_partition(machines, fleet, operator)
         stopped = fleet.base.swarm("stop", fleet.file)
         assert stopped.returncode == 0, stopped.stderr
         status = fleet.base.swarm("status", fleet.file)

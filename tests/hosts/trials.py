@@ -165,29 +165,15 @@ class Trials:
         if trial.fault == "nothing":
             return nullcontext()
         if trial.fault == "kill":
-            return self._killed(trial.of)
+            return killed(self.fleet.place_of(trial.of), trial.of, self.fleet.unit(trial.of))
         if trial.fault == "pause":
-            return self._paused(trial.of)
+            return paused(self.fleet.place_of(trial.of), trial.of)
         station = self.fleet.places[trial.of]
         if trial.fault == "power":
             if station.name in self._operators:
                 self._operators.pop(station.name)[1].close()
             return without_power(station)
         return impaired(station.host, Impairment(trial.delay, loss=float(trial.fault == "cut")), trial.directions)
-
-    @contextmanager
-    def _killed(self, node: str) -> Iterator[None]:
-        os.kill(process_of(self.fleet.place_of(node), node), signal.SIGKILL)
-        yield
-        self.fleet.place_of(node).until_active(self.fleet.unit(node))
-
-    @contextmanager
-    def _paused(self, node: str) -> Iterator[None]:
-        process = process_of(self.fleet.place_of(node), node)
-        os.kill(process, signal.SIGSTOP)
-        yield
-        with suppress(ProcessLookupError):  # the service manager has restarted it meanwhile
-            os.kill(process, signal.SIGCONT)
 
     def _until_whole(self, seen_from: str) -> None:
         """Wait until one of each pair leads while the other stands by, and both recorders record; by later words."""
@@ -249,6 +235,24 @@ def _space(process: int) -> str:
 
 def _counts(diagnostics: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
     return {node: found["count"] for node, found in diagnostics.items()}
+
+
+@contextmanager
+def killed(station: Station, node: str, unit: str) -> Iterator[None]:
+    """Have a node killed, which its unit restarts."""
+    os.kill(process_of(station, node), signal.SIGKILL)
+    yield
+    station.until_active(unit)
+
+
+@contextmanager
+def paused(station: Station, node: str) -> Iterator[None]:
+    """Have a node's process stopped."""
+    process = process_of(station, node)
+    os.kill(process, signal.SIGSTOP)
+    yield
+    with suppress(ProcessLookupError):  # the service manager has restarted it meanwhile
+        os.kill(process, signal.SIGCONT)
 
 
 @contextmanager

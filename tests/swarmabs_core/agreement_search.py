@@ -9,7 +9,8 @@ from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import NamedTuple
 
-from swarmabs_core.agreement import Agreement, Vote, ranks
+from swarmabs_core.agreement import Agreement, Vote
+from swarmabs_core.rank_sets import ranks
 
 ROBOTS = 4
 ALL = (1 << ROBOTS) - 1

@@ -16,6 +16,8 @@ from math import inf
 from random import Random
 from typing import Any, NamedTuple, Protocol, cast
 
+from tests.transport.network import Outbox
+
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_config.graph import (
     CONTROLLER,
@@ -219,17 +221,6 @@ class Arrivals:
 
 def _moment(item: tuple[tuple[int, float], Parcel]) -> tuple[int, float]:
     return item[0]
-
-
-class Outbox:
-    """A publisher that hands on what is published, with its topic."""
-
-    def __init__(self, topic: Topic, send: Callable[[Topic, bytes], None]) -> None:
-        self._topic = topic
-        self._send = send
-
-    def publish(self, data: bytes) -> None:
-        self._send(self._topic, data)
 
 
 @dataclass(slots=True)

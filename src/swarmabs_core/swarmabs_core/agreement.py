@@ -16,8 +16,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarmabs_core.rank_sets import is_majority, ranks
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
 
 class Vote(NamedTuple):
@@ -145,11 +147,8 @@ class Agreement:
     @property
     def outnumbered(self) -> bool:
         """Whether those that this robot reaches are too few to go on without the others."""
-        there = self._publishing
-        inside = (there & self.inside).bit_count()
-        if not there or not self.out or 2 * inside > there.bit_count():
-            return False
-        return 2 * inside < there.bit_count() or not there & -there & self.inside
+        there = {*ranks(self._publishing)}
+        return bool(there and self.out) and not is_majority({*ranks(self.inside)}, there)
 
     def _reached(self) -> int:
         """Return the robots that this one reaches past all silences that have been told."""
@@ -171,10 +170,3 @@ class Agreement:
         for rank in ranks(self.inside):
             bits |= self.votes.get(rank, NOTHING).held
         return bits
-
-
-def ranks(bits: int) -> Iterator[int]:
-    """Return the ranks in a set, ascending."""
-    while bits:
-        yield (bits & -bits).bit_length() - 1
-        bits &= bits - 1

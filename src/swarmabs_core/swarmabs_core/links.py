@@ -20,6 +20,10 @@ CENTRAL, EACH_ROBOT = "central", "each_robot"
 """Who sums up the swarm and controls it: observer and parent controller, or each robot by itself."""
 
 
+COPIES = 16
+"""Neighbours from which a robot hears a state in a round or period, if it has so many; fewer lose more of it."""
+
+
 class Link(NamedTuple):
     """A pair of robots that hear each other, the lower id first."""
 

@@ -17,7 +17,7 @@ import struct
 from functools import lru_cache
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar, cast
 
-from swarmabs_core.agreement import Vote, ranks
+from swarmabs_core.agreement import Vote
 from swarmabs_core.cdr import decode, encode, split
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import (
@@ -32,6 +32,7 @@ from swarmabs_core.messages import (
     coordinates_of,
     vector_of,
 )
+from swarmabs_core.rank_sets import ranks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

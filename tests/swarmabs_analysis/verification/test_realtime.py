@@ -1,7 +1,8 @@
 """Verification of runs in real time: right ones, changed bits, robots that cheat, and what cannot be known."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from random import Random
 from typing import Any
@@ -123,7 +124,9 @@ def test_a_changed_bit_anywhere_is_found(data: st.DataObject) -> None:
 # Robots and coordinators that cheat consistently
 
 
-def test_a_robot_whose_command_is_one_bit_off_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+@contextmanager
+def one_bit_off(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let all robots decide on a command that is one bit higher, of what they hear of step 60."""
     honest = agent.RealtimeLaw.decide
 
     def decide(self: agent.RealtimeLaw, position: float, velocity: float, heard: Any) -> Any:
@@ -131,9 +134,14 @@ def test_a_robot_whose_command_is_one_bit_off_is_found(monkeypatch: pytest.Monke
         higher = decision._replace(command=math.nextafter(decision.command, math.inf))
         return higher if heard.step == 60 else decision, limited
 
-    scenario = builtin("pd_het_4")
     with monkeypatch.context() as patch:
         patch.setattr(agent.RealtimeLaw, "decide", decide)
+        yield
+
+
+def test_a_robot_whose_command_is_one_bit_off_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = builtin("pd_het_4")
+    with one_bit_off(monkeypatch):
         fleet = VirtualFleet(scenario)
         fleet.run(1.0)
     assert place(verify(scenario, record(fleet, scenario).bag).difference) == (msg.AGENT_STATE.name, 62, 1, "command")

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings, strategies as st
 from tests.swarmabs_analysis.verification.test_lockstep import flipped, place
-from tests.swarmabs_analysis.verification.test_realtime import verify
+from tests.swarmabs_analysis.verification.test_realtime import one_bit_off, verify
 from tests.swarmabs_core.helpers import builtin
 from tests.swarmabs_core.realtime.bags import Recorded, Stored, record
 from tests.virtual.fleet import Network, VirtualFleet
@@ -230,15 +230,7 @@ def test_a_robot_that_lies_about_its_integrals_is_found(cheating: Any) -> None:
 
 
 def test_a_robot_whose_command_is_one_bit_off_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = agent.RealtimeLaw.decide
-
-    def decide(self: agent.RealtimeLaw, position: float, velocity: float, heard: Any) -> Any:
-        decision, limited = honest(self, position, velocity, heard)
-        higher = decision._replace(command=math.nextafter(decision.command, math.inf))
-        return higher if heard.step == 60 else decision, limited
-
-    with monkeypatch.context() as patch:
-        patch.setattr(agent.RealtimeLaw, "decide", decide)
+    with one_bit_off(monkeypatch):
         run = ran("pd_het_4")
     assert place(verify(run.scenario, run.bag).difference) == (msg.AGENT_STATE.name, 62, 1, "command")
 

@@ -25,6 +25,7 @@ from swarmabs_core.behaviours.base import UnexpectedMessageError, refuse_conflic
 from swarmabs_core.behaviours.controller import Controller
 from swarmabs_core.behaviours.observer import Observer
 from swarmabs_core.errors import RunError
+from swarmabs_core.links import COPIES
 from swarmabs_core.membership import SILENT
 from swarmabs_core.messages import (
     NEVER,
@@ -53,8 +54,6 @@ if TYPE_CHECKING:
     from swarmabs_core.links import Links
     from swarmabs_core.model import AgentConfig, ControllerConfig, ObserverConfig
 
-_COPIES = 16
-"""Neighbours from which a robot hears a state in a round, if it has so many: fewer lose more of it, more cost more."""
 _KEPT_UNRECORDED = 8
 """Steps of which a robot keeps what it has said, if no recorder tells how far it is."""
 
@@ -147,13 +146,12 @@ class Peer:
     def _first_meeting(self) -> Agreement:
         """Return an agreement of the step without votes."""
         membership, content = self._observer.membership, self._content
-        present = content.set_of(robot for robot in membership if membership.lasts(robot, self._step))
+        present = content.set_of(membership.lasting(self._step))
         return Agreement(content.rank(self.agent_id), self._graph, present, content.set_of(self._due()))
 
     def _refuse_gaps(self, step: int) -> None:
         """Raise `RunError` if the robots that are left in a step do not all hear each other and the parent."""
-        membership = self._observer.membership
-        relaying = [robot for robot in membership if membership.lasts(robot, step)]
+        relaying = self._observer.membership.lasting(step)
         if apart := self._links.apart(relaying):
             raise RunError(
                 f"step {step}: robot {apart[0]} is cut off from robot {relaying[0]} by the end of other robots; "
@@ -489,14 +487,14 @@ class Peer:
         """Return those of the robots whose states it passes on in the round.
 
         Where many hear each other, a robot leaves most states to others, so that everybody still hears each of them
-        from `_COPIES` neighbours; by turns it passes on all.
+        from `COPIES` neighbours; by turns it passes on all.
         """
         near = len(self._near)
-        if near <= _COPIES:
+        if near <= COPIES:
             return robots
         if not self._round:
             return tuple(robot for robot in robots if robot == self.agent_id)
-        return tuple(robot for robot in robots if (robot + self.agent_id + self._round) % near < _COPIES)
+        return tuple(robot for robot in robots if (robot + self.agent_id + self._round) % near < COPIES)
 
     def _hear(self) -> None:
         """Take what the neighbours have sent in the round."""

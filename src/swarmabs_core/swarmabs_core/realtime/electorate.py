@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmabs_core.rank_sets import is_majority
+
 if TYPE_CHECKING:
     from collections.abc import Collection
 
@@ -46,11 +48,8 @@ class Electorate:
 
     def hears_majority(self, heard: Collection[int], step: int) -> bool:
         """Return whether the robots that are heard in a step, itself included, are a majority."""
-        there = self.counted.intersection(heard)
-        majority = 2 * len(there) > len(self.counted) or (
-            2 * len(there) == len(self.counted) and min(self.counted, default=0) in there
-        )
         now = frozenset(heard)
+        majority = is_majority(now, self.counted)
         if not majority or now != self._heard or step < self._heard_since:
             self._heard, self._heard_since = now, step
         elif now != self.counted and step - self._heard_since >= self._settling:

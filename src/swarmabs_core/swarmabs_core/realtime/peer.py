@@ -15,7 +15,7 @@ import numpy as np
 from swarmabs_core.declaration import part, same, setting
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.hearing import Hearing
-from swarmabs_core.links import LinkSettings, lost
+from swarmabs_core.links import COPIES, LinkSettings, lost
 from swarmabs_core.messages import (
     PARENT,
     RELAY,
@@ -32,6 +32,7 @@ from swarmabs_core.messages import (
     Status,
     SwarmEvent,
 )
+from swarmabs_core.rank_sets import ranks, set_of
 from swarmabs_core.realtime.base import (
     OBSERVER_PHASE,
     UNKNOWN,
@@ -54,7 +55,6 @@ from swarmabs_core.realtime.relayed import (
     read,
     read_plane,
     room,
-    set_of,
     written,
 )
 from swarmabs_core.realtime.seals import Seals, Signatures, author_name
@@ -76,8 +76,6 @@ _THERE = (Role.ACTIVE, Role.STOPPED)
 _LACKED = (Role.UNHEARD, Role.SILENT)
 _PROGRESS_PERIODS = 10
 """Periods after which a relay tells again from which desired state its sender continues."""
-COPIES = 16
-"""Neighbours from which a robot hears a state that it lacks in a period, if it has so many."""
 SWARM, LAW = "swarm: ", "law: "
 """What the values in a health status begin with that are those of the hosted observer and controller."""
 _UNREADABLE = "a relay that cannot be read"
@@ -264,7 +262,7 @@ class RealtimePeer:
         published = [*self._obey(told, now)]
         since, counted = told.electing
         if since <= step + self._ahead:
-            self._electorate.learn(since, [i for i, rank in self._rank.items() if counted >> rank & 1])
+            self._electorate.learn(since, [self._ids[rank] for rank in ranks(counted)])
         for motion in told.motions:
             known = self._observer.states.get(self._ids[motion.rank])
             if known is None or relay.step - motion.age > known.step:

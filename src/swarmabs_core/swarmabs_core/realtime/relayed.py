@@ -21,6 +21,7 @@ import numpy as np
 
 from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import NEVER, PARENT, AgentState, Basis, PlaneState, Relay, Source
+from swarmabs_core.rank_sets import ranks, set_of
 from swarmabs_core.realtime.controller import LawView
 from swarmabs_core.realtime.modes import Orders
 
@@ -208,14 +209,6 @@ class Motion(NamedTuple):
         )
 
 
-def set_of(ranks: Iterable[int]) -> int:
-    """Return a set of robots as bits by rank."""
-    bits = 0
-    for rank in ranks:
-        bits |= 1 << rank
-    return bits
-
-
 def constants_of(state: AgentState) -> Constants:
     """Return the constants of a robot."""
     return Constants(state.kind, state.mass, state.damping)
@@ -337,10 +330,10 @@ def _read_answer(content: bytes, place: int, step: int, ages: NDArray[np.uint8])
             if rests:
                 resting.add(rank)
         place = end + differing * _USED.size
-        ranks = [rank for rank in range(there.bit_length()) if there >> rank & 1]
-        if there.bit_length() > len(ages) or not unlike.keys() <= {*ranks}:
+        present = [*ranks(there)]
+        if there.bit_length() > len(ages) or not unlike.keys() <= {*present}:
             raise _malformed("robots that do not exist")
-        found = {rank: unlike.get(rank, _expected(step, int(ages[rank]))) for rank in ranks}
+        found = {rank: unlike.get(rank, _expected(step, int(ages[rank]))) for rank in present}
         states = {rank: held for rank, held in found.items() if held is not None}
         if len(states) < len(found):
             raise _malformed("states that are not held")
@@ -404,8 +397,8 @@ def read(relay: Relay, robots: int) -> Told:
         )
         for begin in range(middle, size, _MOTION.size + signed)
     ]
-    ranks = [*constants, *(motion.rank for motion in motions)]
-    if max(ranks, default=0) >= robots or counted.bit_length() > robots:
+    named = [*constants, *(motion.rank for motion in motions)]
+    if max(named, default=0) >= robots or counted.bit_length() > robots:
         raise _malformed("robots that do not exist")
     if not all(map(isfinite, (*memory, *(progress or ())))):
         raise _malformed("numbers that are not finite")
