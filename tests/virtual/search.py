@@ -206,22 +206,34 @@ def _show_short(one: Trial) -> None:
     print(f"trace {digest}", flush=True)
 
 
+def _seeds(text: str) -> int | range:
+    first, dash, last = text.partition("-")
+    try:
+        return range(int(first), int(last) + 1) if dash else int(first)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a seed nor seeds A-B") from None
+
+
+def _faults(text: str) -> tuple[int, ...]:
+    try:
+        return () if text == "none" else tuple(map(int, text.split(",")))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither 'none' nor numbers such as 0,2") from None
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, and search or show."""
     parser = argparse.ArgumentParser(prog=COMMAND)
-    parser.add_argument("--seeds", default="", help="seeds A-B, or one seed, which is shown; by default new ones")
-    parser.add_argument("--only", help="numbers of the faults of the seed that happen, or none")
+    parser.add_argument("--seeds", type=_seeds, help="seeds A-B, or one seed, which is shown; by default new ones")
+    parser.add_argument("--only", type=_faults, help="numbers of the faults of the seed that happen, or none")
     parser.add_argument("--minutes", type=float)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--trace", type=Path, help="file of all that is published and heard in the seed shown")
     options = parser.parse_args(arguments)
-    first, dash, last = options.seeds.partition("-")
-    if first and not dash:
-        only = options.only and options.only.replace("none", "")
-        numbers = None if only is None else tuple(int(number) for number in only.split(",") if number)
-        return show(int(first), numbers, options.trace)
-    if first:
-        return search(range(int(first), int(last) + 1), options.minutes, options.jobs)
+    if isinstance(options.seeds, int):
+        return show(options.seeds, options.only, options.trace)
+    if options.seeds is not None:
+        return search(options.seeds, options.minutes, options.jobs)
     begin = time.time_ns() // 1_000_000 % 10**10
     return search(count(begin), options.minutes if options.minutes is not None else 30.0, options.jobs)
 
