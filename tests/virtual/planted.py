@@ -1,168 +1,254 @@
-# ruff: noqa: SLF001 - what a node holds is to be wrong
-"""Faults of the kind that were once found late, to be planted in the product while a test runs.
+# ruff: noqa: T201 - it is a command
+"""Faults of the kind that were once found late, planted in the sources while a search runs.
 
 Each is a mistake that somebody could make in one place. The search must find each of them.
+
+    python -m tests.virtual.planted                       # all of them, and what found them
+    python -m tests.virtual.planted mixed_sets both_lead
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import argparse
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from itertools import count
+from os import cpu_count
+from types import ModuleType
+from typing import NamedTuple
 
-import pytest
-
-from swarmabs_core.messages import DesiredAbstractState, Mode
-from swarmabs_core.realtime import leadership
-from swarmabs_core.realtime.agent import RealtimeAgent
-from swarmabs_core.realtime.broadcasts import BroadcastInbox
-from swarmabs_core.realtime.leadership import Leadership
-from swarmabs_core.realtime.modes import ModeLatch, PublishedMode
-from swarmabs_core.realtime.observer import RealtimeObserver, RealtimeSums, Role
-from swarmabs_core.realtime.validation import Heard, HeardStates, Writers
-
-Patch = pytest.MonkeyPatch
-
-
-def stop_is_lost_in_a_takeover(patch: Patch) -> None:
-    """A silent controller does not take over the STOP of the leader."""
-    hear = PublishedMode.hear
-
-    def hearing(self: PublishedMode, mode: Mode, step: int, *, leading: bool) -> None:
-        if mode is Mode.STOP and not leading:
-            return
-        hear(self, mode, step, leading=leading)
-
-    patch.setattr(PublishedMode, "hear", hearing)
+MINUTES = 10.0
+"""Time of the processor within which each of them must be found."""
 
 
-def mixed_sets(patch: Patch) -> None:
-    """A robot combines the sums of one observer with the other's abstract state."""
+class Planted(NamedTuple):
+    """A mistake: what it means, the module that has it, and there the right text, which occurs once, and the wrong."""
 
-    def mixed(inbox: BroadcastInbox) -> Any:
-        own = inbox._sets.get(inbox.followed)
-        other = inbox._sets.get(inbox.followed._replace(observer=not inbox.followed.observer))
-        if own is None or other is None or own.step != other.step:
-            return own
-        return own._replace(auxiliary=other.auxiliary)
-
-    patch.setattr(BroadcastInbox, "newest", property(mixed))
+    name: str
+    means: str
+    module: str
+    right: str
+    wrong: str
 
 
-def mixed_steps(patch: Patch) -> None:
-    """A robot takes the desired state of a later step than the sums."""
-    newest = BroadcastInbox.newest.fget  # type: ignore[attr-defined]
-
-    def mixed(inbox: BroadcastInbox) -> Any:
-        own = newest(inbox)
-        heard = {} if own is None else inbox._heard.of(own.step + 1)
-        later = [m for m in heard.values() if isinstance(m, DesiredAbstractState) and m.mode == Mode.RUN]
-        return own._replace(desired=later[0]) if later and own.desired.mode == Mode.RUN else own
-
-    patch.setattr(BroadcastInbox, "newest", property(mixed))
-
-
-def old_broadcasts(patch: Patch) -> None:
-    """A robot acts on broadcasts up to three times as old as it may."""
-    problem = BroadcastInbox.problem
-
-    def lenient(self: BroadcastInbox, now: int) -> str:
-        self._age *= 3
-        try:
-            return problem(self, now)
-        finally:
-            self._age //= 3
-
-    patch.setattr(BroadcastInbox, "problem", lenient)
-
-
-def deaf_after_a_restart(patch: Patch) -> None:
-    """A receiver that is bound to the first writer of an origin never accepts the next one."""
-    refuses = Writers.refuses
-
-    def forever(self: Writers, origin: Any, writer: bytes) -> bool:
-        bound = self._bound.get(origin)
-        return refuses(self, origin, writer) or (bound is not None and bool(writer) and writer != bound[0])
-
-    patch.setattr(Writers, "refuses", forever)
-
-
-def never_starts_again(patch: Patch) -> None:
-    """An observer that restarts waits for a robot that died before, although the swarm is under way."""
-    patch.setattr(RealtimeObserver, "_may_start", lambda self, step: self._known() >= self._needed)
-
-
-def both_lead(patch: Patch) -> None:
-    """A standby that leads does not yield to its primary."""
-    patch.setattr(leadership, "AGREED", 10**9)
-
-
-def nobody_takes_over(patch: Patch) -> None:
-    """A standby that was stopped waits until it hears the other one."""
-    decide = Leadership._decide
-
-    def waiting(self: Leadership, step: int, *, able: bool) -> None:
-        if self.state is leadership.PairRole.LISTENING and "stopped" in self.why and not self.hears_peer(step):
-            return
-        decide(self, step, able=able)
-
-    patch.setattr(Leadership, "_decide", waiting)
-
-
-def stop_is_not_latched(patch: Patch) -> None:
-    """A robot stops while the newest broadcasts say STOP, and moves again as soon as they say RUN."""
-    patch.setattr(ModeLatch, "stopped", property(lambda self: False))
-
-
-def grows_with_forged_ids(patch: Patch) -> None:
-    """What is heard is kept for ever."""
-    add = Heard.add
-
-    def keeping(self: Any, place: Any, message: Any, step: int, *, refused: bool = False) -> bool:
-        self.__dict__.setdefault("kept", []).append(message)
-        return add(self, place, message, step, refused=refused)
-
-    patch.setattr(HeardStates, "add", keeping)
-
-
-def impostor_is_believed(patch: Patch) -> None:
-    """A second writer is refused, but what it says counts."""
-    patch.setattr(Writers, "refuses", lambda self, origin, writer: False)
-
-
-def silent_robots_still_count(patch: Patch) -> None:
-    """The observer takes robots that have fallen silent for active for three times as long as it may."""
-    role = RealtimeSums.role
-
-    def late(self: RealtimeSums, state: Any, step: int) -> Role:
-        return role(self, state, step if state is None or step - state.step > 3 * self._age else state.step)
-
-    patch.setattr(RealtimeSums, "role", late)
-
-
-def holds_through_a_clock_set_back(patch: Patch) -> None:
-    """A robot whose clock is set back keeps what it has heard."""
-    patch.setattr(BroadcastInbox, "forget", lambda self, now: None)
-    patch.setattr(RealtimeAgent, "_doubt", lambda self, now: ())
-
-
-def follows_a_stale_leader(patch: Patch) -> None:
-    """A robot never leaves the coordinators that it has followed first."""
-    patch.setattr(BroadcastInbox, "_choose", lambda self, step: None)
-
-
-PLANTED: tuple[Callable[[Patch], None], ...] = (
-    stop_is_lost_in_a_takeover,
-    mixed_sets,
-    mixed_steps,
-    old_broadcasts,
-    deaf_after_a_restart,
-    never_starts_again,
-    both_lead,
-    nobody_takes_over,
-    stop_is_not_latched,
-    grows_with_forged_ids,
-    impostor_is_believed,
-    follows_a_stale_leader,
-    holds_through_a_clock_set_back,
-    silent_robots_still_count,
+PLANTED = (
+    Planted(
+        "stop_is_lost_in_a_takeover",
+        "A silent controller does not take over the STOP of the leader.",
+        "swarmabs_core.realtime.modes",
+        "if commanded is Mode.RESET and step <= since:",
+        "if not leading or (commanded is Mode.RESET and step <= since):",
+    ),
+    Planted(
+        "mixed_sets",
+        "A robot combines the sums of one observer with the other's abstract state.",
+        "swarmabs_core.realtime.broadcasts",
+        "abstract, sums, desired = map(first.__getitem__, senders)",
+        "abstract, sums, desired = map(first.__getitem__, senders)\n"
+        "                sums = first.get((BROADCASTS[1], not of.observer), sums)",
+    ),
+    Planted(
+        "mixed_steps",
+        "A robot takes the desired state of a later step than the sums.",
+        "swarmabs_core.realtime.broadcasts",
+        "        return self._sets.get(self.followed)\n",
+        "        own = self._sets.get(self.followed)\n"
+        "        heard = {} if own is None else self._heard.of(own.step + 1)\n"
+        "        later = [m for m in heard.values() if getattr(m, 'mode', None) == Mode.RUN]\n"
+        "        return own._replace(desired=later[0]) if own and later else own\n",
+    ),
+    Planted(
+        "old_broadcasts",
+        "A robot acts on broadcasts up to three times as old as it may.",
+        "swarmabs_core.realtime.broadcasts",
+        "if step - newest.step > self._age:",
+        "if step - newest.step > 3 * self._age:",
+    ),
+    Planted(
+        "deaf_after_a_restart",
+        "A receiver that is bound to the first writer of an origin never accepts the next one.",
+        "swarmabs_core.realtime.validation",
+        "writer == bound[0] or self._ran - bound[1] > self.age(origin):",
+        "writer == bound[0]:",
+    ),
+    Planted(
+        "never_starts_again",
+        "An observer that restarts waits for a robot that died before, although the swarm is under way.",
+        "swarmabs_core.realtime.observer",
+        "return step - self._under_way_since > self._age and len(self._states) >= FEWEST",
+        "return False",
+    ),
+    Planted(
+        "both_lead",
+        "A standby that leads does not yield to its primary.",
+        "swarmabs_core.realtime.leadership",
+        "elif self._rank == STANDBY and self._agreed >= AGREED:",
+        "elif self._agreed > AGREED:",
+    ),
+    Planted(
+        "nobody_takes_over",
+        "A standby that was stopped waits until it hears the other one.",
+        "swarmabs_core.realtime.leadership",
+        "if able and step >= max(self._until, self._able_since + patience):",
+        'if able and step >= max(self._until, self._able_since + patience) and "stopped" not in self.why:',
+    ),
+    Planted(
+        "stop_is_not_latched",
+        "A robot stops while the newest broadcasts say STOP, and moves again as soon as they say RUN.",
+        "swarmabs_core.realtime.broadcasts",
+        "        return self._latch.stopped\n",
+        "        return False\n",
+    ),
+    Planted(
+        "grows_with_forged_ids",
+        "What is heard is kept for ever.",
+        "swarmabs_core.realtime.validation",
+        "            self.add(state.agent_id, state, step)\n",
+        "            self.add(state.agent_id, state, step)\n"
+        "            self.__dict__.setdefault('kept', []).append(state)\n",
+    ),
+    Planted(
+        "impostor_is_believed",
+        "A second writer is counted, but what it says counts, too.",
+        "swarmabs_core.realtime.validation",
+        "        self._refused[origin] = count + 1, writer, self._ran\n        return True\n",
+        "        self._refused[origin] = count + 1, writer, self._ran\n        return False\n",
+    ),
+    Planted(
+        "follows_a_stale_leader",
+        "A robot never leaves the coordinators that it has followed first.",
+        "swarmabs_core.realtime.broadcasts",
+        "if newest - trusted.get(self.followed, _LONG_AGO) > MOST_BEHIND:",
+        "if newest - trusted.get(self.followed, _LONG_AGO) > 2**63:",
+    ),
+    Planted(
+        "holds_through_a_clock_set_back",
+        "A robot whose clock is set back keeps its command and what it has heard.",
+        "swarmabs_core.realtime.agent",
+        "return self._doubt(now) if set_back else ()",
+        "return ()",
+    ),
+    Planted(
+        "silent_robots_still_count",
+        "The observer takes robots that have fallen silent for active for three times as long as it may.",
+        "swarmabs_core.realtime.observer",
+        "if step - state.step > self._age:",
+        "if step - state.step > 3 * self._age:",
+    ),
+    Planted(
+        "a_late_stop_is_refused",
+        "A robot refuses a STOP that is late as outdated, as it refuses other broadcasts.",
+        "swarmabs_core.realtime.broadcasts",
+        "message.mode == Mode.STOP:\n            self._latch.stop(message.step)  # even if it is otherwise invalid\n",
+        "message.mode == Mode.STOP and not untimely:\n            self._latch.stop(message.step)\n",
+    ),
+    Planted(
+        "an_old_state_replaces_a_new_one",
+        "The observer uses the last state that has arrived, which may be older than one before it.",
+        "swarmabs_core.realtime.observer",
+        "if newest is None or message.step > newest.step:",
+        "if True:",
+    ),
+    Planted(
+        "leads_although_cut_off",
+        "An observer that hears no robot any more leads all the same.",
+        "swarmabs_core.realtime.observer",
+        "(*events, *answer), now, able=self._hears_robots)",
+        "(*events, *answer), now)",
+    ),
+    Planted(
+        "release_does_nothing",
+        "A coordinator that is told to hand over goes on.",
+        "swarmabs_core.realtime.leadership",
+        "        self.leadership.release(self._schedule.step(now))\n",
+        "",
+    ),
+    Planted(
+        "a_robot_that_left_weighs_on",
+        "The observer takes a robot that has left for one that is silent.",
+        "swarmabs_core.realtime.observer",
+        "        if state.status == Status.LEFT:\n            return Role.LEFT\n",
+        "",
+    ),
 )
+
+
+class _Gardener(MetaPathFinder):
+    """Finds a module with its right text replaced by the wrong one."""
+
+    def __init__(self, planted: Planted) -> None:
+        self._planted = planted
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if fullname != self._planted.module:
+            return None
+        spec = PathFinder.find_spec(fullname, path, target)
+        assert spec is not None
+        assert spec.origin is not None
+        spec.loader = _Changed(fullname, spec.origin, self._planted)
+        return spec
+
+
+class _Changed(SourceFileLoader):
+    def __init__(self, fullname: str, path: str, planted: Planted) -> None:
+        super().__init__(fullname, path)
+        self._planted = planted
+
+    def get_code(self, fullname: str) -> object:  # type: ignore[override]
+        return self.source_to_code(changed(self.get_data(self.path).decode(), self._planted), self.path)
+
+
+def changed(source: str, planted: Planted) -> str:
+    """Return the source of a module with a mistake; raises `ValueError` unless the right text occurs once."""
+    if source.count(planted.right) != 1:
+        raise ValueError(f"{planted.name}: {planted.module} has {planted.right!r} {source.count(planted.right)} times")
+    return source.replace(planted.right, planted.wrong)
+
+
+def search(planted: Planted, minutes: float) -> int:
+    """Plant a mistake in this process, which has not imported the module yet, and search until it is found."""
+    assert planted.module not in sys.modules
+    sys.meta_path.insert(0, _Gardener(planted))
+    from tests.virtual.search import trial  # noqa: PLC0415 - only now, with the mistake
+
+    started = time.process_time()
+    for seed in count(1):
+        one, took = trial(seed), time.process_time() - started
+        if one.property:
+            print(f"{planted.name}: found by seed {seed} within {took:.0f} s: {one.text}", flush=True)
+            return 0
+        if took > 60.0 * minutes:
+            break
+    print(f"{planted.name}: NOT FOUND within {took:.0f} s by {seed} seeds", flush=True)
+    return 1
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Search for each mistake in a process of its own; return 1 if one is not found."""
+    parser = argparse.ArgumentParser(prog="python -m tests.virtual.planted")
+    parser.add_argument("names", nargs="*", help="by default all")
+    parser.add_argument("--minutes", type=float, default=MINUTES, help="time of the processor for each")
+    options = parser.parse_args(arguments)
+    known = {planted.name: planted for planted in PLANTED}
+    if unknown := [name for name in options.names if name not in known]:
+        parser.error(f"no such mistake: {', '.join(unknown)}; there are {', '.join(known)}")
+    if len(options.names) == 1:
+        return search(known[options.names[0]], options.minutes)
+
+    def alone(name: str) -> int:
+        words = [sys.executable, "-m", "tests.virtual.planted", name, "--minutes", str(options.minutes)]
+        return subprocess.run(words, check=False).returncode
+
+    with ThreadPoolExecutor(cpu_count()) as pool:
+        return max(pool.map(alone, options.names or known))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
