@@ -420,6 +420,11 @@ class VirtualFleet:
         return self._kept.all
 
     @property
+    def force_driven(self) -> set[str]:
+        """The robots whose command is a force."""
+        return {agent_name(agent.id) for agent in self.scenario.agents if agent.kind == "double_integrator"}
+
+    @property
     def names(self) -> tuple[str, ...]:
         return tuple(self.nodes)
 

@@ -156,10 +156,10 @@ PLANTED = (
     ),
     Planted(
         "leads_although_cut_off",
-        "An observer that hears no robot any more leads all the same.",
+        "An observer that hears no robot any more, but is heard, speaks on.",
         "swarmabs_core.realtime.observer",
-        "(*events, *answer), now, able=self._hears_robots)",
-        "(*events, *answer), now)",
+        "if not self._hears_robots and not self._config.pair.single:",
+        "if False:",
     ),
     Planted(
         "release_does_nothing",

@@ -119,8 +119,20 @@ class Case:
 
     @property
     def begins(self) -> float:
-        """Time, s, at which all may be expected to follow after a start without faults."""
-        return BEGINS + 1.7 * self.stopped
+        """Time, s, at which all may be expected to follow after a start without faults.
+
+        That is after the two seconds for which a standby listens, and the second of a RESET if they start in STOP.
+        """
+        return 2.0 + self.periods(12) + self.stopped * (1.0 + self.periods(14))
+
+    @property
+    def settles(self) -> float:
+        """Time, s, in which all settle after a fault: a standby that starts listens for two seconds."""
+        return 2.2 + self.periods(20)
+
+    def periods(self, number: int) -> float:
+        """Return the time, s, of so many periods, or at a high rate of those at 20 Hz."""
+        return number / min(self.hertz, 20)
 
     def only(self, numbers: Iterable[int]) -> Case:
         """Return the case with some of its faults only."""
@@ -148,7 +160,7 @@ def case_of(seed: int, robots: int | None = None) -> Case:
     case = Case(
         seed,
         robots or draw.choice((2, 3, 3, 3, 4, 4, 5, 8)),
-        draw.choice((20, 20, 20, 20, 50, 100)),
+        draw.choice((10, 10, 10, 20, 20, 50, 100)),
         draw.random() < 0.6,
         draw.random() < 0.3,
         draw.random() < 0.3,
@@ -163,13 +175,13 @@ def case_of(seed: int, robots: int | None = None) -> Case:
     if draw.random() < 0.2:
         late = [name for name in case.names if draw.random() < 0.4]
         faults = [Fault(0.0, "crash", name, draw.choice((_length(draw), draw.uniform(0.0, 4.0)))) for name in late]
-        time = max([case.begins, *(f.end + SETTLES for f in faults)]) if one_at_a_time else 0.0
+        time = max([case.begins, *(f.end + case.settles for f in faults)]) if one_at_a_time else 0.0
     if one_at_a_time:
         for _ in range(draw.randint(1, 3)):
             fault = draw.choice(kinds)(draw, case, time + draw.uniform(0.0, 0.3))
             faults += fault
-            time = max([time, *(f.end for f in fault)]) + SETTLES
-        quiet = time - SETTLES
+            time = max([time, *(f.end for f in fault)]) + case.settles
+        quiet = time - case.settles
     else:
         lasting = draw.choice((1.0, 2.5, 2.5, 5.0))
         for _ in range(draw.choice((2, 4, 6, 10))):
@@ -179,12 +191,6 @@ def case_of(seed: int, robots: int | None = None) -> Case:
     faults = sorted(Fault(round(f.at, 3), f.kind, f.who, round(f.lasting, 3), round(f.value, 4)) for f in faults)
     case = replace(case, recorded=not case.each_robot and case.robots <= 4 and case.hertz <= 20 and draw.random() < 0.2)
     return replace(case, quiet=round(max([quiet, 0.5, *(f.end for f in faults)]), 3), faults=tuple(faults))
-
-
-BEGINS = 2.6
-"""Time, s, after which a fleet that starts in RUN follows; one in STOP needs the second of a RESET, too."""
-SETTLES = 3.2
-"""Time, s, after the end of a fault in which a fleet settles: a standby that starts listens for two seconds."""
 
 
 def _length(draw: Random) -> float:
@@ -290,7 +296,7 @@ def _absence(draw: Random, case: Case, at: float) -> list[Fault]:
     faults = [Fault(begins, "crash", name, lasting) for name in lost]
     if not case.each_robot and draw.random() < 0.3:
         faults.append(Fault(at + draw.uniform(0.0, 0.5), REMOVAL, draw.choice((robot, draw.choice(case.robot_names)))))
-    return [Fault(at, "crash", robot, begins - at + lasting + SETTLES + 1.0), *faults]
+    return [Fault(at, "crash", robot, begins - at + lasting + case.settles + 1.0), *faults]
 
 
 def _forged(draw: Random, case: Case, at: float) -> list[Fault]:

@@ -11,7 +11,7 @@ from tests.swarmabs_core.helpers import builtin
 from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
 from tests.virtual.properties import BrokenError, Checks, Ending, Facts
 from tests.virtual.recorders import Bags
-from tests.virtual.schedule import ALL, COMMANDS, FORGED, LINKS, SETTLES, Case, Fault
+from tests.virtual.schedule import ALL, COMMANDS, FORGED, LINKS, Case, Fault
 from tests.virtual.weather import Weather
 
 from swarmabs_config.scenario import Scenario
@@ -37,12 +37,6 @@ from swarmabs_core.realtime.envelope import LATENCY
 
 STARTS = 2.1
 """Time, s, at which an operator resets a fleet that starts in STOP."""
-HEALS = SETTLES + 0.2
-"""Time, s, after the last fault until all must be well without help, or stand still after a STOP."""
-RESETS = 2.4
-"""Time, s, after the orders of the operator until all must be well."""
-HOLDS = 0.5
-"""Time, s, for which it must stay so."""
 FOREIGN = b"a stranger's GID"
 _MILD = {"loss": 0.05, "slow": 0.5, "late": 0.5}
 """By how much (of periods, for times) a whole network may be bad without any effect on who follows."""
@@ -50,8 +44,12 @@ _MILD = {"loss": 0.05, "slow": 0.5, "late": 0.5}
 
 @cache
 def scenario_of(robots: int, hertz: int, start: str, coordination: str) -> Scenario:
-    """Return the scenario of a fleet; its limits are as many periods as those of the default at 100 Hz."""
-    period = 1.0 / hertz
+    """Return the scenario of a fleet; its limits are as many periods as those of the default at 100 Hz.
+
+    Below 20 Hz the fleet and the plane are slower by as much.
+    """
+    period, pace = 1.0 / hertz, min(1.0, hertz / 20)
+    gains = {"k": 10.0 * pace, "kp": 10.0 * pace**2, "kd": 5.0 * pace}
     agents = []
     for number in range(1, robots + 1):
         side = 1.0 if number % 2 else -1.0
@@ -64,6 +62,8 @@ def scenario_of(robots: int, hertz: int, start: str, coordination: str) -> Scena
     return builtin(
         "pd_het_4",
         f"swarm.agents=[{', '.join(agents)}]",
+        *(f"swarm.gains.{name}=[{gain:g}, {gain:g}]" for name, gain in gains.items()),
+        f"controller.gains=[{3.1623 * pace**2:g}, {3.2859 * pace:g}]",
         f"step={period:g}",
         f"realtime={{{limits}}}",
         f"coordination={coordination}",
@@ -166,10 +166,11 @@ class Story(Watcher):
             self._ordered = early
         if not early:
             facts.moving_from = case.begins * 1e9
-        fleet.run(case.quiet + HEALS - fleet.time)
-        self._say("all", f"no fault for {HEALS:g} s")
+        heals, resets, holds = case.settles + 0.2, 1.4 + case.periods(20), case.periods(10)
+        fleet.run(case.quiet + heals - fleet.time)
+        self._say("all", f"no fault for {heals:g} s")
         if self._holders:
-            fleet.run(HOLDS)
+            fleet.run(holds)
             self.ending.nobody_moves(f"an operator stopped the swarm at {self._stopped_at} and nobody has reset it")
         elif not self._ordered:
             self.ending.all_is_well()
@@ -177,10 +178,10 @@ class Story(Watcher):
             self._command(name, "join")
         if self._ordered:
             self._order("reset")
-            fleet.run(RESETS)
+            fleet.run(resets)
             self.ending.all_is_well()
         facts.moving_from = facts.now
-        fleet.run(HOLDS)
+        fleet.run(holds)
         self.ending.all_is_well()
         self.ending.memory_is_bounded()
 
@@ -238,6 +239,7 @@ class Story(Watcher):
         else:
             facts.odd.add(name)
             self._drive(name).blind = True
+            facts.coasting |= {name} & self.fleet.force_driven
             self._say(name, "has no measurement of its motion")
 
     def _end(self, fault: Fault, concerned: tuple[str, ...]) -> None:

@@ -207,10 +207,12 @@ class RealtimeObserver:
         if not self._started and not self._may_start(step):
             return self.voice.say(events, now, able=False)
         self._started = True
+        if not self._hears_robots and not self._config.pair.single:  # what it said would keep the other one silent
+            return self.voice.say(events, now, able=False)
         standing = [i for i, role in self.roles.items() if role is Role.SILENT]
         swarm = self._states, standing, step, now
         answer = (self._provenance(standing, step, now), *self._sums.sum_up(*swarm), self._sums.divide(*swarm))
-        return self.voice.say((*events, *answer), now, able=self._hears_robots)
+        return self.voice.say((*events, *answer), now)
 
     def halt(self) -> None:
         """Assume that all robots rest in their last known positions until they are heard again."""
@@ -243,7 +245,7 @@ class RealtimeObserver:
 
     @property
     def _hears_robots(self) -> bool:
-        """Whether it heard any robot recently: one that is cut off from all must not lead."""
+        """Whether it heard any robot recently: one of a pair that is cut off from all leaves them to the other one."""
         return any(role in (Role.ACTIVE, Role.STOPPED) for role in self.roles.values())
 
     def _hear_peer(self, message: AbstractState, step: int, now: int, sender: Sender) -> Messages:
