@@ -318,9 +318,11 @@ class VirtualFleet:
         configure.check_realtime(scenario)
         self.network: Any = network or Network()
         self.watchers: list[Watcher] = []
+        self._told_published: list[Callable[[str, Topic, Message, bytes], None]] = []
+        self._told_heard: list[Callable[[str, Parcel], None]] = []
         self._kept = Published(self)
         if kept:
-            self.watchers.append(self._kept)
+            self.watch(self._kept)
         self.scenario = scenario
         self.clock = configure.schedule(scenario, EPOCH)
         self.now_ns = 0
@@ -418,6 +420,12 @@ class VirtualFleet:
     @property
     def published(self) -> list[tuple[int, str, Message]]:
         return self._kept.all
+
+    def watch(self, *watchers: Watcher) -> None:
+        """Let watchers see what happens from now on, after those before them."""
+        self.watchers += watchers
+        self._told_published += [w.published for w in watchers if type(w).published is not Watcher.published]
+        self._told_heard += [w.heard for w in watchers if type(w).heard is not Watcher.heard]
 
     @property
     def force_driven(self) -> set[str]:
@@ -573,15 +581,16 @@ class VirtualFleet:
         if lie := self.liars.get(node.name):
             message = lie(message)
             data = encode(message)
-        parcel = Parcel(node.name, topic, data, node.writers[topic], message)
-        for watcher in self.watchers:
-            watcher.published(node.name, usual_topic(topic), message, data)
+        parcel, usual = Parcel(node.name, topic, data, node.writers[topic], message), usual_topic(topic)
+        for published in self._told_published:
+            published(node.name, usual, message, data)
         if isinstance(message, SwarmEvent):
             node.events.append(parcel)
         arrivals, sender, step, draw = self.network.arrivals, node.name, message.step, self._draw
+        send = self._send
         for other in node.readers[topic]:
             for after in arrivals(sender, other.name, step, draw):
-                self._send(parcel, other, after)
+                send(parcel, other, after)
 
     def _send(self, parcel: Parcel, node: Node, after: int) -> None:
         """Let a parcel arrive at a node after some time, ns."""
@@ -606,5 +615,5 @@ class VirtualFleet:
     def _taken(self, node: Node, parcel: Parcel) -> None:
         if node.activity is None or not node.activity.active:  # what is outdated at the start is thrown away
             return
-        for watcher in self.watchers:
-            watcher.heard(node.name, parcel)
+        for heard in self._told_heard:
+            heard(node.name, parcel)

@@ -108,7 +108,7 @@ def replay(case: Case | LockstepCase, trace: Path | None = None) -> tuple[Result
     timeline.watch(story.fleet)
     output = None if trace is None else trace.open("w", encoding="utf-8")
     traced = Trace(story.fleet, output)
-    story.fleet.watchers.append(traced)
+    story.fleet.watch(traced)
     result = outcome(story)
     if output is not None:
         output.close()

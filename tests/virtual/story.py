@@ -135,7 +135,7 @@ class Story(Watcher):
         self._robots = case.robot_names
         self.bags = Bags(fleet, case) if case.recorded else None
         recorders = () if self.bags is None else self.bags.recorders
-        fleet.watchers += [*watchers, *recorders, Checks(self.facts), self.ending, self]
+        fleet.watch(*watchers, *recorders, Checks(self.facts), self.ending, self)
         for node in fleet.nodes:
             for watcher in fleet.watchers:
                 watcher.begins(node)
