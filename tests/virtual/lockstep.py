@@ -15,6 +15,7 @@ from tests.transport.network import LARGEST, Act, script
 from tests.transport.swarm import LONGEST_RUN, Node, Swarm
 from tests.transport.test_lockstep import CASES, assert_planned, cast_of, expected, stored
 from tests.virtual.properties import BrokenError
+from tests.virtual.schedule import numbered
 
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.cdr import step_of
@@ -46,14 +47,15 @@ class LockstepCase:
     faults: tuple[Doing, ...]
     dies_after: int
     robots: int = 3
+    numbers: tuple[int, ...] | None = None
 
     def only(self, numbers: Iterable[int]) -> LockstepCase:
         """Return the case with some of its deviations only."""
-        return replace(self, faults=tuple(self.faults[number] for number in numbers))
+        return replace(self, faults=tuple(self.faults[number] for number in numbers), numbers=tuple(numbers))
 
     def __str__(self) -> str:
         death = f"; {DROPPED} dies after {self.dies_after} turns" if self.name.startswith("drop") else ""
-        return "\n".join([f"seed {self.seed}: lockstep, {self.name}{death}", *(f"  {doing}" for doing in self.faults)])
+        return "\n".join([f"seed {self.seed}: lockstep, {self.name}{death}", *numbered(self.faults, self.numbers)])
 
 
 def lockstep_case(seed: int) -> LockstepCase:

@@ -10,7 +10,7 @@ A case is drawn from a seed. Each line of its text is one fault, so a case can b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from random import Random
 from typing import NamedTuple
@@ -76,7 +76,10 @@ class Fault(NamedTuple):
 
 @dataclass(frozen=True)
 class Case:
-    """A fleet and what happens to it; `quiet` is the time, s, at which all faults are over."""
+    """A fleet and what happens to it; `quiet` is the time, s, at which all faults are over.
+
+    If only some of its faults happen, `numbers` says which.
+    """
 
     seed: int
     robots: int = 4
@@ -89,6 +92,7 @@ class Case:
     recorded: bool = False
     quiet: float = 6.0
     faults: tuple[Fault, ...] = ()
+    numbers: tuple[int, ...] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -136,7 +140,7 @@ class Case:
 
     def only(self, numbers: Iterable[int]) -> Case:
         """Return the case with some of its faults only."""
-        return replace(self, faults=tuple(self.faults[number] for number in numbers))
+        return replace(self, faults=tuple(self.faults[number] for number in numbers), numbers=tuple(numbers))
 
     def __str__(self) -> str:
         """Return the text of the case."""
@@ -146,8 +150,15 @@ class Case:
             *(["two recorders"] if self.recorded else []),
             *(["a topic for each robot"] if self.own_topics else []),
             f"starts in {'STOP' if self.stopped else 'RUN'}, robots needed: {self.start}",
+            f"step n is at n x {1 / self.hertz:g} s",
         ]
-        return "\n".join([f"seed {self.seed}: {'; '.join(words)}", *(f"  {fault}" for fault in self.faults)])
+        return "\n".join([f"seed {self.seed}: {'; '.join(words)}", *numbered(self.faults, self.numbers)])
+
+
+def numbered(faults: Sequence[object], numbers: Sequence[int] | None) -> Iterator[str]:
+    """Yield a line for each fault with its number in the case of the seed."""
+    for number, fault in zip(range(len(faults)) if numbers is None else numbers, faults, strict=True):
+        yield f"  ({number}) {fault}"
 
 
 def case_of(seed: int, robots: int | None = None) -> Case:

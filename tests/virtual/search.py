@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 from tests.transport.swarm import Swarm
 from tests.virtual.lockstep import LockstepCase, LockstepStory, lockstep_case
-from tests.virtual.properties import STATEMENTS, BrokenError
+from tests.virtual.properties import STATEMENTS
 from tests.virtual.schedule import Case, case_of
 from tests.virtual.story import Result, Story, outcome
 from tests.virtual.timeline import Timeline, Trace
@@ -127,17 +127,19 @@ def said_in(swarm: Swarm, trace: Path | None) -> str:
     return blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def report(case: Case | LockstepCase, broken: BrokenError, timeline: Timeline, command: str) -> Iterator[str]:
+def report(case: Case | LockstepCase, result: Result, timeline: Timeline, command: str) -> Iterator[str]:
     """Yield the lines that tell people what is wrong."""
+    broken = result.broken
+    assert broken is not None
     yield f"BROKEN: {broken.name}"
     yield f"  must hold: {STATEMENTS[broken.name]}"
     yield f"  instead:   {broken.node} {broken.text}"
     yield f"  replay:    {command}"
-    yield "what was done (time in s, +duration, what, to whom):"
+    yield "what was done (number of the fault, time in s, +duration, what, to whom):"
     yield str(case)
-    yield "what happened:"
+    yield "what happened (*: what was done):"
     yield from timeline.lines()
-    yield f"           -> {broken.node} {broken.text}"
+    yield f"{result.time:9.4f} s   BROKEN: {broken.node} {broken.text}"
 
 
 def show(seed: int, only: tuple[int, ...] | None, trace: Path | None) -> int:
@@ -147,7 +149,7 @@ def show(seed: int, only: tuple[int, ...] | None, trace: Path | None) -> int:
     result, timeline, digest = replay(chosen, trace)
     command = f"{COMMAND} --seeds {seed}" + ("" if only is None else f" --only {_numbers(only)}")
     if result.broken is not None:
-        print("\n".join(report(chosen, result.broken, timeline, command)))
+        print("\n".join(report(chosen, result, timeline, command)))
     else:
         print("\n".join([str(chosen), *timeline.lines(), "all properties hold"]))
     print(f"trace {digest}")
@@ -202,7 +204,7 @@ def _show_short(one: Trial) -> None:
         print(f"seed {one.seed}: {one.text}, but not when it is replayed", flush=True)
         return
     command = f"{COMMAND} --seeds {one.seed}" + ("" if len(only) == len(case.faults) else f" --only {_numbers(only)}")
-    print("\n".join(report(short, result.broken, timeline, command)))
+    print("\n".join(report(short, result, timeline, command)))
     print(f"trace {digest}", flush=True)
 
 

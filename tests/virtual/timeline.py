@@ -26,15 +26,18 @@ _SILENT = 2.5
 """Periods after which a node that speaks in each of them counts as silent."""
 _OWN = {EventKind.SAFE_STOP, EventKind.RECOVERED}
 """Events that the states of a robot tell, too."""
+_AGAIN = 3.0
+"""Time, s, in which a node that reports the same again and again is quoted once."""
 
 
 class Entry(NamedTuple):
-    """Something that happened."""
+    """Something that happened; `done` if it was done to the node, and is not what the node did."""
 
     time: float
     number: int
     who: str
     what: str
+    done: bool
 
 
 class Timeline(Watcher):
@@ -46,18 +49,28 @@ class Timeline(Watcher):
         self._spoke: dict[str, float] = {}
         self._status: dict[str, str] = {}
         self._modes: dict[tuple[str, str], int] = {}
+        self._quoted: dict[tuple[str, str], float] = {}
 
     def watch(self, fleet: VirtualFleet) -> None:
         """Set the fleet that is watched."""
         self._fleet = fleet
 
     def tell(self, time: float, who: str, what: str) -> None:
-        """Note something that happened at a time, s."""
-        self._entries.append(Entry(time, len(self._entries), who, what))
+        """Note something that was done to somebody at a time, s."""
+        self._note(time, who, what, done=True)
+
+    def _note(self, time: float, who: str, what: str, *, done: bool = False) -> None:
+        self._entries.append(Entry(time, len(self._entries), who, what, done))
 
     def _now(self, who: str, what: str) -> None:
         if self._fleet is not None:
-            self.tell(self._fleet.time, who, what)
+            self._note(self._fleet.time, who, what)
+
+    def _reports(self, who: str, what: str) -> None:
+        assert self._fleet is not None
+        before, self._quoted[who, what] = self._quoted.get((who, what), -_AGAIN), self._fleet.time
+        if self._fleet.time - before >= _AGAIN:
+            self._now(who, f"reports{what}")
 
     def begins(self, node: str) -> None:
         for key in [key for key in self._modes if key[0] == node]:
@@ -77,7 +90,7 @@ class Timeline(Watcher):
                 else ""
             )
             kind = said(EventKind(message.kind)) if message.kind in set(EventKind) else str(message.kind)
-            self._now(node, f"reports{of}: {kind}{', ' + message.detail if message.detail else ''}")
+            self._reports(node, f"{of}: {kind}{', ' + message.detail if message.detail else ''}")
         elif isinstance(message, SwarmEvent) and message.kind == EventKind.SAFE_STOP:
             self._status[node] = f"stops: {message.detail}"
             self._now(node, self._status[node])
@@ -93,7 +106,7 @@ class Timeline(Watcher):
         if before is None:
             self._now(node, "speaks for the first time")
         elif now - before > _SILENT * period:
-            self.tell(before + period, node, "falls silent")
+            self._note(before + period, node, "falls silent")
             self._now(node, "speaks again")
         self._spoke[node] = now
 
@@ -114,16 +127,23 @@ class Timeline(Watcher):
             self._now(node, f"{how} {Mode(mode).name}")
 
     def lines(self) -> list[str]:
-        """Return a line for each time and each thing that happened then; the same of several nodes is one."""
-        lines: list[tuple[float, str, list[str]]] = []
-        for time, _, who, what in sorted(self._entries):
-            last = next((line for line in reversed(lines[-12:]) if line[1] == what and time - line[0] < 2e-3), None)
-            if last is not None:
-                if who not in last[2]:
-                    last[2].append(who)
-            else:
-                lines.append((time, what, [who]))
-        return [f"{time:9.4f} s  {', '.join(who)}: {what}" for time, what, who in lines]
+        """Return a line for each time and each thing that happened then; the same of several nodes is one.
+
+        What was done to nodes is marked.
+        """
+        lines: list[tuple[Entry, list[str]]] = []
+        for entry in sorted(self._entries):
+            same = (names for one, names in reversed(lines[-12:]) if _is_same(one, entry))
+            names = next(same, None)
+            if names is None:
+                lines.append((entry, [entry.who]))
+            elif entry.who not in names:
+                names.append(entry.who)
+        return [f"{e.time:9.4f} s {'*' if e.done else ' '} {', '.join(names)}: {e.what}" for e, names in lines]
+
+
+def _is_same(one: Entry, other: Entry) -> bool:
+    return (one.what, one.done) == (other.what, other.done) and abs(other.time - one.time) < 2e-3
 
 
 class Trace(Watcher):
