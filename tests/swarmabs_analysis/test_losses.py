@@ -55,7 +55,7 @@ def beam(place: float) -> Scenario:
 
 
 @pytest.mark.usefixtures("systems")
-@pytest.mark.parametrize("share", [0.9, 0.99, 1.01, 1.1])
+@pytest.mark.parametrize("share", [0.99, 1.01])
 def test_a_robot_that_dies_too_far_out_for_a_fixed_completion_flings_the_others(share: float) -> None:
     """The others can have a second moment B - m p^2 and a first one of -m p only if B > m p^2 (1 + m/(M - m))."""
     mass, rest = MASSES[2], sum(MASSES) - MASSES[2]

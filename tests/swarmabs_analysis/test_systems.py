@@ -214,7 +214,6 @@ def test_a_run_is_verified_and_its_description_too(name: str, request: pytest.Fi
 @pytest.mark.parametrize(
     ("topic", "number", "field", "index", "agent"),
     [
-        ("/swarm/auxiliary", 7, "gram", 1, None),
         ("/swarm/auxiliary", 9, "curvature", 1, None),
         ("/swarm/desired", 3, "mean_rate", 1, None),
         ("/parent/state", 5, "state", 1, None),

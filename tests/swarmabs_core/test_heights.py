@@ -111,7 +111,7 @@ states = st.tuples(numbers, numbers)
 movers = st.builds(Mover, masses, states, states, numbers, st.floats(-0.3, 0.3))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     st.tuples(movers, movers, movers), st.floats(-1.4, 1.4), numbers, st.floats(0.0, 1.0), masses, st.floats(-0.2, 0.2)
 )

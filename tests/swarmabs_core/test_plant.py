@@ -177,7 +177,8 @@ def test_no_step_is_longer_than_a_substep_if_one_is_set(period: float, substep: 
     assert found == same
 
 
-@given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-2.0, 2.0)), min_size=1, max_size=20))
+@settings(max_examples=20)
+@given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-2.0, 2.0)), min_size=1, max_size=8))
 def test_many_periods_at_once_have_the_bits_of_each(states: list[tuple[float, float]]) -> None:
     period = 0.05
     plane = plant.PlaneDynamics(plant.Plane(friction=PAPER, disturbance=plant.Disturbance(0.4, 5.0)), period)

@@ -1,6 +1,7 @@
 """What fleets do to a swarm: late, lost and doubled messages, nodes that die and come back, clocks, intruders."""
 
 from collections.abc import Callable
+from functools import cache
 from math import inf, nan
 from typing import NamedTuple, TypeVar
 
@@ -76,6 +77,11 @@ def test_the_plane_moves_as_in_lockstep(name: str) -> None:
     assert max(abs(real[k + released] - lockstep[k]) for k in range(200)) < 8e-3
 
 
+@cache
+def undisturbed() -> dict[int, float]:
+    return angles(fleet_of("pd_het_4", begun=1.5))
+
+
 @pytest.mark.parametrize(
     ("network", "bound"),
     [
@@ -88,7 +94,7 @@ def test_the_plane_moves_as_in_lockstep(name: str) -> None:
     ],
 )
 def test_the_swarm_bears_a_bad_network(network: Network, bound: float) -> None:
-    there, fleet = angles(fleet_of("pd_het_4", begun=2.0)), fleet_of("pd_het_4", begun=2.0, network=network)
+    there, fleet = undisturbed(), fleet_of("pd_het_4", begun=1.5, network=network)
     here = angles(fleet)
     assert max(abs(there[k] - here[k]) for k in there) < bound
     assert not those(fleet, msg.EventKind.SAFE_STOP, since=1.0)
@@ -121,7 +127,7 @@ TROUBLES = {
     **{
         f"clock of {name} {offset:+g} s": _clock(name, offset, {1, 3, 4} if name == ROBOTS[1] else set())
         for name in (PLANE, OBSERVER, CONTROLLER, ROBOTS[1])
-        for offset in (3600.0, -3600.0, 0.5, -0.5)
+        for offset in (3600.0, -0.5)
     },
 }
 

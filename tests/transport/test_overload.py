@@ -85,14 +85,14 @@ def check(seed: int) -> None:
     assert [len(speakers(fleet, kind)) for kind in (AbstractState, DesiredAbstractState)] == [1, 1], where
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_fleet_recovers_from_an_overload_at_its_start(seed: int) -> None:
     check(seed)
 
 
 @pytest.mark.full
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("first", range(6, 206, 25))
+@pytest.mark.parametrize("first", range(2, 202, 25))
 def test_fleets_recover_from_many_overloads(first: int) -> None:
     for seed in range(first, first + 25):
         check(seed)

@@ -198,14 +198,14 @@ def wrongs(doings: Script) -> list[str]:
     return texts
 
 
-@pytest.mark.parametrize("block", range(6))
+@pytest.mark.parametrize("block", range(2))
 def test_a_fleet_bears_each_interleaving(block: int) -> None:
     assert [(seed, texts) for seed in range(10 * block, 10 * block + 10) if (texts := wrongs(script(seed, 40)))] == []
 
 
 @pytest.mark.full
 @pytest.mark.timeout(0)
-@pytest.mark.parametrize("block", range(6, 150))
+@pytest.mark.parametrize("block", range(2, 150))
 def test_a_fleet_bears_many_more(block: int) -> None:
     test_a_fleet_bears_each_interleaving(block)
 

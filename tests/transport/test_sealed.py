@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -21,7 +21,7 @@ from swarmabs_core.realtime.seals import Seals
 ROBOTS = (1, 2, 3, 4)
 CURVE = ec.SECP256R1()
 KEYS = {author: ec.derive_private_key(1 + author, CURVE) for author in (msg.PARENT, *ROBOTS)}
-RING = "links={type: ring}"
+RING, SENSING = "links={type: ring}", "links={type: ring, sensing: [2]}"
 FORGED = "robot 3 passed on a state of robot 2 that robot 2 has not signed"
 Lie = Callable[[msg.Relay, Told], Told]
 
@@ -42,6 +42,12 @@ def sealed(
         fleet.liars[agent_name(3)] = partial(_told_otherwise, lie)
     fleet.run(1.0)
     return fleet
+
+
+@cache
+def honest(links: str) -> dict[int, float]:
+    """Return the angles of a sealed fleet in which nobody lies."""
+    return angles(sealed(links))
 
 
 def _told_otherwise(lie: Lie, message: msg.Message) -> msg.Message:
@@ -80,11 +86,11 @@ def as_newer(relay: msg.Relay, motion: Motion) -> Motion:
 
 
 def test_a_sealed_swarm_moves_exactly_as_one_without_seals() -> None:
-    assert angles(sealed(RING)) == angles(sealed(RING, seals={}))
+    assert honest(RING) == angles(sealed(RING, seals={}))
 
 
 def test_a_sealed_swarm_tolerates_losses() -> None:
-    fleet = sealed("links={type: ring, sensing: [2]}", network=Network(loss=0.3))
+    fleet = sealed(SENSING, network=Network(loss=0.3))
     assert not refused(fleet)
     assert active(fleet) == {*ROBOTS}
     assert deviation(angles(sealed()), angles(fleet)) < 2e-2
@@ -96,25 +102,25 @@ LIES = {"moved, as newer": lie_about(moved_as_newer), "old, as newer": lie_about
 @pytest.mark.parametrize("lie", LIES)
 def test_a_state_that_its_author_has_not_signed_is_refused_and_both_are_named(lie: str) -> None:
     """Robot 4 hears of robot 2 from 1 and 3: it moves exactly as if 3 told the truth."""
-    truth, fleet = sealed(RING), sealed(RING, lie=LIES[lie])
+    fleet = sealed(RING, lie=LIES[lie])
     assert refused(fleet) == {FORGED}
     assert {event.agent_id for event in said(fleet, msg.SwarmEvent) if event.detail == FORGED} == {4}
-    assert angles(fleet) == angles(truth)
+    assert angles(fleet) == honest(RING)
     assert active(fleet) == {*ROBOTS}
 
 
 @pytest.mark.parametrize("lie", ["moved, as newer", "lighter"])
 def test_without_seals_the_same_lies_mislead_the_swarm(lie: str) -> None:
-    truth, fleet = sealed(RING, seals={}), sealed(RING, seals={}, lie=LIES[lie])
+    fleet = sealed(RING, seals={}, lie=LIES[lie])
     assert not refused(fleet)
-    assert angles(fleet) != angles(truth)
+    assert angles(fleet) != honest(RING)
 
 
 def test_who_says_that_constants_have_changed_harms_nobody() -> None:
     """A strange tag makes robot 4 ask for the constants of robot 2, and use what it has until it has them."""
-    truth, fleet = sealed(RING), sealed(RING, lie=lie_about(lambda _, motion: motion._replace(tag=7, age=-1)))
+    fleet = sealed(RING, lie=lie_about(lambda _, motion: motion._replace(tag=7, age=-1)))
     assert not refused(fleet)
-    assert angles(fleet) == angles(truth)
+    assert angles(fleet) == honest(RING)
 
 
 def test_an_old_state_that_is_passed_on_as_what_it_is_changes_nothing() -> None:
@@ -125,19 +131,19 @@ def test_an_old_state_that_is_passed_on_as_what_it_is_changes_nothing() -> None:
         step, kept = first[0]
         return kept._replace(age=relay.step - step)
 
-    truth, fleet = sealed(RING), sealed(RING, lie=lie_about(old))
+    fleet = sealed(RING, lie=lie_about(old))
     assert len(first) > 50
     assert not refused(fleet)
-    assert angles(fleet) == angles(truth)
+    assert angles(fleet) == honest(RING)
 
 
 def test_a_false_state_of_the_plane_is_refused() -> None:
     def lie(relay: msg.Relay, told: Told) -> Told:
         return replace(told, plane=told.plane and told.plane._replace(angle=1.0, step=told.plane.step + 1))
 
-    truth, fleet = sealed("links={type: ring, sensing: [2]}"), sealed("links={type: ring, sensing: [2]}", lie=lie)
+    fleet = sealed(SENSING, lie=lie)
     assert refused(fleet) == {"robot 3 passed on a state of the plane that the plane has not signed"}
-    assert angles(fleet) == angles(truth)
+    assert angles(fleet) == honest(SENSING)
 
 
 def test_who_signs_with_a_wrong_key_is_named_and_no_neighbour_is_suspected() -> None:

@@ -89,7 +89,7 @@ SIMULATED = payloads(singly(Simulation(SCENARIO).steps()))
 @pytest.mark.parametrize("options", OPTIONS)
 def test_what_a_stranger_publishes_has_no_effect_or_ends_the_run(options: str, topic: Topic) -> None:
     cast, forged, ended = Cast(SCENARIO, OPTIONS[options]), 0, 0
-    for seed in range(6):
+    for seed in range(2):
         for step in (0, 2, STEPS - 1, STEPS):
             for first in (True, False):
                 swarm = Beset(cast, seed, topic, step, first=first)

@@ -98,8 +98,8 @@ def check(seed: int) -> bool:
 
 
 def test_wherever_robots_end_the_others_go_on_as_an_observer_would_or_are_no_majority() -> None:
-    outcomes = [check(seed) for seed in range(20)]
-    assert 10 <= sum(outcomes) < 20
+    outcomes = [check(seed) for seed in range(8)]
+    assert 4 <= sum(outcomes) < 8
 
 
 @pytest.mark.full

@@ -1,6 +1,7 @@
 """Robots that coordinate the swarm by themselves publish, bit for bit, what observer and parent controller would."""
 
 from collections.abc import Iterator
+from itertools import takewhile
 from random import Random
 
 import pytest
@@ -72,11 +73,9 @@ def test_four_robots_are_what_observer_and_controller_are(name: str, links: str)
     assert published(alone) == published(central)
 
 
-@pytest.mark.parametrize("links", ["{}", "{loss: 0.5}", "{type: random, degree: 6, loss: 0.5, sensing: [4, 10]}"])
-def test_robots_that_die_leave_join_and_lie_change_nothing(links: str) -> None:
-    assert published(parse_scenario(LOSSES, overrides=[DECENTRALISED, f"links={links}"])) == published(
-        parse_scenario(LOSSES)
-    )
+def test_robots_that_die_leave_join_and_lie_change_nothing() -> None:
+    links = "links={type: random, degree: 6, loss: 0.5, sensing: [4, 10]}"
+    assert published(parse_scenario(LOSSES, overrides=[DECENTRALISED, links])) == published(parse_scenario(LOSSES))
 
 
 def test_an_estimated_torque_needs_the_parent_at_every_robot() -> None:
@@ -94,7 +93,8 @@ def rounds(scenario: Scenario) -> Iterator[Relay]:
 def test_few_rounds_and_one_datagram_are_enough() -> None:
     """Of 200 robots with 6 neighbours: 10 rounds if half of all is lost; of 80, each message fits 1,472 bytes."""
     large = builtin("arise_het_200", "duration=0.01", DECENTRALISED, "links={type: random, loss: 0.5}")
-    incomplete = [relay.round for relay in rounds(large) if not relay.complete]
+    first = takewhile(lambda relay: relay.step == 0, rounds(large))
+    incomplete = [relay.round for relay in first if not relay.complete]
     assert 5 <= max(incomplete) + 1 <= 10
     swarm = "swarm={generate: {single_integrator: 40, double_integrator: 40, seed: 1}}"
     eighty = builtin("arise_het_20", "duration=0.01", DECENTRALISED, "links={type: random, loss: 0.2}", swarm)

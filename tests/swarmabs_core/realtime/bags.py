@@ -117,12 +117,17 @@ WORLDS: dict[str, tuple[tuple[str, ...], Network, Callable[[VirtualFleet], None]
 
 
 @cache
-def world(name: str, *, loss: float = 0.0, jitter: float = 0.0) -> Recorded:
+def _lived(name: str) -> tuple[VirtualFleet, Scenario]:
     named, network, story, mode = WORLDS[name]
     scenario = builtin(*named)
     fleet = VirtualFleet(scenario, network=network, start_mode=mode)
     story(fleet)
-    return record(fleet, scenario, loss=loss, jitter=jitter)
+    return fleet, scenario
+
+
+@cache
+def world(name: str, *, loss: float = 0.0, jitter: float = 0.0) -> Recorded:
+    return record(*_lived(name), loss=loss, jitter=jitter)
 
 
 def messages(bag: Iterable[Stored]) -> list[Message]:

@@ -49,7 +49,7 @@ def drive_about(
     st.fixed_dictionaries({"mass": st.floats(0.1, 5.0), "damping": st.floats(0.0, 3.0), "period": periods}),
     st.builds(Limits, st.just(math.inf) | st.floats(0.05, 3.0), st.just(math.inf) | st.floats(0.05, 20.0)),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_a_double_integrator_never_leaves_its_lane(
     commands: list[float], lateness: Random, start: float, body: dict[str, float], limits: Limits
 ) -> None:
@@ -68,7 +68,7 @@ def test_a_robot_pushed_all_the_way_stops_just_before_the_end(force: float, peri
 
 
 @given(commands, st.floats(-LANE, LANE), periods)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_a_single_integrator_stays_when_commands_are_held_twice(commands: list[float], p: float, period: float) -> None:
     _, lane = envelope(Kind.SINGLE_INTEGRATOR, period)
     for command in commands:
@@ -80,7 +80,7 @@ def test_a_single_integrator_stays_when_commands_are_held_twice(commands: list[f
 
 
 @given(commands=commands, deceleration=st.floats(0.1, 10.0))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_a_base_that_brakes_slowly_can_still_stop(commands: list[float], deceleration: float) -> None:
     period = 0.01
     _, lane = envelope(Kind.SINGLE_INTEGRATOR, period, slowing=deceleration)

@@ -51,11 +51,8 @@ def test_loops_without_a_limit_or_without_any_stable_period_are_told() -> None:
 @pytest.mark.parametrize(
     ("controller", "kind", "height", "compensated"),
     [
-        ("pd", "di", 0.0, "false"),
-        ("arise", "si", 0.0, "false"),
         ("pd", "di", 0.03, "false"),
         ("arise", "si", 0.02, "true"),
-        ("pid", "di", 0.0, "false"),
         ("pid", "si", 0.02, "false"),
     ],
 )
