@@ -19,6 +19,7 @@ from typing import Any, cast
 
 import pytest
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import Trigger
@@ -338,12 +339,25 @@ def test_a_request_that_fails_is_logged_and_the_next_one_is_served() -> None:
         ending.wait(10.0)
 
     notes, context = SimpleNamespace(error=errors.append), SimpleNamespace(ok=lambda: True)
-    executor = SimpleNamespace(spin_once=spin_once, wake=ending.set)
+    executor = SimpleNamespace(spin_once=spin_once, create_task=lambda _: ending.set())
     server = Server(cast("Any", SimpleNamespace(notes=notes, context=context)), cast("Any", executor))
     server.start()
     assert served.wait(10.0)
     server.end()
     assert errors == ["a request failed: ValueError: no such state"]
+
+
+@pytest.mark.usefixtures("ros")
+def test_a_server_ends_although_nothing_more_happens() -> None:
+    """An executor that is only woken waits on, and with it the end of each node for its next diagnostics."""
+    rclpy.init()
+    executor = SingleThreadedExecutor()
+    waiting = threading.Event()
+    server = Server(cast("Any", SimpleNamespace(context=SimpleNamespace(ok=lambda: waiting.set() or True))), executor)
+    server.start()
+    assert waiting.wait(10.0)
+    server.end()
+    executor.shutdown()
 
 
 SUCCESS = TransitionCallbackReturn.SUCCESS

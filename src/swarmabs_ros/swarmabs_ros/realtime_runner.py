@@ -192,7 +192,7 @@ class Server(threading.Thread):
     def end(self) -> None:
         """Stop serving after the current request; raises `RunError` if that does not end."""
         self._ending = True
-        self._executor.wake()
+        self._executor.create_task(lambda: None)  # if only woken, it waits on for something to do
         self.join(_ENDS_WITHIN)
         if self.is_alive():
             raise RunError("the current request does not end")
