@@ -170,7 +170,7 @@ def test_continuous_cascade_agrees(runs: dict[str, RunArrays]) -> None:
     assert lower[500:].max() < 1e-4
 
 
-@pytest.mark.parametrize(("bandwidth", "level"), [(4.0, False), (7.0, True), (20.0, True), (30.0, False)])
+@pytest.mark.parametrize(("bandwidth", "level"), [(4.0, False), (20.0, True), (30.0, False)])
 def test_lower_layer_must_be_neither_too_slow_nor_too_fast(bandwidth: float, level: bool) -> None:  # noqa: FBT001
     steps = CascadeSimulation(load_cascade(FOLDER, Coupling(bandwidth=bandwidth), ["duration=7.0"])).steps()
     angles = [plane.angle for namespace, step in steps if namespace == "/upper" for plane in step.parents]

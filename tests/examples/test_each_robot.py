@@ -41,10 +41,16 @@ def central(name: str, robots: int) -> str:
 RANDOM = "type: random, degree: 6"
 
 
-@pytest.mark.parametrize("links", ["", "loss: 0.5", RANDOM, f"{RANDOM}, loss: 0.5, sensing: [1, 3]"])
+STRONGEST = f"{RANDOM}, loss: 0.5, sensing: [1, 3]"
+SMALL, LARGE = (("ship", 4), ("plate", 10), ("payload", 8)), (("ship", 20), ("plate", 20), ("payload", 20))
+
+
 @pytest.mark.parametrize(
-    ("name", "robots"),
-    [("ship", 4), ("ship", 20), ("plate", 10), ("plate", 20), ("payload", 8), ("payload", 20)],
+    ("name", "robots", "links"),
+    [
+        *((*of, links) for of in SMALL for links in ("", "loss: 0.5", STRONGEST)),
+        *((*of, STRONGEST) for of in LARGE),
+    ],
 )
 def test_the_digest_is_that_of_the_usual_coordination(name: str, robots: int, links: str) -> None:
     alone = scenario(name, robots, "coordination=each_robot", f"links={{{links}}}")

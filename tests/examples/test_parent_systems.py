@@ -81,8 +81,6 @@ def differences(run: Any, expected: Solution, late: float, *groups: slice) -> li
 
 CASES: Mapping[str, tuple[str, tuple[float, float], Sequence[str], Sequence[Event], Sequence[int]]] = {
     "ship": ("ship", (7.0e-4, 5.6e-4), (), (), ()),
-    "ship, mixed": ("ship", (7.1e-4, 5.9e-4), forces(ALTERNATE), (), ALTERNATE),
-    "plate": ("plate", (1.1e-3, 1.7e-5), (), (), ()),
     "plate, mixed": ("plate", (1.3e-3, 3.3e-5), forces(ALTERNATE), (), ALTERNATE),
 }
 """Scenario, and the differences that sampling at 10 ms makes: in the whole run, and from 5 s on, rad."""
@@ -126,9 +124,6 @@ def test_a_robot_leaves_or_stands() -> None:
             assert np.abs(q[150] - expected.coordinates[150])[there].max() < 2e-3
         else:  # the others spread around it, which the angles do not show
             assert spread_around(q[400, there], q[100, ~there], there) < 0.02
-    run = simulated("ship", 4.0, "faults=[{kind: remove, agent: 4, at: 1.0}]")
-    ((whole, _),) = differences(run, solution("ship", 4.0, (Event(1.0, 4, "leaves"),)), 3.0, slice(1))
-    assert whole < 1.5 * 7.0e-4
 
 
 @pytest.mark.parametrize("number", [3, 40])
@@ -151,7 +146,11 @@ def test_the_ship_rolls_alike_with_any_number_of_trolleys(number: int) -> None:
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
-    ("name", "force"), [("ship", False), ("ship_4", False), ("ship_4", True), ("plate", False), ("plate_3", True)]
+    ("name", "force"),
+    [
+        *(("ship_4", True), ("plate", False)),
+        *(pytest.param(*of, marks=pytest.mark.full) for of in (("ship", False), ("ship_4", False), ("plate_3", True))),
+    ],
 )
 def test_robots_that_die_do_not_fling_the_others(name: str, *, force: bool) -> None:
     """With a completion that ignores them, trolleys of ship_4 reach 100 m/s and more after 2 or 4 has died."""
@@ -196,7 +195,7 @@ def tilt(run: Any) -> Array:
     return np.maximum(np.abs(run["roll"]), np.abs(run["pitch"]))  # type: ignore[no-any-return]
 
 
-@pytest.mark.parametrize("reaction", [0.016, 0.0], ids=["yaw", "no_yaw"])
+@pytest.mark.parametrize("reaction", [0.016, pytest.param(0.0, marks=pytest.mark.full)], ids=["yaw", "no_yaw"])
 def test_the_payload_bears_the_failure_of_a_rotor(reaction: float) -> None:
     """Nobody knows of it for 0.1 s; the attitude is back 0.5 s after the failure."""
     run = simulated("payload", 3.5, LOSS.format(2.0, 2.09), f"system.reaction={reaction}")

@@ -54,6 +54,7 @@ def metadata(wheel: Path) -> Message:
         return message_from_bytes(file.read(name))
 
 
+@pytest.mark.system
 def test_the_same_sources_give_the_same_bytes(wheel: Path, tmp_path: Path) -> None:
     before = os.umask(0o077)
     try:
@@ -114,6 +115,7 @@ def test_only_commands_that_need_ros_import_it(unpacked: Path) -> None:
     assert failing == {f"swarmabs_cli.{name}" for name in NEED_ROS}
 
 
+@pytest.mark.system
 def test_without_what_only_posix_has_everything_else_works(unpacked: Path, tmp_path: Path) -> None:
     case = CASES["sensors"]
     overrides = [f"--set={override}" for override in case["set"]]

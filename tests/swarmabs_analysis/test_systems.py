@@ -117,7 +117,7 @@ def record(folder: Path, text: str, *overrides: str) -> Path:
 
 @pytest.mark.smoke
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("fault", ["derivative_late", "reference_late"])
+@pytest.mark.parametrize("fault", ["derivative_late", pytest.param("reference_late", marks=pytest.mark.system)])
 def test_an_exception_of_the_system_ends_simulate_and_run_with_one_line(
     tmp_path: Path, fault: str, nothing_survives: str
 ) -> None:
@@ -133,7 +133,7 @@ def test_an_exception_of_the_system_ends_simulate_and_run_with_one_line(
         assert re.search(r"step 5: ZeroDivisionError: float division by zero \(systems_of_tests\.py:\d+\)", done.err)
 
 
-@pytest.mark.smoke
+@pytest.mark.system
 @pytest.mark.timeout(300)
 def test_a_generated_swarm_with_noise_and_a_slow_filter_has_one_digest(tmp_path: Path, nothing_survives: str) -> None:
     del nothing_survives

@@ -46,7 +46,7 @@ def taken_apart(bag: BagReader) -> list[Published]:
 
 @pytest.mark.parametrize("chunk_bytes", [300, 4000, 100_000])
 def test_blocks_are_the_messages_of_the_bag_in_its_order(tmp_path: Path, chunk_bytes: int) -> None:
-    for seed in range(8):
+    for seed in range(3):
         bag = open_bag(write_bag(tmp_path / str(seed), disturbed(seed), chunk_bytes=chunk_bytes))
         assert taken_apart(bag) == list(bag.published())
         steps = list(recorded_steps(bag.steps(), "bag"))

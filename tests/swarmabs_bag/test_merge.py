@@ -511,7 +511,7 @@ def received(*recorders: list[Sent]) -> set[tuple[str, int, int, bytes]]:
     return {("/" + topic.name, time, published, payload) for (topic, published, payload), time in first.items()}
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.full)])
 def test_what_two_recorders_have_heard_of_a_fleet(seed: int, fleet: Path, tmp_path: Path) -> None:
     """Cut off for a while, lossy otherwise; of each message one of them has heard. It verifies as the whole does."""
     draw, messages = random.Random(seed), sent(fleet)

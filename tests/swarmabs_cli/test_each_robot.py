@@ -14,7 +14,7 @@ COORDINATION = ("coordination=each_robot", "links={type: ring, loss: 0.5}")
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a run, which is not to be changed."""
-    return record(tmp_path_factory.mktemp("runs") / "run", "pd_het_4", "duration=2", *COORDINATION)
+    return record(tmp_path_factory.mktemp("runs") / "run", "pd_het_4", "duration=1", *COORDINATION)
 
 
 def test_a_bag_is_verified_compared_exported_and_run_again(run: Path, tmp_path: Path) -> None:
@@ -23,8 +23,8 @@ def test_a_bag_is_verified_compared_exported_and_run_again(run: Path, tmp_path: 
     assert [topic["name"] for topic in relays] == [f"/agent_{robot:03d}/relay" for robot in range(1, 5)]
     found = document("verify", run)
     assert (found["complete"], found["notes"], found["messages"]) == (True, [], info["message_count"])
-    assert sum(topic["message_count"] for topic in relays) == found["messages"] - 8 * 201
-    central = record(tmp_path / "central", "pd_het_4", "duration=2")
+    assert sum(topic["message_count"] for topic in relays) == found["messages"] - 8 * 101
+    central = record(tmp_path / "central", "pd_het_4", "duration=1")
     assert document("compare", run, central)["equal"]
     ran("export", run, "-o", tmp_path / "tables")
     again = document("simulate", run, "-o", tmp_path / "again")
@@ -49,7 +49,7 @@ def test_a_cut_off_bag_is_repaired_and_merged_with_another(run: Path, tmp_path: 
 
 def test_an_option_is_short_for_the_setting(run: Path, tmp_path: Path) -> None:
     links = "links={type: ring, loss: 0.5}"
-    asked = ("--coordination", "each_robot", "--duration", "2", "--set", links)
+    asked = ("--coordination", "each_robot", "--duration", "1", "--set", links)
     short = document("simulate", "pd_het_4", *asked, "-o", tmp_path / "short")
     assert (tmp_path / "short" / "scenario.yaml").read_bytes() == (run / "scenario.yaml").read_bytes()
     assert short["digest"] == document("verify", run)["digest"]

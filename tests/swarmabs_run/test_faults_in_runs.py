@@ -269,7 +269,7 @@ def undisturbed(name: str) -> RunArrays:
 
 
 ALL_FOUR_ROBOT_SCENARIOS = [
-    pytest.param(name, marks=() if name.endswith("het_4") else pytest.mark.full) for name in FOUR_ROBOT_SCENARIOS
+    pytest.param(name, marks=() if name == "arise_het_4" else pytest.mark.full) for name in FOUR_ROBOT_SCENARIOS
 ]
 
 

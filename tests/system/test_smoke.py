@@ -285,6 +285,7 @@ def test_a_run_in_real_time_starts_steps_stops_and_verifies(folder: Path) -> Non
     assert verdict["messages"] + sum(verdict["not_checkable"].values()) == sum(received.values()) + divided
 
 
+@pytest.mark.system
 def test_robots_in_real_time_that_compute_the_swarm_by_themselves_verify(folder: Path) -> None:
     words = ("--set", "coordination=each_robot", "--set", runs.seconds(1.0))
     done = runs.swarm("run", "--realtime", *words, "-o", folder, "--json")
