@@ -53,6 +53,7 @@ from swarmabs_core.messages import (
     PLANE_STATE,
     AbstractState,
     AgentState,
+    AuxiliaryState,
     Basis,
     EventKind,
     PlaneState,
@@ -589,12 +590,23 @@ def test_a_recorder_that_has_heard_everything_lacks_nothing(name: str) -> None:
     assert found.gaps() == []
 
 
-def test_what_was_sent_before_the_recorder_heard_anything_is_not_missing() -> None:
+@pytest.mark.parametrize(
+    ("made", "other"),
+    [
+        (lambda step: AbstractState(step * sample_run.PERIOD, step, 1, *4 * (0.0,)), AUXILIARY_STATE),
+        (lambda step: AuxiliaryState(step * sample_run.PERIOD, step, *8 * (0.0,)), ABSTRACT_STATE),
+    ],
+    ids=["abstract state", "sums"],
+)
+def test_what_was_sent_before_the_recorder_heard_anything_is_not_missing(
+    made: Callable[[int], AbstractState | AuxiliaryState], other: Topic
+) -> None:
+    """What an observer publishes at once with what was heard is missing from then on."""
     found = RealtimeCompleteness(RealtimeWorld(Schedule(sample_run.PERIOD), (1,), plane=True))
     for step in (5, 6):
-        state = AbstractState(step * sample_run.PERIOD, step, 1, 0.0, 0.0, 0.0, 0.0)
+        state = made(step)
         found.add(Record.of(state), state.stamp)
-    assert found.gaps() == [Gap(BASIS.name, (), 6, 6)]
+    assert found.gaps() == [Gap(BASIS.name, (), 6, 6), Gap(other.name, (), 6, 6)]
 
 
 def test_different_messages_in_real_time_are_recorded_by_receipt_and_told(fleet: Path, tmp_path: Path) -> None:

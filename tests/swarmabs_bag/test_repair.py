@@ -223,12 +223,20 @@ def wrong_length(place: int) -> Callable[[Path], None]:
     return lambda file: overwrite(file, records(file, Opcode.ATTACHMENT)[place].offset + 1, b"\xff" * 8)
 
 
+def end_of_scenario(file: Path) -> None:
+    """Leave zeros where a power cut has lost the last page of the scenario, and with it its CRC."""
+    scenario = records(file, Opcode.ATTACHMENT)[0]
+    overwrite(file, scenario.end - 200, bytes(200))
+
+
 @pytest.mark.parametrize(
     ("damage", "problem", "lost"),
     [
         (without_indexes, "^{chunks} chunks with wrong or missing message indexes or times$", ()),
         (heads_of_messages, "outside of the chunks, where no CRC confirms it", ()),
         (lambda file: overwrite(file, 0, b"\0\0"), "^at byte 0: the file does not begin as an MCAP file$", ()),
+        (lambda file: overwrite(file, 0, bytes(8)), "^at byte 0: the file does not begin as an MCAP file$", ()),
+        (end_of_scenario, "attachment: zeros instead of its CRC", ("scenario.yaml",)),
         (wrong_length(0), "", ("scenario.yaml",)),
         (wrong_length(-1), "", ("run.log",)),
     ],

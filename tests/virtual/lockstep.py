@@ -107,6 +107,13 @@ class LockstepStory:
         """The time since the beginning, s."""
         return self.swarm.now
 
+    def said(self) -> str:
+        """Return all that was published, and how often, line by line."""
+        return "".join(
+            f"{node} publishes {topic.name} {number} times {data.hex()}\n"
+            for (node, topic, data), number in self.swarm.published.items()
+        )
+
     def check(self) -> None:
         """Run; raise an error if a property does not hold."""
         swarm, case = self.swarm, self.case

@@ -712,6 +712,8 @@ STATEMENTS = {one.name: one.statement for one in (*PROPERTIES, Ending)} | {
     "STOP wins": "After a STOP that a controller has accepted and passed on, no robot moves until an operator resets.",
     "memory is bounded": "What a node keeps does not grow with the time or with what others send to it.",
     "bags survive": "A bag has nothing that its recorder has not heard; after a repair it has all that must survive.",
+    "bags are merged": "A merged bag has each message of its bags once, in order, whatever the order of the bags is.",
+    "losses are counted": "Figures, repairs and merges count and name exactly what a bag has and lacks.",
     "bags are explained": "Every message in a bag follows from those before it, also after a repair and when merged.",
     "lockstep goes on": "A run in lockstep ends, whatever the transport does, unless a node is lost for good.",
     "equal digests": "Every message of a run in lockstep is, bit for bit, that of the simulation in one process.",

@@ -14,14 +14,14 @@ import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from hashlib import blake2b
 from itertools import count
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
-from tests.transport.swarm import Swarm
+from tests.virtual.bags import BagCase, BagStory, bag_case
 from tests.virtual.lockstep import LockstepCase, LockstepStory, lockstep_case
 from tests.virtual.properties import STATEMENTS
 from tests.virtual.schedule import Case, case_of
@@ -49,17 +49,27 @@ class Trial(NamedTuple):
     faults: Counter[str]
 
 
-def drawn(seed: int) -> Case | LockstepCase:
-    """Return the case of a seed: every eighth one is in lockstep."""
-    return case_of(seed) if seed % 8 else lockstep_case(seed)
+AnyCase: TypeAlias = "Case | LockstepCase | BagCase"
+_OTHERS: dict[int, Callable[[int], AnyCase]] = {0: lockstep_case, 2: bag_case, 6: bag_case}
+"""What is drawn of other kinds than fleets, by the remainder of the seed."""
 
 
-def run(case: Case | LockstepCase) -> Result:
+def drawn(seed: int) -> AnyCase:
+    """Return the case of a seed: of eight, one is in lockstep, and two are of recorders."""
+    return _OTHERS.get(seed % 8, case_of)(seed)
+
+
+def story_of(case: LockstepCase | BagCase, tell: Callable[[float, str, str], None]) -> LockstepStory | BagStory:
+    """Return what lets a case happen that is not one of a fleet."""
+    return LockstepStory(case, tell) if isinstance(case, LockstepCase) else BagStory(case, tell)
+
+
+def run(case: AnyCase) -> Result:
     """Let a case happen; return what comes of it. One that takes `LONGEST` seconds of the processor hangs."""
     signal.signal(signal.SIGVTALRM, _hangs)
     signal.setitimer(signal.ITIMER_VIRTUAL, LONGEST)
     try:
-        return outcome(Story(case) if isinstance(case, Case) else LockstepStory(case))
+        return outcome(Story(case) if isinstance(case, Case) else story_of(case, lambda *_: None))
     finally:
         signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
 
@@ -78,7 +88,7 @@ def trial(seed: int) -> Trial:
     return Trial(seed, name, text, result.time, case.robots, kinds)
 
 
-def shortened(case: Case | LockstepCase, wanted: str) -> tuple[int, ...]:
+def shortened(case: AnyCase, wanted: str) -> tuple[int, ...]:
     """Return the numbers of as few faults of a case as still break a property: delta debugging."""
     left, parts, trials = list(range(len(case.faults))), 2, 0
     while len(left) >= 1 and trials < MOST_TRIALS:
@@ -97,13 +107,13 @@ def shortened(case: Case | LockstepCase, wanted: str) -> tuple[int, ...]:
     return tuple(left)
 
 
-def replay(case: Case | LockstepCase, trace: Path | None = None) -> tuple[Result, Timeline, str]:
+def replay(case: AnyCase, trace: Path | None = None) -> tuple[Result, Timeline, str]:
     """Run a case again; return what comes of it, its timeline, and the digest of all that was said and heard."""
     timeline = Timeline()
-    if isinstance(case, LockstepCase):
-        told = LockstepStory(case, timeline.tell)
+    if not isinstance(case, Case):
+        told = story_of(case, timeline.tell)
         result = outcome(told)
-        return result, timeline, said_in(told.swarm, trace)
+        return result, timeline, _digest(told.said(), trace)
     story = Story(case, [timeline], timeline.tell)
     timeline.watch(story.fleet)
     output = None if trace is None else trace.open("w", encoding="utf-8")
@@ -115,19 +125,14 @@ def replay(case: Case | LockstepCase, trace: Path | None = None) -> tuple[Result
     return result, timeline, traced.digest
 
 
-def said_in(swarm: Swarm, trace: Path | None) -> str:
-    """Return the digest of all that was published in a swarm in lockstep, and how often; write it to a file."""
-    lines = [
-        f"{node} publishes {topic.name} {number} times {data.hex()}\n"
-        for (node, topic, data), number in swarm.published.items()
-    ]
-    text = "".join(lines)
+def _digest(said: str, trace: Path | None) -> str:
+    """Return the digest of all that was said; write it to a file."""
     if trace is not None:
-        trace.write_text(text, encoding="utf-8")
-    return blake2b(text.encode(), digest_size=16).hexdigest()
+        trace.write_text(said, encoding="utf-8")
+    return blake2b(said.encode(), digest_size=16).hexdigest()
 
 
-def report(case: Case | LockstepCase, result: Result, timeline: Timeline, command: str) -> Iterator[str]:
+def report(case: AnyCase, result: Result, timeline: Timeline, command: str) -> Iterator[str]:
     """Yield the lines that tell people what is wrong."""
     broken = result.broken
     assert broken is not None

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 from tests.swarmabs_core.helpers import builtin
 from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
 from tests.virtual.properties import BrokenError, Checks, Ending, Facts
-from tests.virtual.recorders import Bags
+from tests.virtual.recorders import FleetBags
 from tests.virtual.schedule import ALL, COMMANDS, FORGED, LINKS, Case, Fault
 from tests.virtual.weather import Weather
 
@@ -133,7 +133,7 @@ class Story(Watcher):
         self._stopped_at: str | None = None
         self._ordered = False
         self._robots = case.robot_names
-        self.bags = Bags(fleet, case) if case.recorded else None
+        self.bags = FleetBags(fleet, case) if case.recorded else None
         recorders = () if self.bags is None else self.bags.recorders
         fleet.watch(*watchers, *recorders, Checks(self.facts), self.ending, self)
         for node in fleet.nodes:

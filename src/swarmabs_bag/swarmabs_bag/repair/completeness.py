@@ -27,6 +27,7 @@ from swarmabs_core.messages import (
     STANDING,
     AbstractState,
     AgentState,
+    AuxiliaryState,
     Basis,
     DesiredAbstractState,
     Mode,
@@ -225,8 +226,9 @@ class RealtimeCompleteness:
             yield from ((message.step, (topic, 0)) for topic in _ANSWERS.get(message.source, ()))
             for agent, step in zip(message.agent_ids, message.state_steps, strict=False):
                 yield step, (AGENT_STATE if agent else STANDING, agent)
-        elif isinstance(message, AbstractState):
+        elif isinstance(message, (AbstractState, AuxiliaryState)):
             yield message.step, (BASIS, Source.OBSERVER)
+            yield from ((message.step, (topic, 0)) for topic in _ANSWERS[Source.OBSERVER])
         elif isinstance(message, PlaneState) and self._simulated_plane:
             yield message.step, (BASIS, Source.PLANE)
         elif isinstance(message, DesiredAbstractState) and message.mode == Mode.RUN:

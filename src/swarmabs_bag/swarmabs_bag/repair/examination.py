@@ -13,7 +13,8 @@ from mcap.records import Header
 from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.mcap.index import FileIndex, scan_index
 from swarmabs_bag.mcap.records import MAGIC, RecordError, parse, read_record
-from swarmabs_bag.repair.rebuild import OWN, Rebuilt
+from swarmabs_bag.repair.rebuild import Rebuilt
+from swarmabs_bag.repair.salvage import OWN
 from swarmabs_bag.run.channels import bag_topics
 from swarmabs_bag.run.metadata import METADATA_FILE, BagChannel, custom_texts, listed_topic, load_yaml
 from swarmabs_bag.run_folder import SUFFIX, missing_files, split_files
@@ -94,9 +95,13 @@ def _examined(path: Path, definitions: FileIndex | None) -> Part:
 
 
 def _begins_as_mcap(stream: BinaryIO, size: int) -> bool:
-    """Return whether a file begins as an MCAP file, even if it is truncated there or its first bytes are damaged."""
+    """Return whether a file begins as an MCAP file, even if it is truncated there or its first bytes are damaged.
+
+    They may be zeros, which a power cut leaves in place of a page that was not on the disk.
+    """
     stream.seek(0)
-    if MAGIC.startswith(stream.read(len(MAGIC))):
+    begin = stream.read(len(MAGIC))
+    if MAGIC.startswith(begin) or not any(begin):
         return True
     try:
         first = read_record(stream, len(MAGIC), size)

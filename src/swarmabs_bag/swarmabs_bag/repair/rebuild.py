@@ -24,7 +24,7 @@ from swarmabs_bag.mcap.records import (
     stored_message,
 )
 from swarmabs_bag.mcap.stored import ChunkContent
-from swarmabs_bag.repair.salvage import Damage, Salvage
+from swarmabs_bag.repair.salvage import OWN, Damage, Salvage
 from swarmabs_bag.run.channels import bag_topics
 from swarmabs_bag.run.metadata import FileRecord, bag_metadata, dump_yaml
 
@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 
     from swarmabs_bag.mcap.output import RecordFile
     from swarmabs_bag.repair.salvage import Saved
-
-OWN = "swarmabs"
-"""Prefix of the library name in files written by this project."""
 
 _PROFILE = "ros2"
 _CHUNK_TIMES = struct.Struct("<QQ")
