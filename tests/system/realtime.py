@@ -150,11 +150,11 @@ def realtime_network(folder: Path) -> Iterator[Network]:
         yield Network(folder, domain, stack)
 
 
-def start_swarm(network: Network, **controller: object) -> dict[str, Process]:
-    """Start a plane, its observer and controller with some parameters, and three robots of both kinds."""
+def start_swarm(network: Network) -> dict[str, Process]:
+    """Start a plane, its observer and controller, and three robots of both kinds."""
     members: dict[str, object] = {"members": [1, 2, 3]}
     mass, damped = {"swarm_mass": 1.5}, {"kind": "double_integrator", "damping": 0.7}
-    given = {"plane_sim": members, "abstraction_observer": {**members, **mass}, "parent_controller": controller}
+    given = {"plane_sim": members, "abstraction_observer": {**members, **mass}, "parent_controller": {}}
     nodes = {name: network.start(f"{name}.realtime", name, **own) for name, own in given.items()}
     for robot, position, kind in ((1, -0.1, {}), (2, 0.2, damped), (3, -0.3, {})):
         own = {"agent_id": robot, "position": position, **mass, **kind}

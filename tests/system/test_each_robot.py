@@ -1,4 +1,4 @@
-"""Robots that coordinate the swarm by themselves, over DDS, on the parent systems of the examples."""
+"""Robots that coordinate the swarm by themselves, over DDS, on a parent system of the examples."""
 
 import os
 from pathlib import Path
@@ -20,13 +20,12 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 ALONE = ("coordination=each_robot", f"links={{{RANDOM}, loss: 0.5, sensing: [1, 3]}}")
 
 
-@pytest.mark.parametrize(("name", "robots"), [("ship", 4), ("plate", 10), ("payload", 8)])
 def test_a_run_has_the_digest_of_the_usual_coordination_and_verifies(
-    folder: Path, packages: Path, monkeypatch: pytest.MonkeyPatch, name: str, robots: int
+    folder: Path, packages: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    search = [packages, Path("examples", name).resolve(), os.environ.get("PYTHONPATH", "")]
+    search = [packages, Path("examples", "plate").resolve(), os.environ.get("PYTHONPATH", "")]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, search)))
-    central, alone = (parse_scenario(cut(name, robots), overrides=[FAULTS, *more]) for more in ((), ALONE))
+    central, alone = (parse_scenario(cut("plate", 10), overrides=[FAULTS, *more]) for more in ((), ALONE))
     outcome = LockstepRun(alone.resolved(), new_run_folder(folder), RunOptions(agents_per_process=2)).run()
     assert (outcome.status, outcome.figures["digest"]) == ("ok", digest(Simulation(central).steps())), outcome.reason
     verified = runs.swarm("verify", folder, "--json").summary()
