@@ -221,7 +221,7 @@ def search(planted: Planted, minutes: float) -> int:
     started = time.process_time()
     for seed in count(1):
         one, took = trial(seed), time.process_time() - started
-        if one.property:
+        if one.broken:
             print(f"{planted.name}: found by seed {seed} within {took:.0f} s: {one.text}", flush=True)
             return 0
         if took > 60.0 * minutes:

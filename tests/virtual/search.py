@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
 import time
@@ -31,22 +32,28 @@ from tests.virtual.timeline import Timeline, Trace
 COMMAND = "./scripts/swarm soak --virtual"
 MOST_TRIALS = 150
 """Runs that are spent on making a case shorter."""
-MOST_SHOWN = 5
-"""Cases that are shortened and shown; of further ones only the seeds are."""
+MOST_SHOWN = 20
+"""Kinds of failures of which one case is shortened and shown; of further ones only the seeds are."""
 LONGEST = 60.0
 """Time of the processor, s, of a seed; usual ones need one."""
 YEAR = 365.25 * 86400.0
 
 
 class Trial(NamedTuple):
-    """What came of a seed: what is broken (property and text), the time simulated (s), and its faults by kind."""
+    """What came of a seed: what is broken (property and text), times simulated and of the processor (s), its faults."""
 
     seed: int
-    property: str
+    broken: str
     text: str
     simulated: float
+    took: float
     robots: int
     faults: Counter[str]
+
+    @property
+    def kind(self) -> str:
+        """What is broken without nodes and numbers: failures of one kind have perhaps one reason."""
+        return re.sub(r"agent_\d+|[-+\d.]+(e[-+]\d+)?", "", self.text)
 
 
 AnyCase: TypeAlias = "Case | LockstepCase | BagCase"
@@ -80,12 +87,12 @@ def _hangs(*_: object) -> None:
 
 def trial(seed: int) -> Trial:
     """Run a seed."""
-    case = drawn(seed)
+    case, started = drawn(seed), time.process_time()
     result = run(case)
     broken = result.broken
     kinds = Counter(fault.kind for fault in case.faults)
     name, text = (broken.name, str(broken)) if broken else ("", "")
-    return Trial(seed, name, text, result.time, case.robots, kinds)
+    return Trial(seed, name, text, result.time, time.process_time() - started, case.robots, kinds)
 
 
 def shortened(case: AnyCase, wanted: str) -> tuple[int, ...]:
@@ -168,7 +175,7 @@ def _numbers(only: Iterable[int]) -> str:
 def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
     """Run seeds until they or the time are over; show what is broken, and return the exit code."""
     started = time.monotonic()
-    simulated = years = 0.0
+    simulated = processor = years = 0.0
     done = 0
     faults: Counter[str] = Counter()
     broken: Counter[str] = Counter()
@@ -177,12 +184,13 @@ def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
         for one in pool.imap_unordered(trial, seeds, chunksize=1):
             done += 1
             simulated += one.simulated
+            processor += one.took
             years += one.simulated * one.robots / YEAR
             faults += one.faults
-            if one.property:
-                broken[one.property] += 1
-                if len(shown) < MOST_SHOWN and one.property not in shown:
-                    shown.add(one.property)
+            if one.broken:
+                broken[one.broken] += 1
+                if len(shown) < MOST_SHOWN and one.kind not in shown:
+                    shown.add(one.kind)
                     _show_short(one)
                 else:
                     print(f"seed {one.seed}: {one.text}; replay: {COMMAND} --seeds {one.seed}", flush=True)
@@ -191,7 +199,8 @@ def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
                 break
     took = time.monotonic() - started
     print(
-        f"{done} seeds in {took:.0f} s: {simulated:.0f} s simulated, {simulated / took:.0f} times real time; "
+        f"{done} seeds in {took:.0f} s: {simulated:.0f} s simulated, {simulated / processor:.0f} times real time "
+        f"on each core; "
         f"{years:.4f} robot-years; {sum(faults.values())} faults "
         f"({', '.join(f'{kind} {number}' for kind, number in faults.most_common())}); "
         f"broken: {dict(broken) or 'nothing'}"
@@ -202,7 +211,7 @@ def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
 def _show_short(one: Trial) -> None:
     """Make the case of a seed as short as possible, and show it."""
     case = drawn(one.seed)
-    only = shortened(case, one.property)
+    only = shortened(case, one.broken)
     short = case.only(only)
     result, timeline, digest = replay(short)
     if result.broken is None:  # it does not break again: that is a fault of the search
