@@ -130,6 +130,9 @@ class Watcher:
     def ends(self, node: str) -> None:
         """A node dies."""
 
+    def resumes(self, node: str) -> None:
+        """A node is activated that was deactivated."""
+
     def published(self, node: str, topic: Topic, message: Message, data: bytes) -> None:
         """A node has published a message; the topic is the usual one."""
 
@@ -270,6 +273,11 @@ class SimulatedBody(SimulatedDrive):
         self._written = 0
         self._seen: Measurement | None = None
         self.blind = False
+
+    @property
+    def rests(self) -> bool:
+        """Whether it has been stopped."""
+        return self._command == self._velocity == 0.0
 
     def write(self, command: float, now: int) -> None:
         self._written = self._time()
@@ -508,9 +516,29 @@ class VirtualFleet:
         if node.activity is None or not node.paused:
             return
         node.paused = False
+        if not node.activity.active:
+            return
         if cast("Arrivals", node.inbox).has(node.wakes):
             node.activity.wake()
         self._pass(node)
+
+    def deactivate(self, name: str) -> None:
+        """Deactivate a node, as its lifecycle does: it halts, hears and says nothing."""
+        node = self.nodes[name]
+        if node.activity is not None:
+            node.activity.deactivate()
+            node.turn += 1
+
+    def activate(self, name: str) -> None:
+        """Activate a node that was deactivated; it begins anew with what it knows."""
+        node = self.nodes[name]
+        if node.activity is None or node.activity.active:
+            return
+        for watcher in self.watchers:
+            watcher.resumes(name)
+        node.activity.activate()
+        if not node.paused:
+            self._pass(node)
 
     def set_clock(self, name: str, offset: float) -> None:
         """Set by how much (s) a node's clock is ahead."""
@@ -526,7 +554,7 @@ class VirtualFleet:
     def call(self, name: str, command: str) -> bool:
         """Give a node a command: stop, reset, leave, join or release; tell whether it is there to hear it."""
         node = self.nodes[name]
-        if node.activity is None or node.paused:
+        if node.activity is None or node.paused or not node.activity.active:
             return False
         for watcher in self.watchers:
             watcher.told(name, command)
@@ -606,7 +634,7 @@ class VirtualFleet:
 
     def _arrived(self, node: Node, topic: Topic) -> None:
         """Wake a node that goes on with a message of a topic."""
-        if node.activity is None or node.paused:
+        if node.activity is None or node.paused or not node.activity.active:
             return
         node.activity.wake()
         if topic in node.wakes:

@@ -45,7 +45,7 @@ from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.agent import RealtimeLaw
 from swarmabs_core.realtime.base import Level
 
-CLEAN = {"crash", "pause", "cut"}
+CLEAN = {"crash", "idle", "pause", "cut"}
 """Faults of one of a pair of coordinators because of which no robot stops at all."""
 GUARD_MOST = 0.5
 """Upper limit, s, of the time by which a RESET must be newer than a STOP."""
@@ -169,6 +169,9 @@ class Property:
 
     def begins(self, node: str) -> None:
         """A node starts."""
+
+    def resumes(self, node: str) -> None:
+        """A node is activated that was deactivated."""
 
     def told(self, node: str, command: str) -> None:
         """An operator gives an order."""
@@ -420,6 +423,8 @@ class SumsUpWhatItHears(Property):
         if node in self._newest:
             self._newest[node] = {}
 
+    resumes = begins  # how old what it has heard is, it does not know any longer
+
     def _state(self, node: str, parcel: Parcel) -> None:
         newest, state = self._newest.get(node), parcel.message
         if newest is None or not parcel.sender or not isinstance(state, AgentState):
@@ -597,6 +602,10 @@ class Checks(Watcher):
         for one in self._properties:
             one.begins(node)
 
+    def resumes(self, node: str) -> None:
+        for one in self._properties:
+            one.resumes(node)
+
     def told(self, node: str, command: str) -> None:
         for one in self._properties:
             one.told(node, command)
@@ -717,6 +726,7 @@ STATEMENTS = {one.name: one.statement for one in (*PROPERTIES, Ending)} | {
     "bags are explained": "Every message in a bag follows from those before it, also after a repair and when merged.",
     "lockstep goes on": "A run in lockstep ends, whatever the transport does, unless a node is lost for good.",
     "equal digests": "Every message of a run in lockstep is, bit for bit, that of the simulation in one process.",
+    "comes to rest": "A robot whose node is deactivated stops at once.",
     "no node fails": "No node ends with an exception, whatever it hears.",
 }
 """What each property means, for people."""

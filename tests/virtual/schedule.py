@@ -23,8 +23,9 @@ ALL = "*"
 LINKS = ("cut", "loss", "slow", "late", "again")
 """What can happen on a link: nothing passes; some messages are lost; all are late by a time; each by another time up to
 one; some arrive a second time, so much later."""
-NODES = ("crash", "pause", "clock", "drift", "blind")
-"""What can happen to a node: it dies and starts; stands still; its clock is wrong or too fast; its sensor is silent."""
+NODES = ("crash", "idle", "pause", "clock", "drift", "blind")
+"""What can happen to a node: it dies and starts; is deactivated and activated; stands still; its clock is wrong or too
+fast; its sensor is silent."""
 COMMANDS = ("stop", "reset", "release", "leave", "join")
 """What an operator can say to a node."""
 REMOVAL = "removal"
@@ -215,7 +216,7 @@ def _some(draw: Random, case: Case) -> str:
 
 
 def _crash(draw: Random, case: Case, at: float) -> list[Fault]:
-    return [Fault(at, "crash", _some(draw, case), _length(draw))]
+    return [Fault(at, draw.choice(("crash", "crash", "idle")), _some(draw, case), _length(draw))]
 
 
 def _pause(draw: Random, case: Case, at: float) -> list[Fault]:

@@ -224,6 +224,11 @@ class Story(Watcher):
             fleet.kill(name)
             if self.case.stopped and name in self.case.stoppable:
                 self._ordered, facts.moving_from = True, float("inf")
+        elif fault.kind == "idle":
+            fleet.deactivate(name)
+            self._say(name, "is deactivated")
+            if name in self._robots and not self._drive(name).rests:
+                raise BrokenError("comes to rest", name, "goes on although its node is deactivated")
         elif fault.kind == "pause":
             facts.odd.add(name)
             fleet.pause(name)
@@ -251,6 +256,9 @@ class Story(Watcher):
             if fleet.nodes[name].activity is None:
                 self._say(name, "starts again")
             fleet.revive(name)
+        elif fault.kind == "idle":
+            fleet.activate(name)
+            self._say(name, "is activated")
         elif fault.kind == "pause":
             fleet.resume(name)
             self._say(name, "goes on")
@@ -283,7 +291,7 @@ class Story(Watcher):
             return (fault.who,)
         if fault.kind == "removal":
             return ()
-        if fault.kind in {"crash", "pause", "clock", "blind"}:
+        if fault.kind in {"crash", "idle", "pause", "clock", "blind"}:
             return (fault.who,)
         return self.case.names if fault.kind == "impostor" else ()
 

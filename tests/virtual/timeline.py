@@ -171,6 +171,9 @@ class Trace(Watcher):
     def ends(self, node: str) -> None:
         self._write(f"{self._fleet.now_ns} {node} ends\n")
 
+    def resumes(self, node: str) -> None:
+        self._write(f"{self._fleet.now_ns} {node} resumes\n")
+
     def told(self, node: str, command: str) -> None:
         self._write(f"{self._fleet.now_ns} {node} is told {command}\n")
 
