@@ -172,7 +172,7 @@ def case_of(seed: int, robots: int | None = None) -> Case:
     case = Case(
         seed,
         robots or draw.choice((2, 3, 3, 3, 4, 4, 5, 8)),
-        draw.choice((10, 10, 10, 20, 20, 50, 100)),
+        draw.choices((10, 20, 50, 100), (10, 7, 2, 1))[0],
         draw.random() < 0.6,
         draw.random() < 0.3,
         draw.random() < 0.3,
