@@ -26,6 +26,7 @@ from swarmabs_core.messages import (
     EVENTS,
     NEVER,
     PLANE_STATE,
+    REMOVALS,
     AbstractState,
     AgentState,
     AuxiliaryState,
@@ -57,6 +58,8 @@ SPEAKERS = 20
 """Periods over which speakers are counted."""
 EVERY = 16
 """Each command of so many is computed again; all are where two coordinators speak."""
+FEWEST = 2
+"""Number of robots without which the others cannot follow."""
 MOST_ENTRIES = 3000
 """Entries of all containers of a node of a small fleet, whatever it has heard."""
 MOST_REFUSED = 40
@@ -84,6 +87,10 @@ class Facts:
         Nodes whose clock was ever wrong, or which stood still; their steps and bodies may repeat or continue.
     coasting : set
         Force-driven robots without a measurement of their motion, now or before: these cannot brake.
+    wrong : set
+        Nodes whose clock was ever wrong.
+    resumed : dict
+        For nodes that stood still or were deactivated, the time, ns, at which they went on.
     removed : set
         Robots of which an operator has said that they were carried away.
     late_until : float
@@ -104,8 +111,12 @@ class Facts:
         self.age = self.clock.steps(limits.broadcast_age_limit)
         self.state_age = self.clock.steps(limits.state_age_limit)
         self.ahead = self.clock.ahead(limits.clock_tolerance)
+        configs = configure.agent_configs(self.scenario, self.clock)
+        self.measurement_age = max(config.measurement_age_limit for config in configs) * 1e9
         self.until: dict[str, float] = dict.fromkeys(case.names, 0.0)
         self.odd: set[str] = set()
+        self.wrong: set[str] = set()
+        self.resumed: dict[str, int] = {}
         self.moving_from = inf
         self.settles = (case.settles if case.paired else 1.0 + case.periods(10)) * 1e9
         self.started: dict[str, int] = {}
@@ -139,6 +150,13 @@ class Facts:
             if not self._concerned[node]:
                 self.until[node] = self.now + self.settles
 
+    def runs_since(self, node: str) -> float:
+        """Return since when, ns, a node has run without standing still; infinity if it does not."""
+        one = self.fleet.nodes[node]
+        if one.activity is None or one.paused or not one.activity.active:
+            return inf
+        return max(self.started[node], self.resumed.get(node, 0))
+
     def is_fine(self, node: str) -> bool:
         """Return whether no fault concerns a node, nor what is left of one."""
         return self.until[node] < self.now
@@ -151,7 +169,7 @@ class Facts:
             fine = sum(map(self.is_fine, self.case.robot_names))
             return "soon" if 2 * fine > self.case.robots else ""
         pairs = [[self.is_fine(name) for name in pair] for pair in self.case.pairs]
-        if not all(map(any, pairs)):
+        if not all(map(any, pairs)) or sum(map(self.is_fine, self.case.robot_names)) < FEWEST:
             return ""
         return "always" if all(map(all, pairs)) or self.late_until < self.now else "soon"
 
@@ -175,6 +193,9 @@ class Property:
 
     def told(self, node: str, command: str) -> None:
         """An operator gives an order."""
+
+    def period(self) -> None:
+        """A period is nearly over; nodes with a right clock have done their work of it."""
 
     def broken(self, node: str, text: str) -> BrokenError:
         """Return the error with which this property is broken."""
@@ -212,13 +233,12 @@ class ActsOnOneSet(Property):
         configs = configure.agent_configs(facts.scenario, facts.clock)
         self._laws = {agent_name(config.agent_id): RealtimeLaw(config) for config in configs}
         self._spoke: set[str] = set()
-        self._longest_age = max(config.measurement_age_limit for config in configs) * 1e9
         self._guard = min(facts.age + facts.ahead, facts.clock.steps(GUARD_MOST))
         if facts.case.each_robot:  # they hear no broadcasts
             return
         self.published = {AGENT_STATE: self._state}
         for topic in (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE):
-            for variant in _variants(topic):
+            for variant in variants(topic):
                 self.heard[variant] = partial(self._broadcast, topic, variant is not topic)
 
     def begins(self, node: str) -> None:
@@ -271,7 +291,8 @@ class ActsOnOneSet(Property):
 
     def _compare(self, robot: _Robot, forged: Message, genuine: Message, step: int) -> None:
         """Let a robot doubt from a step on, if it can tell that somebody forges credible broadcasts."""
-        if forged != genuine and step - self.facts.age <= genuine.step and all(map(isfinite, forged)):
+        credible = all(map(isfinite, forged)) and getattr(forged, "inertia", 0.0) >= 0.0
+        if credible and forged != genuine and step - self.facts.age <= genuine.step:
             robot.doubted = step
 
     def _check(self, node: str, robot: _Robot, before: AgentState, state: AgentState) -> None:
@@ -283,7 +304,7 @@ class ActsOnOneSet(Property):
             raise self.broken(
                 node, f"moved in step {decided}, but {facts.case.robots - len(self._spoke)} robots never spoke"
             )
-        if robot.age > self._longest_age:
+        if robot.age > facts.measurement_age:
             text = f"moved in step {decided} with a measurement of its motion that was {robot.age / 1e9:g} s old"
             raise self.broken(node, text)
         if robot.doubted is not None and not facts.case.paired and 0 <= decided - robot.doubted <= facts.age:
@@ -333,7 +354,7 @@ def _said(key: tuple[Topic, bool]) -> str:
     return f"{topic.name}{' of the standby' if standby else ''}"
 
 
-def _variants(topic: Topic) -> Iterator[Topic]:
+def variants(topic: Topic) -> Iterator[Topic]:
     """Yield a topic and that of the standby in its place, and those of single robots."""
     yield topic
     if topic in STANDBY_TOPICS:
@@ -381,6 +402,7 @@ class OneLeads(Property):
     def __init__(self, facts: Facts) -> None:
         super().__init__(facts)
         self._last: dict[str, int] = {}
+        self._first: dict[tuple[str, ...], int] = {}
         if facts.case.paired:
             self.published = {ABSTRACT_STATE: self._spoke, DESIRED_ABSTRACT_STATE: self._spoke}
 
@@ -392,7 +414,8 @@ class OneLeads(Property):
         (pair,) = (pair for pair in facts.case.pairs if node in pair)
         other = pair[1] if node == pair[0] else pair[0]
         inputs = (PLANE,) if pair[0] == CONTROLLER else facts.case.robot_names
-        both = facts.is_fine(node) and facts.is_fine(other) and any(map(facts.is_fine, inputs))
+        settled = facts.now - self._first.setdefault(pair, facts.now) > facts.settles  # it had nothing to say before
+        both = settled and facts.is_fine(node) and facts.is_fine(other) and any(map(facts.is_fine, inputs))
         if both and facts.now - self._last.get(other, -(2**62)) <= 2 * facts.period:
             raise self.broken(node, f"publishes step {message.step}, and so does {other}")
 
@@ -412,18 +435,24 @@ class SumsUpWhatItHears(Property):
         self._counted: dict[str, tuple[int, int]] = {}
         if facts.case.each_robot:
             return
-        self._newest = {name: {} for name in facts.case.pairs[0]}
-        self._doubtful = any(fault.kind == "impostor" for fault in facts.case.faults)  # robots may be refused, too
-        self._standing: dict[str, set[int]] = {name: set() for name in facts.case.pairs[0]}
+        self._newest = {name: {} for name in (PLANE, *facts.case.pairs[0])}
+        self._standing: dict[str, dict[int, int]] = {name: {} for name in self._newest}
         self.published = {BASIS: self._basis, ABSTRACT_STATE: self._sum}
-        for topic in _variants(AGENT_STATE):
+        for topic in variants(AGENT_STATE):
             self.heard[topic] = self._state
+        self.heard[REMOVALS] = self._removal
 
     def begins(self, node: str) -> None:
         if node in self._newest:
             self._newest[node] = {}
 
-    resumes = begins  # how old what it has heard is, it does not know any longer
+    def resumes(self, node: str) -> None:
+        """Let robots stand until they are heard again: a node does not know how old that is which it knows."""
+        newest = self._newest.get(node, {})
+        for robot, state in newest.items():
+            if state.status != Status.LEFT:
+                self._standing[node][robot] = state.step
+        newest.clear()
 
     def _state(self, node: str, parcel: Parcel) -> None:
         newest, state = self._newest.get(node), parcel.message
@@ -433,27 +462,41 @@ class SumsUpWhatItHears(Property):
         if (before is None or state.step > before.step) and state.step <= self.facts.step_of(node) + self.facts.ahead:
             newest[state.agent_id] = state
 
+    def _removal(self, node: str, parcel: Parcel) -> None:
+        """Let a robot have left that is silent, and was not heard after it was carried away."""
+        newest, removal = self._newest[node], parcel.message
+        assert removal is not None
+        robot = removal.agent_id  # type: ignore[attr-defined]
+        state, silent_before = newest.get(robot), self.facts.step_of(node) - self.facts.state_age
+        if state is None and removal.step >= self._standing[node].get(robot, 0):
+            self._standing[node].pop(robot, None)
+        elif state is not None and state.step < silent_before and state.step <= removal.step:
+            newest[robot] = state._replace(status=Status.LEFT)
+
     def _basis(self, node: str, basis: Basis) -> None:
-        if basis.source != Source.OBSERVER:
+        if basis.source not in {Source.OBSERVER, Source.PLANE}:
             return
         facts, newest = self.facts, self._newest[node]
-        self._counted[node] = basis.step, len(basis.agent_ids)
-        if node in facts.odd:
+        if basis.source == Source.OBSERVER:
+            self._counted[node] = basis.step, len(basis.agent_ids)
+        if node in facts.wrong:
             return
         used = dict(zip(basis.agent_ids, zip(basis.state_steps, basis.standing, strict=True), strict=True))
-        standing = self._standing[node]
-        for robot in standing - used.keys() - facts.removed:
-            if robot not in newest:  # the memory of the host knows it
-                raise self.broken(
-                    node, f"in step {basis.step} it has forgotten robot {robot}, which stands on the plane"
+        known = self._standing[node]
+        for robot in known.keys() ^ used.keys():
+            if robot not in newest:  # the memory of the host knows those that stand on the plane
+                what = "has forgotten" if robot in known else "counts"
+                text = (
+                    f"it {what} robot {robot}, which is{'' if robot in known else ' not'} known to stand on the plane"
                 )
-        standing.clear()
-        standing.update(robot for robot, (_, stands) in used.items() if stands)
+                raise self.broken(node, f"in step {basis.step} {text}")
+        known.clear()
+        known.update((robot, step) for robot, (step, stands) in used.items() if stands)
         for robot, state in newest.items():
             name = agent_name(robot)
             # A node that has just started counts as a second sender until the one before it is forgotten.
             new = facts.now - facts.started[name] <= 2 * facts.state_age * facts.period
-            if self._doubtful or name in facts.odd or new or robot in facts.removed:
+            if name in facts.wrong or new:
                 continue
             if (state.status == Status.LEFT) == (robot in used):
                 text = "has left, and still counts" if robot in used else "is on the plane, and does not count"
@@ -464,7 +507,7 @@ class SumsUpWhatItHears(Property):
             if step != state.step:
                 text = f"it uses a state of step {step}, but has received one of step {state.step}"
                 raise self.broken(node, f"in step {basis.step} of robot {robot}: {text}")
-            if bool(stands) != (basis.step - step > facts.state_age):
+            if basis.source == Source.OBSERVER and bool(stands) != (basis.step - step > facts.state_age):
                 text = f"it takes a state that is {basis.step - step} steps old as {'silent' if stands else 'fresh'}"
                 raise self.broken(node, f"in step {basis.step} of robot {robot}: {text}")
 
@@ -571,54 +614,6 @@ class ReportsSparingly(Property):
             raise self.broken(node, f"has reported {len(times)} refusals in ten seconds, the last: {event.detail}")
 
 
-PROPERTIES: tuple[type[Property], ...] = (
-    ActsOnOneSet,
-    KeepsFollowing,
-    OneLeads,
-    SumsUpWhatItHears,
-    AnswersThePlane,
-    NoStepTwice,
-    StaysInItsLane,
-    ReportsSparingly,
-)
-
-
-class Checks(Watcher):
-    """Hands on to the properties what happens."""
-
-    def __init__(self, facts: Facts) -> None:
-        self._facts = facts
-        self._properties = [of(facts) for of in PROPERTIES]
-        self._published: dict[Topic, list[Callable[[str, Any], None]]] = {}
-        self._heard: dict[Topic, list[Callable[[str, Parcel], None]]] = {}
-        for one in self._properties:
-            for topic, said in one.published.items():
-                self._published.setdefault(topic, []).append(said)
-            for topic, heard in one.heard.items():
-                self._heard.setdefault(topic, []).append(heard)
-
-    def begins(self, node: str) -> None:
-        self._facts.started[node] = self._facts.now
-        for one in self._properties:
-            one.begins(node)
-
-    def resumes(self, node: str) -> None:
-        for one in self._properties:
-            one.resumes(node)
-
-    def told(self, node: str, command: str) -> None:
-        for one in self._properties:
-            one.told(node, command)
-
-    def published(self, node: str, topic: Topic, message: Message, data: bytes) -> None:
-        for said in self._published.get(topic, ()):
-            said(node, message)
-
-    def heard(self, node: str, parcel: Parcel) -> None:
-        for heard in self._heard.get(parcel.topic, ()):
-            heard(node, parcel)
-
-
 class Speech(NamedTuple):
     """A message with its node and the time, ns, of its publication."""
 
@@ -715,21 +710,6 @@ class Ending(Watcher):
         activity = self._facts.fleet.nodes[name].activity
         assert activity is not None
         return activity.engine.behaviour.health(self._facts.fleet.now(name))
-
-
-STATEMENTS = {one.name: one.statement for one in (*PROPERTIES, Ending)} | {
-    "STOP wins": "After a STOP that a controller has accepted and passed on, no robot moves until an operator resets.",
-    "memory is bounded": "What a node keeps does not grow with the time or with what others send to it.",
-    "bags survive": "A bag has nothing that its recorder has not heard; after a repair it has all that must survive.",
-    "bags are merged": "A merged bag has each message of its bags once, in order, whatever the order of the bags is.",
-    "losses are counted": "Figures, repairs and merges count and name exactly what a bag has and lacks.",
-    "bags are explained": "Every message in a bag follows from those before it, also after a repair and when merged.",
-    "lockstep goes on": "A run in lockstep ends, whatever the transport does, unless a node is lost for good.",
-    "equal digests": "Every message of a run in lockstep is, bit for bit, that of the simulation in one process.",
-    "comes to rest": "A robot whose node is deactivated stops at once.",
-    "no node fails": "No node ends with an exception, whatever it hears.",
-}
-"""What each property means, for people."""
 
 
 def entries_of(thing: object) -> int:

@@ -299,21 +299,89 @@ def _takeover_of_a_stop(draw: Random, case: Case, at: float) -> list[Fault]:
     return [*lost, Fault(max(0.0, when), "stop", draw.choice(case.stoppable))]
 
 
+def _stop_and_loss(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let an operator stop the swarm, and soon afterwards let the controller be lost, maybe with its messages late."""
+    controller, when = draw.choice(case.stoppable), at + draw.uniform(0.01, 0.5)
+    kind, lasting = draw.choice(("crash", "crash", "pause", "cut")), draw.uniform(6.0, 30.0) / case.hertz
+    faults = [Fault(at, "stop", controller)]
+    if draw.random() < 0.5:
+        kind, lasting, when = "crash", 0.3 * lasting, at + draw.uniform(0.0, 3.0) / case.hertz
+        late = draw.uniform(11.0, 25.0) / case.hertz
+        faults.append(Fault(max(0.0, at - 0.01), "slow", f"{controller}>{ALL}", when - at + 0.02, late))
+    ways = (f"{controller}>{ALL}", f"{ALL}>{controller}") if kind == "cut" else (controller,)
+    return [*faults, *(Fault(when, kind, way, lasting) for way in ways)]
+
+
+def _handover(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let coordinators hand over, those of a pair one after the other."""
+    if not case.paired:
+        return []
+    pair = draw.choice(case.pairs)
+    times = [at, at + draw.choice((draw.uniform(1.0, 20.0) / case.hertz, draw.uniform(0.5, 2.0)))]
+    return [Fault(time, "release", name) for time, name in zip(times, draw.sample(pair, 2), strict=True)]
+
+
+def _stay_away(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let a robot leave for long or be carried away, and maybe start an observer in the meantime."""
+    robot, away = draw.choice(case.robot_names), draw.uniform(12.0, 40.0) / case.hertz + 0.5
+    if draw.random() < 0.5:
+        faults = [Fault(at, "leave", robot), Fault(at + away, "join", robot)]
+    else:
+        faults = [Fault(at, "crash", robot, away)]
+        if not case.each_robot:
+            faults.append(Fault(at + draw.uniform(0.0, away), REMOVAL, robot))
+    if draw.random() < 0.5:
+        observer = draw.choice(case.pairs[0] if case.pairs else case.robot_names)
+        faults.append(Fault(at + draw.uniform(0.0, away), "crash", observer, _length(draw)))
+    return faults
+
+
+def _reset_at_a_stop(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let an operator stop and reset the swarm in turn, after about the guard time or the time of a RESET."""
+    faults, time = [], at
+    for number in range(draw.randint(2, 4)):
+        faults.append(Fault(time, ("stop", "reset")[number % 2], draw.choice(case.stoppable)))
+        time += draw.choice((draw.uniform(0.0, 16.0) / case.hertz, draw.uniform(0.5, 1.5)))
+    return faults
+
+
+def _set_back(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let the clock of a node be wrong by about as much as is tolerated, or set back by so many periods."""
+    periods = draw.choice((1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 6.0, 9.0, 10.0, 11.0, 12.0))
+    value = draw.choice((-1.0, 1.0)) * periods / case.hertz
+    return [Fault(at, "clock", draw.choice(case.names), draw.uniform(8.0, 30.0) / case.hertz, value)]
+
+
+def _deaf(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let a coordinator hear nothing of some or of all, for longer than the limits on ages."""
+    name, lasting = draw.choice(case.coordinators or case.names), draw.uniform(12.0, 50.0) / case.hertz
+    other = ",".join(draw.choice((case.robot_names, (PLANE,), tuple(o for o in case.names if o != name))))
+    ways = [f"{other}>{name}", f"{name}>{other}"][: draw.choice((1, 1, 2))]
+    return [Fault(at, "cut", way, lasting) for way in ways if name not in other.split(",")]
+
+
 def _absence(draw: Random, case: Case, at: float) -> list[Fault]:
     """Let a robot be dead for long, and meanwhile a coordinator, or both of a pair, for a while."""
     robot = agent_name(draw.randint(1, case.robots))
     pair, lasting = draw.choice(case.pairs or (case.robot_names,)), _length(draw)
     lost = draw.choice((pair, pair[:1], pair[-1:]))
-    begins = at + draw.uniform(0.3, 1.0)
+    begins = max(0.0, at + draw.choice((draw.uniform(0.3, 1.0), draw.uniform(-0.5 * lasting, 10.0 / case.hertz))))
     faults = [Fault(begins, "crash", name, lasting) for name in lost]
     if not case.each_robot and draw.random() < 0.3:
         faults.append(Fault(at + draw.uniform(0.0, 0.5), REMOVAL, draw.choice((robot, draw.choice(case.robot_names)))))
-    return [Fault(at, "crash", robot, begins - at + lasting + case.settles + 1.0), *faults]
+    away = draw.choice((begins - at + lasting + case.settles + 1.0, draw.uniform(0.3, 1.0)))
+    return [Fault(at, "crash", robot, away), *faults]
 
 
 def _forged(draw: Random, case: Case, at: float) -> list[Fault]:
     kind = draw.choice(FORGED)
     return [Fault(at, kind, _some(draw, case), draw.uniform(0.1, 1.0), draw.choice((-1, 0, 1, 2)))]
+
+
+def _impostor(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let somebody speak in the name of others, to somebody who hears robots."""
+    hears = draw.choice(((PLANE,), case.pairs[0] if case.pairs else case.robot_names))
+    return [Fault(at, "impostor", draw.choice(hears), draw.uniform(0.1, 1.0), draw.choice((-1, 0, 1, 2)))]
 
 
 def _blind(draw: Random, case: Case, at: float) -> list[Fault]:
@@ -340,8 +408,15 @@ _MIX: tuple[Callable[[Random, Case, float], list[Fault]], ...] = (
     _clock,
     _operator,
     _takeover_of_a_stop,
+    _stop_and_loss,
+    _reset_at_a_stop,
+    _handover,
+    _stay_away,
+    _set_back,
+    _deaf,
     _absence,
     _forged,
+    _impostor,
     _blind,
     _overload,
 )

@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 from tests.virtual.bags import BagCase, BagStory, bag_case
+from tests.virtual.checks import STATEMENTS
 from tests.virtual.lockstep import LockstepCase, LockstepStory, lockstep_case
-from tests.virtual.properties import STATEMENTS
 from tests.virtual.schedule import Case, case_of
 from tests.virtual.story import Result, Story, outcome
 from tests.virtual.timeline import Timeline, Trace

@@ -8,12 +8,14 @@ from math import nan
 from typing import Any, NamedTuple, Protocol
 
 from tests.swarmabs_core.helpers import builtin
+from tests.virtual.checks import Checks
 from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
-from tests.virtual.properties import BrokenError, Checks, Ending, Facts
+from tests.virtual.properties import BrokenError, Ending, Facts
 from tests.virtual.recorders import FleetBags
 from tests.virtual.schedule import ALL, COMMANDS, FORGED, LINKS, Case, Fault
 from tests.virtual.weather import Weather
 
+from swarmabs_config.graph import OBSERVER, PLANE
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import encode
 from swarmabs_core.events import EventCode
@@ -37,6 +39,8 @@ from swarmabs_core.realtime.envelope import LATENCY
 
 STARTS = 2.1
 """Time, s, at which an operator resets a fleet that starts in STOP."""
+NEARLY = 0.95
+"""Share of a period after which all have done their work of it."""
 FOREIGN = b"a stranger's GID"
 _MILD = {"loss": 0.05, "slow": 0.5, "late": 0.5}
 """By how much (of periods, for times) a whole network may be bad without any effect on who follows."""
@@ -128,6 +132,7 @@ class Story(Watcher):
         )
         self.facts = Facts(fleet, case)
         self.ending = Ending(self.facts)
+        self._checks = Checks(self.facts)
         self._tell = tell
         self._holders: set[str] = set()
         self._stopped_at: str | None = None
@@ -135,12 +140,13 @@ class Story(Watcher):
         self._robots = case.robot_names
         self.bags = FleetBags(fleet, case) if case.recorded else None
         recorders = () if self.bags is None else self.bags.recorders
-        fleet.watch(*watchers, *recorders, Checks(self.facts), self.ending, self)
+        fleet.watch(*watchers, *recorders, self._checks, self.ending, self)
         for node in fleet.nodes:
             for watcher in fleet.watchers:
                 watcher.begins(node)
         for fault in case.faults:
             fleet.later(fault.at, partial(self._begin, fault))
+        fleet.later(NEARLY * fleet.clock.period, self._period)
 
     @property
     def time(self) -> float:
@@ -184,6 +190,10 @@ class Story(Watcher):
         fleet.run(holds)
         self.ending.all_is_well()
         self.ending.memory_is_bounded()
+
+    def _period(self) -> None:
+        self._checks.period()
+        self.fleet.later(self.fleet.clock.period, self._period)
 
     def _say(self, who: str, what: str) -> None:
         self._tell(self.fleet.time, who, what)
@@ -235,10 +245,12 @@ class Story(Watcher):
             self._say(name, "stands still")
         elif fault.kind == "clock":
             facts.odd.add(name)
+            facts.wrong.add(name)
             fleet.set_clock(name, fault.value)
             self._say(name, f"has a clock that is {abs(fault.value):g} s {'ahead' if fault.value > 0 else 'behind'}")
         elif fault.kind == "drift":
             facts.odd.add(name)
+            facts.wrong.add(name)
             fleet.set_drift(name, round(fault.value))
             self._say(name, f"has a clock that runs {fault.value:g} millionths too fast")
         else:
@@ -258,9 +270,11 @@ class Story(Watcher):
             fleet.revive(name)
         elif fault.kind == "idle":
             fleet.activate(name)
+            self.facts.resumed[name] = self.facts.now
             self._say(name, "is activated")
         elif fault.kind == "pause":
             fleet.resume(name)
+            self.facts.resumed[name] = self.facts.now
             self._say(name, "goes on")
         elif fault.kind in {"clock", "drift"}:
             fleet.set_clock(name, 0.0)
@@ -293,7 +307,10 @@ class Story(Watcher):
             return ()
         if fault.kind in {"crash", "idle", "pause", "clock", "blind"}:
             return (fault.who,)
-        return self.case.names if fault.kind == "impostor" else ()
+        # Who is first in the name of a robot is believed; robots and controllers stop if broadcasts, or states of the
+        # plane, contradict each other.
+        disturbed = fault.kind == "impostor" and fault.who not in {PLANE, OBSERVER}
+        return (fault.who,) if disturbed else ()
 
     def _of_links(self, fault: Fault) -> set[str]:
         sender, receiver = fault.ends
