@@ -145,6 +145,8 @@ def test_change_log_is_what_bloom_reads_once_the_release_tool_has_dated_it(name:
     assert log.get_content_of_version(version)
 
 
+@pytest.mark.system
+@pytest.mark.ament
 @each_package
 @pytest.mark.parametrize("linter", LINTERS)
 def test_ament_linters(linter: str, name: str, capfd: pytest.CaptureFixture[str]) -> None:

@@ -171,6 +171,7 @@ def test_continuous_cascade_agrees(runs: dict[str, RunArrays]) -> None:
 
 
 @pytest.mark.parametrize(("bandwidth", "level"), [(4.0, False), (20.0, True), (30.0, False)])
+@pytest.mark.system
 def test_lower_layer_must_be_neither_too_slow_nor_too_fast(bandwidth: float, level: bool) -> None:  # noqa: FBT001
     steps = CascadeSimulation(load_cascade(FOLDER, Coupling(bandwidth=bandwidth), ["duration=7.0"])).steps()
     angles = [plane.angle for namespace, step in steps if namespace == "/upper" for plane in step.parents]
@@ -192,6 +193,7 @@ def test_margins_of_the_page() -> None:
             assert abs(float(text) - value) <= half, (loop, upper_slope, lower_slope)
 
 
+@pytest.mark.system
 def test_failed_cascade_leaves_whole_bags_and_its_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "slow"
     assert main(["-o", str(path), "--bandwidth", "1"]) == 1

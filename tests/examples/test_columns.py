@@ -28,6 +28,7 @@ def test_arrays_give_the_bits_of_the_state_machines(name: str, changed: Sequence
     assert digest_and_bag(VectorSimulation(scenario, swarm).steps()) == machines
 
 
+@pytest.mark.system
 def test_a_robot_that_reaches_a_limit_is_left_to_the_state_machines() -> None:
     given = ["duration=0.8", "faults=[]", "swarm.agents.7.constants.highest=2.95"]
     scenario = load_scenario(PATHS["payload_40"], given)

@@ -49,7 +49,7 @@ SMALL, LARGE = (("ship", 4), ("plate", 10), ("payload", 8)), (("ship", 20), ("pl
     ("name", "robots", "links"),
     [
         *((*of, links) for of in SMALL for links in ("", "loss: 0.5", STRONGEST)),
-        *((*of, STRONGEST) for of in LARGE),
+        *(pytest.param(*of, STRONGEST, marks=pytest.mark.system) for of in LARGE),
     ],
 )
 def test_the_digest_is_that_of_the_usual_coordination(name: str, robots: int, links: str) -> None:

@@ -22,6 +22,7 @@ def robot_of(example: dict[str, Any], agent: Any) -> Any:
 
 
 @pytest.mark.parametrize(("height", "duration"), [(0.0, 10), (0.01, 5), (0.03, 5)])
+@pytest.mark.system
 def test_sliders_move_the_plank_as_the_robots_of_the_paper_move_the_plane(
     example: dict[str, Any], height: float, duration: float
 ) -> None:
@@ -67,6 +68,7 @@ def test_readings_and_commands_are_as_late_as_the_rig_says(example: dict[str, An
 
 
 @pytest.mark.parametrize("base", ["rover", "differential"])
+@pytest.mark.system
 def test_the_swarm_follows_its_reference_with_wheels_that_it_does_not_know(example: dict[str, Any], base: str) -> None:
     trial = example["mujoco_trial"]
     result = trial.run(builtin("arise_het_4", "duration=6"), example["mujoco_setup"].Setup(base=base), 1)

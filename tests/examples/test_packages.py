@@ -31,6 +31,7 @@ BODY = Body(1, Kind.SINGLE_INTEGRATOR, Schedule(10_000_000), 0.5)
 NOW = 1_700_000_000_000_000_000
 
 
+@pytest.mark.system
 def test_the_angle_follows_within_the_boundary_layer(packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Within the layer |s| falls below layer D/reach and |e| below that divided by the slope."""
     monkeypatch.syspath_prepend(SLIDING_MODE)

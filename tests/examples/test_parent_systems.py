@@ -87,6 +87,7 @@ CASES: Mapping[str, tuple[str, tuple[float, float], Sequence[str], Sequence[Even
 
 
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.system
 def test_a_sampled_run_is_as_close_to_the_continuous_one_as_10_ms_allow(case: str) -> None:
     name, expected, overrides, events, ids = CASES[case]
     run = simulated(name, 6.0, *overrides)
@@ -109,6 +110,7 @@ def spread_around(moving: Array, standing: Array, there: Array) -> float:
     return float(np.abs(found - wanted).max() / np.abs(wanted).max())
 
 
+@pytest.mark.system
 def test_a_robot_leaves_or_stands() -> None:
     """It may leave at 1 s with its weight, or stand where it is: the plate follows the continuous solution."""
     for fault, what in (("remove", "leaves"), ("kill", "stands")):
@@ -127,6 +129,7 @@ def test_a_robot_leaves_or_stands() -> None:
 
 
 @pytest.mark.parametrize("number", [3, 40])
+@pytest.mark.system
 def test_a_ring_of_any_size_levels_the_plate(number: int) -> None:
     run = simulated(f"plate_{number}", 2.0)
     ((whole, _),) = differences(run, solution(f"plate_{number}", 2.0), 1.0, slice(2))
@@ -170,6 +173,7 @@ def test_robots_that_die_do_not_fling_the_others(name: str, *, force: bool) -> N
 
 
 @pytest.mark.timeout(300)
+@pytest.mark.system
 def test_ship_4_bears_the_loss_of_any_trolley_and_of_any_pair(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(losses, "AFTER_ANY", 1.5)
     report = check_losses(
@@ -182,6 +186,7 @@ def test_ship_4_bears_the_loss_of_any_trolley_and_of_any_pair(monkeypatch: pytes
     assert {name for loss in report.losses for name in loss.failed} == set()
 
 
+@pytest.mark.system
 def test_the_swarm_takes_a_twentieth_of_the_roll() -> None:
     without = simulated("ship_4", 16.0, "system.rate_gain=0", "system.estimator=0")
     run = simulated("ship_4", 16.0)
@@ -196,6 +201,7 @@ def tilt(run: Any) -> Array:
 
 
 @pytest.mark.parametrize("reaction", [0.016, pytest.param(0.0, marks=pytest.mark.full)], ids=["yaw", "no_yaw"])
+@pytest.mark.system
 def test_the_payload_bears_the_failure_of_a_rotor(reaction: float) -> None:
     """Nobody knows of it for 0.1 s; the attitude is back 0.5 s after the failure."""
     run = simulated("payload", 3.5, LOSS.format(2.0, 2.09), f"system.reaction={reaction}")
@@ -209,6 +215,7 @@ def test_the_payload_bears_the_failure_of_a_rotor(reaction: float) -> None:
     assert np.isnan(run["thrust"][210, 2])
 
 
+@pytest.mark.system
 def test_the_payload_follows_its_path() -> None:
     run = simulated("payload", 4.5, "faults=[]")
     places, angles = differences(run, solution("payload", 4.5), 4.0, slice(3), slice(6, 9))

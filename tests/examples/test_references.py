@@ -95,6 +95,7 @@ def test_error_of_velocity_robots_decays_by_its_gain_whatever_the_parent_does(sy
 
 @pytest.mark.parametrize(("system", "swarm"), SYSTEMS[:2])
 @pytest.mark.parametrize("kinds", [(FORCE,), (FORCE, "single_integrator")])
+@pytest.mark.system
 def test_error_of_force_robots_obeys_its_linear_equation(system: System, swarm: Robots, kinds: tuple[str, ...]) -> None:
     """In a mixed swarm the second-order law alone decides nothing, but the error vanishes."""
     s = Loop(system, swarm.with_kinds(*kinds), Gains(5.0, 18.0, 9.0)).solve(2.5)
@@ -156,6 +157,7 @@ def test_momenta_of_the_plate_obey_the_balance_of_angular_momentum_in_space() ->
         assert_allclose(slope(s.time, momenta)[5:-5], torque[5:-5], atol=1e-5)
 
 
+@pytest.mark.system
 def test_payload_turns_as_its_body_rates_say_and_keeps_its_energy_balance() -> None:
     payload = Payload()
     s = Loop(payload, rotors(), PAYLOAD).solve(6.0)

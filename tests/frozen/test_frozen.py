@@ -93,6 +93,7 @@ def test_a_fleet_in_real_time_says_the_same_at_the_same_times(name: str) -> None
     assert digests.of_fleet(name) == digests.FLEETS[name]["found"]
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("name", pictures.CASES)
 def test_a_picture_shows_what_it_showed(name: str, tmp_path: Path) -> None:
     """Where it is meant to change: look at it, then ``python -m tests.frozen.freeze pictures``."""

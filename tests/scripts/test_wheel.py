@@ -32,6 +32,8 @@ NEED_ROS = {"bags.markers", "bags.replay", "fleet.operate", "run.demo", "run.run
 LARGEST = 150e6
 """Size of an environment with the wheel and what it requires, bytes, without what installs it."""
 INSTALLERS = {"pip", "pkg_resources", "setuptools"}
+pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+
 DIGEST = CASES["pd_het_4"]["summary"]["digest"]
 
 
@@ -54,7 +56,6 @@ def metadata(wheel: Path) -> Message:
         return message_from_bytes(file.read(name))
 
 
-@pytest.mark.system
 def test_the_same_sources_give_the_same_bytes(wheel: Path, tmp_path: Path) -> None:
     before = os.umask(0o077)
     try:
@@ -115,7 +116,6 @@ def test_only_commands_that_need_ros_import_it(unpacked: Path) -> None:
     assert failing == {f"swarmabs_cli.{name}" for name in NEED_ROS}
 
 
-@pytest.mark.system
 def test_without_what_only_posix_has_everything_else_works(unpacked: Path, tmp_path: Path) -> None:
     case = CASES["sensors"]
     overrides = [f"--set={override}" for override in case["set"]]
@@ -138,8 +138,6 @@ def test_without_what_only_posix_has_everything_else_works(unpacked: Path, tmp_p
         assert position >= 0, f"{command}: no {printed!r} in its place\n{done.stdout}"
 
 
-@pytest.mark.system
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize("series", SERIES)
 def test_pip_installs_it_and_all_commands_work_or_say_what_they_need(series: str, wheel: Path, tmp_path: Path) -> None:
     python = tmp_path / "environment" / "bin" / "python"

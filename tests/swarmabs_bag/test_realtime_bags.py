@@ -172,6 +172,7 @@ def test_a_report_has_the_figures_of_the_recorder(made: MakeBag, name: str, *, s
     assert all(0.0 <= event.stamp / 1e9 <= recorded.arrays.time[-1] + 0.01 for event in recorded.swarm.events)
 
 
+@pytest.mark.system
 def test_a_bag_is_reported_compared_and_exported(tmp_path: Path, made: MakeBag) -> None:
     bag = made("deaths", since_1970=True)
     report = make_report(bag)

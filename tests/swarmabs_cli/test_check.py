@@ -28,6 +28,7 @@ def test_the_command_prints_the_report_and_exits_by_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("systems")
+@pytest.mark.system
 def test_what_could_not_be_evaluated_is_said_with_the_reason_and_is_not_covered(tmp_path: Path) -> None:
     path = tmp_path / "beam.yaml"
     path.write_text(BEAM_SCENARIO.replace("beam", "faulty, fault: far_out"), encoding="utf-8")

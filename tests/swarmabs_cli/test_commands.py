@@ -47,6 +47,7 @@ def test_a_failed_run_has_exit_code_1_and_says_why(here: Path) -> None:
 FLYING = ("simulate", "pd_het_4", "--duration", "0.6", "--set", "swarm.gains={k: [199, 199], kp: [20000, 20000]}")
 
 
+@pytest.mark.system
 def test_a_run_in_which_robots_flew_off_is_recorded_and_has_failed(here: Path) -> None:
     done = ran(*FLYING, "-o", "out", "--json", code=1)
     found = done.document()

@@ -29,6 +29,7 @@ def names(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
 
+@pytest.mark.system
 def test_missing_runs_are_simulated_and_used_again(here: Path, drawn: dict[str, Any]) -> None:
     first = ran("figures", "PD_res", "-o", "out", "--format", "svg", "--json")
     assert first.document() == {

@@ -342,7 +342,7 @@ def test_the_compensation_holds_the_weight_under_every_law() -> None:
 COMPENSATION = "controller.height_compensation={}"
 
 
-@pytest.mark.parametrize("compensated", ["false", "true"])
+@pytest.mark.parametrize("compensated", [pytest.param("false", marks=pytest.mark.system), "true"])
 def test_an_offset_is_reached_with_compensation_and_missed_by_the_weight_without(compensated: str) -> None:
     """PD without Coulomb friction at rest: k1 (th - offset) cos th = g H sin th."""
     options = [f"swarm.agents.{n}.center_height=0.03" for n in range(4)]
@@ -358,6 +358,7 @@ def test_an_offset_is_reached_with_compensation_and_missed_by_the_weight_without
     assert run.abstract.torque[-1] == pytest.approx(weight * np.tan(angle), abs=1e-5)
 
 
+@pytest.mark.system
 def test_arise_absorbs_a_weight_that_it_does_not_know() -> None:
     options = [f"swarm.agents.{n}.center_height=0.03" for n in range(4)]
     options += ["plane={friction: [0, 1, 1, 0, 1, 1]}", "controller.trajectory={type: constant, angle: 0.1}"]

@@ -51,6 +51,7 @@ def test_runs_of_the_paper_follow_the_continuous_loop_and_level_the_plane(name: 
 
 
 @pytest.mark.parametrize("name", ["pd_het_4", "arise_di_4"])
+@pytest.mark.system
 def test_deviation_halves_with_the_period(name: str) -> None:
     scenarios = [builtin(name, "duration=3", f"step={step}") for step in (0.01, 0.005, 0.0025)]
     coarse, fine, finest = (deviations(scenario, simulate(scenario))[0] for scenario in scenarios)

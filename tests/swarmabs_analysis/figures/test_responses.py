@@ -38,6 +38,7 @@ from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 
 WIDTHS = {"mappingEx": COLUMN, "posMapping": COLUMN, "PD_res": PAGE, "ARISE_res": PAGE, "ARISE_lg_swarm": PAGE}
+SEVERAL_RUNS = ("ARISE_res", "ARISE_lg_swarm")
 SCRIPT = """
 import hashlib, sys
 from pathlib import Path
@@ -56,7 +57,9 @@ def files(name: str, runs: Path) -> dict[str, bytes]:
     return draw_files(name, find_runs([runs], FIGURES[name].scenarios), FORMATS)
 
 
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.system] * (name in SEVERAL_RUNS)) for name in FIGURES]
+)
 def test_files_are_pictures_of_the_printed_width(name: str, short_runs: Path) -> None:
     contents = files(name, short_runs)
     assert contents.keys() == {f"{name}.png", f"{name}.svg"}

@@ -474,6 +474,7 @@ def entries(axes: Axes) -> list[str]:
     return [] if legend is None else [text.get_text() for text in legend.get_texts()]
 
 
+@pytest.mark.system
 def test_a_zoom_names_all_events_in_it_and_no_legend_leaves_its_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -36,6 +36,7 @@ def executor(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalExecutor]:
     assert not workers(os.getpid())
 
 
+@pytest.mark.system
 def test_rows_are_those_of_the_cases_whoever_computes_them(executor: LocalExecutor, study: Study) -> None:
     tasks = [study.task(index) for index in range(study.sweep.count)]
     rows = executor.compute(iter(tasks), lambda: None)

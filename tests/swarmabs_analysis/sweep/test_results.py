@@ -201,6 +201,7 @@ def share(colour: str, png: bytes) -> float:
     return float(np.mean((image[:, :, :3] == list(bytes.fromhex(colour[1:]))).all(axis=2)))
 
 
+@pytest.mark.system
 def test_region_has_the_colours_of_the_outcomes_and_is_the_same_each_time(tmp_path: Path) -> None:
     files = draw(tmp_path, REGION)
     assert files == draw(tmp_path, REGION)

@@ -69,6 +69,7 @@ FAST = "swarm.gains={k: [100, 100], kp: [2500, 2500], kd: [100, 100]}"
 
 
 @pytest.mark.parametrize(("share", "grows"), [(0.8, False), (1.2, True)])
+@pytest.mark.system
 def test_runs_converge_below_and_grow_above_the_bound_of_routh(share: float, grows: bool) -> None:  # noqa: FBT001
     """A slow loop, of which the swarm, the filter and the period are a small part: 1.2 (1.2)/0.525 = 2.74."""
     k3 = share * (0.2 + 1.0) * 1.2 / 0.525
@@ -78,6 +79,7 @@ def test_runs_converge_below_and_grow_above_the_bound_of_routh(share: float, gro
     assert (late > 1.5 * early) if grows else (late < 0.5 * early)
 
 
+@pytest.mark.system
 def test_a_constant_torque_leaves_an_offset_with_pd_and_none_with_pid() -> None:
     """With PD 0.15/3.1623 = 0.047 rad."""
     pushed = ("faults=[{kind: disturbance, at: 1.0, torque: 0.15}]", "duration=20")

@@ -56,6 +56,7 @@ def test_loops_without_a_limit_or_without_any_stable_period_are_told() -> None:
         ("pid", "si", 0.02, "false"),
     ],
 )
+@pytest.mark.system
 def test_runs_converge_below_and_diverge_above_the_limit(
     controller: str, kind: str, height: float, compensated: str
 ) -> None:
