@@ -147,12 +147,13 @@ class LevelSet(NamedTuple):
 def level_set(loop: Loop, angle_max: float) -> LevelSet:
     """Return the level set that touches abs(th) = angle_max (rad), which must be below pi/2."""
     level = max(0.0, loop.potential(angle_max))
-    best = _with_weight(loop, angle_max, level, inf)
+    torque = largest_torque(loop, angle_max, level)
+    best = _with_weight(loop, angle_max, level, torque, inf)
     if best.damping <= 0.0:
         return best
 
     def suffices(weight: float) -> bool:  # the rate decreases with the weight, so D and the coupling increase
-        region = _with_weight(loop, angle_max, level, weight)
+        region = _with_weight(loop, angle_max, level, torque, weight)
         return region.damping >= best.damping / 10.0 and region.coupling >= 2.0
 
     low = high = 1.0
@@ -163,12 +164,11 @@ def level_set(loop: Loop, angle_max: float) -> LevelSet:
     while high > (1.0 + 1e-9) * low:
         middle = sqrt(low * high)
         low, high = (low, middle) if suffices(middle) else (middle, high)
-    return _with_weight(loop, angle_max, level, high)
+    return _with_weight(loop, angle_max, level, torque, high)
 
 
-def _with_weight(loop: Loop, angle_max: float, level: float, weight: float) -> LevelSet:
+def _with_weight(loop: Loop, angle_max: float, level: float, torque: float, weight: float) -> LevelSet:
     rate = sqrt(2.0 * level / loop.inertia)
-    torque = largest_torque(loop, angle_max, level)
     bounds = rate, min(torque, loop.manifold.torque_max), sqrt(2.0 * level / weight)
     inertia_rate = _inertia_rate(loop, angle_max, *bounds)
     damping = cos(angle_max) * loop.k2 + least_viscous(loop.friction) - inertia_rate / 2.0
