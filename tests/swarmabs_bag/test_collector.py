@@ -174,7 +174,7 @@ def all_at_once(book: RunCollector, batches: list[list[Arrived]]) -> Iterator[St
 
 @pytest.mark.parametrize("spoilt", [False, True])
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 2**32), memory=st.sampled_from((2, 30, 250)))
 def test_batches_give_the_steps_and_the_errors_of_their_messages(
     name: str, *, spoilt: bool, seed: int, memory: int

@@ -41,17 +41,18 @@ def files(name: str, folder: Path, seed: int | None, **options: object) -> dict[
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-@pytest.mark.parametrize("name", ["pd_di_4", "arise_het_20", "sheet"])
 @pytest.mark.parametrize(
-    ("chunk_bytes", "split", "number"),
+    ("name", "chunk_bytes", "split", "number"),
     [
-        (1, ONE_FILE, 1),
-        (1, Split(bytes=6000), 2),
-        (3001, ONE_FILE, 1),
-        (3001, Split(bytes=1), 3),
-        (3001, Split(5000, 5 * PERIOD), 5),
-        (CHUNK_BYTES, ONE_FILE, 1),
-        (CHUNK_BYTES, Split(nanoseconds=4 * PERIOD), 6),
+        ("pd_di_4", 1, ONE_FILE, 1),
+        ("pd_di_4", 1, Split(bytes=6000), 2),
+        ("pd_di_4", 3001, Split(bytes=1), 3),
+        ("pd_di_4", CHUNK_BYTES, Split(nanoseconds=4 * PERIOD), 6),
+        ("arise_het_20", 3001, ONE_FILE, 1),
+        ("arise_het_20", 3001, Split(5000, 5 * PERIOD), 5),
+        ("sheet", 3001, ONE_FILE, 1),
+        ("sheet", 3001, Split(5000, 5 * PERIOD), 5),
+        ("sheet", CHUNK_BYTES, ONE_FILE, 1),
     ],
 )
 def test_steps_are_written_as_their_messages_are(

@@ -79,7 +79,7 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("kinds", KINDS)
+@pytest.mark.parametrize("kinds", ["mixed", *(pytest.param(k, marks=pytest.mark.full) for k in ("velocity", "force"))])
 @pytest.mark.parametrize("case", CASES)
 def test_the_others_stay_slow_and_near_and_level_the_plane(tmp_path: Path, case: str, kinds: str) -> None:
     given = CASES[case]

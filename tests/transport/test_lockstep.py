@@ -29,7 +29,7 @@ from swarmabs_ros.lockstep import LONGEST, Repeater
 from swarmabs_run.run import RunOptions
 from swarmabs_run.simulation import Simulation
 
-SEEDS = 12
+SEEDS = 8
 """Number of scripts by which the everyday tests run each case."""
 STALL = 5.0
 """Time, s, after which a node reports that it waits, as the parameter `stall_timeout` is by default."""

@@ -206,7 +206,7 @@ def test_a_sweep_has_a_row_for_each_case_as_simulate_runs_it(here: type[Here], s
     ("end", "status", "reason"),
     [
         (KeyboardInterrupt, "interrupted", "interrupted; continue with --resume"),
-        (RunError, "failed", "no worker is left"),
+        pytest.param(RunError, "failed", "no worker is left", marks=pytest.mark.system),
     ],
 )
 def test_a_sweep_that_was_stopped_goes_on_and_ends_as_if_it_had_not_been(

@@ -22,8 +22,9 @@ def test_one_number_is_a_list_with_one_number(systems: Path) -> None:
     assert numbers == lists
     assert numbers.swarm.gains.k == (5.0,)
     assert dump_scenario(numbers) == dump_scenario(lists)
+    schema = json_schema()
     for given in ((5.0, 0.2), ([5.0, 6.0], [0.2])):
-        jsonschema.validate(beam(*given), json_schema())
+        jsonschema.validate(beam(*given), schema)
     for given, problem in (
         (("5", 0.2), "k: expected a list"),
         ((0.0, 0.2), r"k\.0: "),
@@ -32,7 +33,7 @@ def test_one_number_is_a_list_with_one_number(systems: Path) -> None:
         with pytest.raises(ScenarioError, match=problem):
             parse_scenario(str(beam(*given)))
         with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate(beam(*given), json_schema())
+            jsonschema.validate(beam(*given), schema)
 
 
 GENERATED = {

@@ -227,7 +227,7 @@ def plain(text: str, loader: yaml_tree.Loader) -> yaml_tree.Plain | ScenarioErro
 
 
 @given(edits)
-@settings(max_examples=250)
+@settings(max_examples=100)
 def test_edited_files_load_or_are_refused_whatever_parser_reads_them(changes: list[tuple[int, int, str]]) -> None:
     text = edited(changes)
     loads_back(text)
@@ -270,6 +270,6 @@ paths = st.sampled_from([
 
 
 @given(st.lists(st.tuples(paths, numbers | values | st.text(max_size=8)), min_size=1, max_size=3))
-@settings(max_examples=300)
+@settings(max_examples=100)
 def test_any_override_is_taken_or_refused(changes: list[tuple[str, object]]) -> None:
     loads_back(VALID, *(f"{path}={value}" for path, value in changes))

@@ -112,7 +112,7 @@ def test_different_states_of_one_writer_and_of_unknown_writers_still_contradict(
         assert "two different states" in str(heard.problem(state._replace(step=51), 51, None, writer))
 
 
-@pytest.mark.parametrize("seed", range(200))
+@pytest.mark.parametrize("seed", range(60))
 def test_in_no_schedule_does_an_intruder_speak_for_a_robot_that_lives(seed: int) -> None:
     """An independent count of the receiver's steps decides who may speak; pauses and changes of the clock are drawn."""
     draw = Random(seed)

@@ -117,6 +117,7 @@ def test_children_are_named_logged_and_heard_and_a_signal_reaches_the_one_it_is_
     assert launcher.log("launcher") == ""
 
 
+@pytest.mark.system
 def test_nodes_have_profiles_of_their_own_and_share_the_modules_of_the_run(tmp_path: Path) -> None:
     profile = tmp_path / "own.xml"
     with launched(tmp_path, modules=["agent_node.group"], profiles={"own": profile}) as launcher:
@@ -127,6 +128,7 @@ def test_nodes_have_profiles_of_their_own_and_share_the_modules_of_the_run(tmp_p
         assert launcher.end_of("nodes") == 0
 
 
+@pytest.mark.system
 def test_nodes_in_real_time_start_at_one_signal_and_take_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """None of them holds the write end of the start pipe: then no other would ever see its end."""
     monkeypatch.setenv(GRACE, "1000")
