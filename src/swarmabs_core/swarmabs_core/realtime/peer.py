@@ -250,7 +250,7 @@ class RealtimePeer:
         if problem := self._writers.second(origin, sender.writer, step):
             return self._refusals.add(problem.of(origin), step, now)
         try:
-            told = read(relay, len(self._ids))
+            told = read(relay, len(self._ids), answers=False)
         except MalformedMessageError as error:
             return self._refusals.add(Problem(_UNREADABLE, str(error)).of(origin), step, now)
         if told.sealed != self._signatures.sealed:
@@ -261,10 +261,11 @@ class RealtimePeer:
             self._told[relay.agent_id] = relay.step, told
         published = [*self._obey(told, now)]
         since, counted = told.electing
-        if since <= step + self._ahead:
+        if self._electorate.since < since <= step + self._ahead:
             self._electorate.learn(since, [self._ids[rank] for rank in ranks(counted)])
+        states = self._observer.states
         for motion in told.motions:
-            known = self._observer.states.get(self._ids[motion.rank])
+            known = states.get(self._ids[motion.rank])
             if known is None or relay.step - motion.age > known.step:
                 constants = told.constants.get(motion.rank, self._constants.get(motion.rank))
                 published += self._hear_motion(motion, constants, relay, now, sender)

@@ -348,8 +348,15 @@ def _read_answer(content: bytes, place: int, step: int, ages: NDArray[np.uint8])
     return answer, place
 
 
-def read(relay: Relay, robots: int) -> Told:
-    """Return what a relay tells in a swarm of so many robots.
+def _behind_answer(content: bytes, place: int, robots: int) -> int:
+    """Return the place behind an answer at a place of a content."""
+    *_, differing = _ANSWER.unpack_from(content, place)
+    told = -(-robots // 8) + differing * _USED.size if differing < _NOT_TOLD else 0
+    return place + _ANSWER.size + told
+
+
+def read(relay: Relay, robots: int, *, answers: bool = True) -> Told:
+    """Return what a relay tells in a swarm of so many robots; its `answers`, which no robot needs, if they are wanted.
 
     Raises
     ------
@@ -380,10 +387,13 @@ def read(relay: Relay, robots: int) -> Told:
             progress = ()
         if len(ages) != robots:
             raise _malformed(f"{len(content)} bytes")
-        answers = []
+        computed = []
         for _ in range(answered):
-            answer, place = _read_answer(content, place, step, ages)
-            answers.append(answer)
+            if answers:
+                answer, place = _read_answer(content, place, step, ages)
+                computed.append(answer)
+            else:
+                place = _behind_answer(content, place, robots)
         middle = place + introduced * _CONSTANTS.size
         size = middle + moved * (_MOTION.size + signed)
         if len(content) != size or (moved and size > BUDGET):
@@ -391,12 +401,13 @@ def read(relay: Relay, robots: int) -> Told:
     except struct.error as error:
         raise _malformed(f"{len(content)} bytes") from error
     constants = {rank: Constants(*one) for rank, *one in _CONSTANTS.iter_unpack(content[place:middle])}
-    motions = [
-        Motion._make(
-            (*_MOTION.unpack_from(content, begin), content[begin + _MOTION.size : begin + _MOTION.size + signed])
-        )
-        for begin in range(middle, size, _MOTION.size + signed)
-    ]
+    if signed:
+        motions = [
+            Motion(*_MOTION.unpack_from(content, end - _MOTION.size), content[end : end + signed])
+            for end in range(middle + _MOTION.size, size, _MOTION.size + signed)
+        ]
+    else:
+        motions = [Motion(*one) for one in _MOTION.iter_unpack(content[middle:])]
     named = [*constants, *(motion.rank for motion in motions)]
     if max(named, default=0) >= robots or counted.bit_length() > robots:
         raise _malformed("robots that do not exist")
@@ -411,7 +422,7 @@ def read(relay: Relay, robots: int) -> Told:
         plane_step,
         plane,
         held,
-        answers,
+        computed,
         progress,
         constants,
         motions,
