@@ -7,14 +7,16 @@ from random import Random
 import pytest
 from tests.swarmabs_core.helpers import builtin
 from tests.transport.test_fleet import AGE_LIMIT, BRAKING, PERIOD, active, angles, fastest, fleet_of, said, those
-from tests.virtual.fleet import Network, VirtualFleet
+from tests.virtual.fleet import Network, Parcel, VirtualFleet
 
 from swarmabs_config.graph import PLANE
 from swarmabs_core import messages as msg
+from swarmabs_core.cdr import encode
 from swarmabs_core.hearing import Hearing
 from swarmabs_core.messages import EventKind, Mode
 from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.peer import RealtimePeer
+from swarmabs_core.realtime.relayed import read
 
 ALL = {1, 2, 3, 4}
 
@@ -274,3 +276,19 @@ def test_no_robot_of_a_majority_stops_whatever_happens_to_others(seed: int) -> N
     assert left <= active(fleet)
     assert not left & set(stopped(fleet, begun))
     assert abs(angles(fleet)[max(angles(fleet))]) < 0.05
+
+
+@pytest.mark.parametrize("angle", [0.2, 9.0], ids=["credible", "impossible"])
+def test_a_state_of_the_plane_that_a_robot_refuses_is_not_passed_on(angle: float) -> None:
+    """An intruder is not heard as long as the plane is, and nobody hears of what it says."""
+    scenario = builtin("pd_het_4", "coordination=each_robot", "links={type: ring, sensing: [2]}")
+    fleet = VirtualFleet(scenario, identified=True)
+    fleet.run(1.0)
+    for _ in range(5):
+        forged = msg.PlaneState(0, round(fleet.time / PERIOD) + 1, angle, 0.0)
+        fleet.deliver(Parcel("", msg.PLANE_STATE, encode(forged), b"an intruder", forged), [agent_name(2)])
+        fleet.run(PERIOD)
+    told = [read(relay, len(ALL)).plane for relay in said(fleet, msg.Relay) if relay.agent_id == 2]
+    assert len([plane for plane in told if plane is not None]) > 50
+    assert {*filter(None, told)} <= {*said(fleet, msg.PlaneState)}
+    assert active(fleet) == ALL

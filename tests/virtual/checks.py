@@ -7,6 +7,7 @@ from typing import Any
 
 from tests.virtual.coordinators import COORDINATORS
 from tests.virtual.fleet import Parcel, Watcher
+from tests.virtual.peers import STATEMENTS as OF_PEERS, TellEachOther
 from tests.virtual.properties import (
     ActsOnOneSet,
     AnswersThePlane,
@@ -37,11 +38,12 @@ PROPERTIES: tuple[type[Property], ...] = (
 
 
 class Checks(Watcher):
-    """Hands on to the properties what happens."""
+    """Hands on to the properties what happens; `peers` is that of robots without coordinators."""
 
     def __init__(self, facts: Facts) -> None:
         self._facts = facts
-        self._properties = [of(facts) for of in PROPERTIES]
+        self.peers = TellEachOther(facts) if facts.case.each_robot else None
+        self._properties = [*(of(facts) for of in PROPERTIES), *([] if self.peers is None else [self.peers])]
         self._published: dict[Topic, list[Callable[[str, Any], None]]] = {}
         self._heard: dict[Topic, list[Callable[[str, Parcel], None]]] = {}
         self._periods = [one.period for one in self._properties if type(one).period is not Property.period]
@@ -89,5 +91,6 @@ STATEMENTS = {one.name: one.statement for one in (*PROPERTIES, Ending)} | {
     "equal digests": "Every message of a run in lockstep is, bit for bit, that of the simulation in one process.",
     "comes to rest": "A robot whose node is deactivated stops at once.",
     "no node fails": "No node ends with an exception, whatever it hears.",
+    **OF_PEERS,
 }
 """What each property means, for people."""

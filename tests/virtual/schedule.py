@@ -90,6 +90,9 @@ class Case:
     stopped: bool = False
     start: str = "wait"
     each_robot: bool = False
+    links: str = "{}"
+    law: str = "pd"
+    sealed: bool = False
     recorded: bool = False
     quiet: float = 6.0
     faults: tuple[Fault, ...] = ()
@@ -147,7 +150,9 @@ class Case:
         """Return the text of the case."""
         words = [
             f"{self.robots} robots at {self.hertz} Hz",
-            "each robot coordinates" if self.each_robot else f"observer, controller{', standbys' * self.paired}",
+            f"each robot coordinates{', sealed' * self.sealed}, links {self.links}, law {self.law}"
+            if self.each_robot
+            else f"observer, controller{', standbys' * self.paired}",
             *(["two recorders"] if self.recorded else []),
             *(["a topic for each robot"] if self.own_topics else []),
             f"starts in {'STOP' if self.stopped else 'RUN'}, robots needed: {self.start}",
@@ -179,8 +184,9 @@ def case_of(seed: int, robots: int | None = None) -> Case:
         draw.choice(("wait", "wait", "proceed")),
     )
     if draw.random() < 0.2:
-        case = replace(case, each_robot=True, paired=False, own_topics=False, robots=max(3, case.robots))
-    kinds = draw.sample(_MIX, draw.choice((1, 2, 2, 3, 5, len(_MIX))))
+        case = _without_coordinators(case)
+    mix = (*_MIX, *_AMONG_ROBOTS) if case.each_robot else _MIX
+    kinds = draw.sample(mix, draw.choice((1, 2, 2, 3, 5, len(_MIX))))
     one_at_a_time = draw.random() < 0.5
     faults: list[Fault] = []
     time = case.begins
@@ -203,6 +209,38 @@ def case_of(seed: int, robots: int | None = None) -> Case:
     faults = sorted(Fault(round(f.at, 3), f.kind, f.who, round(f.lasting, 3), round(f.value, 4)) for f in faults)
     case = replace(case, recorded=not case.each_robot and case.robots <= 4 and case.hertz <= 20 and draw.random() < 0.2)
     return replace(case, quiet=round(max([quiet, 0.5, *(f.end for f in faults)]), 3), faults=tuple(faults))
+
+
+def _without_coordinators(case: Case) -> Case:
+    """Return a case in which each robot coordinates: who hears whom and the plane, what links lose, law, and seals.
+
+    Many robots do not all hear each other: that takes as long as all the rest.
+    """
+    draw = Random(f"virtual links:{case.seed}")
+    robots = max(3, case.robots)
+    kind = draw.choice(("ring", "random", "listed") if robots > 5 else ("all", "all", "ring", "random", "listed"))
+    pairs = [f"{draw.randint(1, n)} {n + 1}" for n in range(1, robots)]  # a tree, and a few pairs more
+    pairs += [f"{one} {other}" for one, other in (draw.sample(range(1, robots + 1), 2) for _ in range(robots // 2))]
+    pairs = [*dict.fromkeys(" ".join(sorted(pair.split())) for pair in pairs)]
+    degree = 2 if robots % 2 or draw.random() < 0.5 else 3
+    more = {"random": f", degree: {degree}", "listed": f", pairs: [{', '.join(pairs)}]"}
+    sensing = sorted(draw.sample(range(1, robots + 1), draw.randint(1, robots - 1))) if draw.random() < 0.3 else []
+    loss = draw.choice((0.0, 0.0, 0.1, 0.3))
+    links = (
+        f"{{type: {kind}{more.get(kind, '')}, loss: {loss:g}, seed: {draw.randint(0, 99)}, "
+        f"sensing: [{', '.join(map(str, sensing))}]}}"
+    )
+    return replace(
+        case,
+        each_robot=True,
+        paired=False,
+        own_topics=False,
+        robots=robots,
+        hertz=min(case.hertz, 20 if robots > 5 else 50),
+        links=links,
+        law=draw.choice(("pd", "arise", "arise")) if case.hertz >= 20 else "pd",
+        sealed=draw.random() < 0.3,
+    )
 
 
 def _length(draw: Random) -> float:
@@ -420,3 +458,39 @@ _MIX: tuple[Callable[[Random, Case, float], list[Fault]], ...] = (
     _blind,
     _overload,
 )
+
+
+def _split(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Part the robots, often into halves, for so long that the others do not count any more; maybe with orders."""
+    names = draw.sample(case.robot_names, case.robots)
+    first = draw.choice((case.robots // 2, draw.randint(1, case.robots - 1)))
+    sides = ",".join(names[:first]), ",".join(names[first:])
+    lasting = draw.choice((case.periods(25) + 1.0, case.periods(draw.randint(10, 60))))
+    cuts = [Fault(at, "cut", f"{one}>{other}", lasting) for one, other in (sides, sides[::-1])]
+    return cuts + (_orders(draw, case, at + draw.uniform(0.0, lasting)) if draw.random() < 0.5 else [])
+
+
+def _orders(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Give orders to robots that do not know of each other's: within few periods."""
+    one, other = draw.sample(case.robot_names, 2)
+    first = draw.choice(("stop", "reset", "stop"))
+    second = "stop" if first == "reset" else draw.choice(("reset", "reset", "stop"))
+    return [Fault(at, first, one), Fault(at + draw.choice((0.5, 1.0, 5.0, 15.0)) / case.hertz, second, other)]
+
+
+def _long(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let some robots be away for longer than it takes until they do not count any more, one after the other."""
+    faults = []
+    for name in draw.sample(case.robot_names, draw.randint(1, case.robots - 2)):
+        lasting = case.periods(25) + draw.uniform(1.0, 3.0)
+        ways = [f"{name}>{ALL}", f"{ALL}>{name}"]
+        away = (
+            [Fault(at, "crash", name, lasting)] if draw.random() < 0.6 else [Fault(at, "cut", w, lasting) for w in ways]
+        )
+        faults += away
+        at += draw.choice((0.0, case.periods(25) + 1.2))
+    return faults
+
+
+_AMONG_ROBOTS = (_split, _split, _orders, _long)
+"""What else happens among robots without coordinators."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cache, partial
+from hashlib import blake2b
 from math import nan
 from typing import Any, NamedTuple, Protocol
 
@@ -21,6 +22,7 @@ from swarmabs_core.cdr import encode
 from swarmabs_core.events import EventCode
 from swarmabs_core.messages import (
     NEVER,
+    PARENT,
     REMOVALS,
     TOPIC_OF,
     AbstractState,
@@ -36,6 +38,7 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.nodes import ROBOT_PREFIX
 from swarmabs_core.realtime.envelope import LATENCY
+from swarmabs_core.realtime.relayed import SIGNATURE
 
 STARTS = 2.1
 """Time, s, at which an operator resets a fleet that starts in STOP."""
@@ -47,7 +50,7 @@ _MILD = {"loss": 0.05, "slow": 0.5, "late": 0.5}
 
 
 @cache
-def scenario_of(robots: int, hertz: int, start: str, coordination: str) -> Scenario:
+def scenario_of(robots: int, hertz: int, start: str, coordination: str, links: str = "{}", law: str = "pd") -> Scenario:
     """Return the scenario of a fleet; its limits are as many periods as those of the default at 100 Hz.
 
     Below 20 Hz the fleet and the plane are slower by as much.
@@ -67,14 +70,33 @@ def scenario_of(robots: int, hertz: int, start: str, coordination: str) -> Scena
         "pd_het_4",
         f"swarm.agents=[{', '.join(agents)}]",
         *(f"swarm.gains.{name}=[{gain:g}, {gain:g}]" for name, gain in gains.items()),
-        f"controller.gains=[{3.1623 * pace**2:g}, {3.2859 * pace:g}]",
+        *([f"controller.gains=[{3.1623 * pace**2:g}, {3.2859 * pace:g}]"] if law == "pd" else []),
         f"step={period:g}",
         f"realtime={{{limits}}}",
         f"coordination={coordination}",
+        f"links={links}",
+        f"controller.type={law}",
         "plane.end_stop=0.5",
         "manifold.torque_max=2",
         "duration=10",
     ).resolved()
+
+
+class VirtualSeals:
+    """The keys of one author in a fleet of which nobody knows those of others; as `Seals`, and cheap."""
+
+    def __init__(self, author: int) -> None:
+        self._author = author
+
+    def sign(self, content: bytes) -> bytes:
+        return _signature(self._author, content)
+
+    def holds(self, author: int, content: bytes, signature: bytes) -> bool:
+        return signature == _signature(author, content)
+
+
+def _signature(author: int, content: bytes) -> bytes:
+    return blake2b(content, key=author.to_bytes(2, "big"), digest_size=SIGNATURE).digest()
 
 
 class Result(NamedTuple):
@@ -116,7 +138,7 @@ class Story(Watcher):
     ) -> None:
         self.case = case
         coordination = "each_robot" if case.each_robot else "central"
-        scenario = scenario_of(case.robots, case.hertz, case.start, coordination)
+        scenario = scenario_of(case.robots, case.hertz, case.start, coordination, case.links, case.law)
         self.weather = Weather(case.seed, ("", *case.names))
         mode = Mode.STOP if case.stopped else Mode.RUN
         self.fleet = fleet = VirtualFleet(
@@ -129,6 +151,9 @@ class Story(Watcher):
             identified=True,
             watchdog=LATENCY,
             kept=False,
+            seals={author: VirtualSeals(author) for author in (PARENT, *range(1, case.robots + 1))}
+            if case.sealed
+            else None,
         )
         self.facts = Facts(fleet, case)
         self.ending = Ending(self.facts)
@@ -175,7 +200,7 @@ class Story(Watcher):
         heals, resets, holds = case.settles + 0.2, 1.4 + case.periods(20), case.periods(10)
         fleet.run(case.quiet + heals - fleet.time)
         self._say("all", f"no fault for {heals:g} s")
-        if self._holders:
+        if self._holders or self._stops():
             fleet.run(holds)
             self.ending.nobody_moves(f"an operator stopped the swarm at {self._stopped_at} and nobody has reset it")
         elif not self._ordered:
@@ -187,19 +212,30 @@ class Story(Watcher):
             fleet.run(resets)
             self.ending.all_is_well()
         facts.moving_from = facts.now
+        peers = self._checks.peers
+        spread = 0.0 if peers is None else peers.spread()
         fleet.run(holds)
         self.ending.all_is_well()
+        if peers is not None:
+            peers.agree(spread)
         self.ending.memory_is_bounded()
 
     def _period(self) -> None:
         self._checks.period()
         self.fleet.later(self.fleet.clock.period, self._period)
 
+    def _stops(self) -> bool:
+        """Return whether robots without coordinators know of a STOP that holds."""
+        peers = self._checks.peers
+        return peers is not None and bool(peers.holders)
+
     def _say(self, who: str, what: str) -> None:
         self._tell(self.fleet.time, who, what)
 
     def _order(self, command: str) -> None:
-        for name in self.case.stoppable:
+        """Give an order to all parent controllers, or to one of the robots, which tell each other."""
+        stoppable = self.case.stoppable
+        for name in (stoppable[self.case.seed % len(stoppable)],) if self.case.each_robot else stoppable:
             self._command(name, command)
 
     def _command(self, name: str, command: str) -> None:

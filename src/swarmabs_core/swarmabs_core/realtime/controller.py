@@ -163,14 +163,20 @@ class RealtimeController:
             return self._hear_peer(message, step, now, sender)
         if not isinstance(message, PlaneState):
             return self._refusals.add(Problem("not a state of the plane"), step, now)
-        problem = self._problem(message, step, sender.writer)
+        taken, answers = self.take(message, now, sender)
+        return (*answers, *self.answer(message, now)) if taken else answers
+
+    def take(self, plane: PlaneState, now: int, sender: Sender = UNKNOWN) -> tuple[bool, Messages]:
+        """Keep a state of the plane if it is credible and newer than the known one; return whether, and events."""
+        step = self._config.schedule.step(now)
+        problem = self._problem(plane, step, sender.writer)
         if problem:
-            return self._refusals.add(problem.of(_PLANE), step, now)
-        if self._plane is not None and message.step <= self._plane.step:
-            return ()
-        self._plane = message
-        self._fast = max(0, step - message.step - self._config.schedule.ahead(self._config.clock_tolerance))
-        return self._answer(message, now)
+            return False, self._refusals.add(problem.of(_PLANE), step, now)
+        if self._plane is not None and plane.step <= self._plane.step:
+            return False, ()
+        self._plane = plane
+        self._fast = max(0, step - plane.step - self._config.schedule.ahead(self._config.clock_tolerance))
+        return True, ()
 
     def _learn_division(self, message: StandingState, step: int, now: int, sender: Sender) -> Messages:
         """Keep the newest message on how the abstract state divides, unless it is not credible."""
@@ -334,7 +340,8 @@ class RealtimeController:
             return "no fresh state of the plane"
         return ""
 
-    def _answer(self, plane: PlaneState, now: int) -> Messages:
+    def answer(self, plane: PlaneState, now: int) -> Messages:
+        """Return the desired abstract state that answers a state of the plane that was taken."""
         step = self._config.schedule.step(now)
         if self._mode.now is not Mode.RUN:
             return () if plane.step <= self._last_published else self._say_still(now, plane.step)

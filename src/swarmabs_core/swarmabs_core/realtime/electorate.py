@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from swarmabs_core.rank_sets import is_majority
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable
 
 SETTLED = 1.0
 """Time, s, for which a majority hears the same robots until they are those that count."""
@@ -41,8 +41,8 @@ class Electorate:
         if self.since < 0:
             self.counted = frozenset(heard)
 
-    def learn(self, since: int, counted: Collection[int]) -> None:
-        """Adopt a newer version."""
+    def learn(self, since: int, counted: Iterable[int]) -> None:
+        """Adopt a newer version; those who count are looked up for such a one only."""
         if since > self.since:
             self.since, self.counted = since, frozenset(counted)
 

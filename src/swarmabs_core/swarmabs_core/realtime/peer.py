@@ -261,8 +261,8 @@ class RealtimePeer:
             self._told[relay.agent_id] = relay.step, told
         published = [*self._obey(told, now)]
         since, counted = told.electing
-        if self._electorate.since < since <= step + self._ahead:
-            self._electorate.learn(since, [self._ids[rank] for rank in ranks(counted)])
+        if since <= step + self._ahead:
+            self._electorate.learn(since, map(self._ids.__getitem__, ranks(counted)))
         states = self._observer.states
         for motion in told.motions:
             known = states.get(self._ids[motion.rank])
@@ -271,7 +271,8 @@ class RealtimePeer:
                 published += self._hear_motion(motion, constants, relay, now, sender)
             elif motion.rank in told.constants:  # there is nothing newer to wait for
                 self._changed.discard(motion.rank)
-        if told.plane is not None and told.plane.step > self._summed:
+        newest = step - self._age - 1 if self._plane is None else self._plane.step
+        if told.plane is not None and told.plane.step > newest:
             if self._signatures.holds(told.plane, told.plane_signature):
                 published += self._measure(told.plane, now, UNKNOWN, told.plane_signature)
             else:
@@ -330,14 +331,17 @@ class RealtimePeer:
     def _measure(
         self, plane: PlaneState, now: int, sender: Sender, signature: bytes = b"", *, checked: bool = True
     ) -> Messages:
-        """Take a state of the plane: sum up the swarm for its step, and ask the law for the desired abstract state."""
-        step = self._schedule.step(now)
-        published: list[Message] = []
-        if max(self._summed + 1, step - self._age) <= plane.step <= step + self._ahead:
-            published += self._sum_up(plane.step)
-            self._plane = plane
-            self._signatures.keep(plane, signature, checked=checked)
-        return (*published, *self._share(self._controller.hear(plane, now, sender), now))
+        """Take a state of the plane: sum up the swarm for its step, and ask the law for the desired abstract state.
+
+        One that is not credible for the law is not passed on either.
+        """
+        taken, answers = self._controller.take(plane, now, sender)
+        if not taken:
+            return self._share(answers, now)
+        self._plane = plane
+        self._signatures.keep(plane, signature, checked=checked)
+        published = self._sum_up(plane.step) if plane.step > self._summed else ()
+        return (*published, *self._share(self._controller.answer(plane, now), now))
 
     def _sum_up(self, step: int) -> Messages:
         """Sum up the swarm as of a step."""

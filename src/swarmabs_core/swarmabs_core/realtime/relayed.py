@@ -403,7 +403,7 @@ def read(relay: Relay, robots: int, *, answers: bool = True) -> Told:
     constants = {rank: Constants(*one) for rank, *one in _CONSTANTS.iter_unpack(content[place:middle])}
     if signed:
         motions = [
-            Motion(*_MOTION.unpack_from(content, end - _MOTION.size), content[end : end + signed])
+            Motion._make((*_MOTION.unpack_from(content, end - _MOTION.size), content[end : end + signed]))
             for end in range(middle + _MOTION.size, size, _MOTION.size + signed)
         ]
     else:
