@@ -20,12 +20,13 @@ from hashlib import blake2b
 from itertools import count
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 from tests.virtual.bags import BagCase, BagStory, bag_case
 from tests.virtual.checks import STATEMENTS
 from tests.virtual.lockstep import LockstepCase, LockstepStory, lockstep_case
 from tests.virtual.schedule import Case, case_of
+from tests.virtual.starts import StartCase, StartStory, start_case
 from tests.virtual.story import Result, Story, outcome
 from tests.virtual.timeline import Timeline, Trace
 
@@ -56,19 +57,35 @@ class Trial(NamedTuple):
         return re.sub(r"agent_\d+|[-+\d.]+(e[-+]\d+)?", "", self.text)
 
 
-AnyCase: TypeAlias = "Case | LockstepCase | BagCase"
-_OTHERS: dict[int, Callable[[int], AnyCase]] = {0: lockstep_case, 2: bag_case, 6: bag_case}
+AnyCase: TypeAlias = "Case | LockstepCase | BagCase | StartCase"
+_OTHERS: dict[int, Callable[[int], AnyCase]] = {0: lockstep_case, 2: bag_case, 4: start_case, 6: bag_case}
 """What is drawn of other kinds than fleets, by the remainder of the seed."""
 
 
 def drawn(seed: int) -> AnyCase:
-    """Return the case of a seed: of eight, one is in lockstep, and two are of recorders."""
+    """Return the case of a seed: of eight, one is in lockstep, one a start, and two are of recorders."""
     return _OTHERS.get(seed % 8, case_of)(seed)
 
 
-def story_of(case: LockstepCase | BagCase, tell: Callable[[float, str, str], None]) -> LockstepStory | BagStory:
+class Told(Protocol):
+    """What lets a case happen that is not one of a fleet, and tells all that is said in it."""
+
+    @property
+    def time(self) -> float: ...
+
+    def check(self) -> None: ...
+
+    def said(self) -> str: ...
+
+
+def story_of(case: AnyCase, tell: Callable[[float, str, str], None]) -> Told:
     """Return what lets a case happen that is not one of a fleet."""
-    return LockstepStory(case, tell) if isinstance(case, LockstepCase) else BagStory(case, tell)
+    if isinstance(case, LockstepCase):
+        return LockstepStory(case, tell)
+    if isinstance(case, BagCase):
+        return BagStory(case, tell)
+    assert isinstance(case, StartCase)
+    return StartStory(case, tell)
 
 
 def run(case: AnyCase) -> Result:

@@ -18,7 +18,7 @@ from swarmabs_ros.settings import LockstepSettings
 from swarmabs_ros.start import SwarmNode, run_program
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
     from rclpy.node import Node
     from rclpy.publisher import Publisher
@@ -139,12 +139,15 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
         signal.signal(number, stop)
     problem: str | None = "the node failed"
     try:
-        expected = _expected(common.match, (*ends.publications, *ends.subscriptions))
+        expected = expected_counterparts(common.match, (*ends.publications, *ends.subscriptions))
         begun = time.monotonic()
-        while not stopped and not _matched(expected, publishers, inbox):
-            time.sleep(_look_again(time.monotonic() - begun))
-        node.get_logger().info(f"ready: {sum(expected.values())} counterparts of {len(expected)} endpoints met")
-        status.send("ready")
+        for seconds in meeting(expected, publishers, inbox, lambda: time.monotonic() - begun):
+            time.sleep(seconds)
+            if stopped:
+                break
+        else:
+            node.get_logger().info(f"ready: {sum(expected.values())} counterparts of {len(expected)} endpoints met")
+            status.send("ready")
         while not stopped and not status.wait_for_start(SLICE):
             pass
         loop.run()
@@ -156,16 +159,26 @@ def _run(role: str, node: Node, settings: Settings, spec: NodeSpec, status: Stat
         spec.on_exit(problem)
 
 
-def _look_again(waited: float) -> float:
-    """Return the time, s, until the next look for counterparts, after waiting for a time, s.
+def meeting(
+    expected: Mapping[Topic, int], publishers: Mapping[Topic, Publisher], inbox: Receiver, waited: Callable[[], float]
+) -> Iterator[float]:
+    """Yield the times, s, until the next look for counterparts, until a node has met them; it has `waited` so long, s.
 
-    It is short where they soon appear, and grows in large swarms, where hundreds of looking nodes delay each other.
+    They are short where counterparts soon appear, and grow in large swarms, where hundreds of looking nodes delay each
+    other.
     """
-    return min(max(SLICE / 20.0, waited / 10.0), SLICE)
+    while not _matched(expected, publishers, inbox):
+        yield min(max(SLICE / 20.0, waited() / 10.0), SLICE)
 
 
-def _expected(match: Iterable[str], used: Iterable[Topic]) -> dict[Topic, int]:
-    """Return the number of counterparts by topic, among those that the node uses, from the values of the parameter."""
+def expected_counterparts(match: Iterable[str], used: Iterable[Topic]) -> dict[Topic, int]:
+    """Return the number of counterparts by topic, among those that the node uses, from the values of the parameter.
+
+    Raises
+    ------
+    InputError
+        If a value is not a topic of the node with a number.
+    """
     topics = {topic.name: topic for topic in used}
     expected = {}
     for text in match:

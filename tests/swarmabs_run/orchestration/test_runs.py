@@ -343,6 +343,22 @@ def test_a_late_robot_is_restarted(tmp_path: Path, machine: FakeMachine, spawned
     assert noted(tmp_path).count("agent_002 (process 106) did not come up: again") == (1 if spawned else 0)
 
 
+def test_a_robot_that_is_restarted_and_ready_again_is_progress(tmp_path: Path) -> None:
+    """It ends after 1 s, is ready 25 s later, and 28 s after that the recorder is, which is the last one."""
+    machine = FakeMachine(ready_after={RECORDER: 55.0}, due=[(BEGUN + 1.0, exited(0.0, "agent_002", -SIGSEGV)[1])])
+    machine.due.append((BEGUN + 0.6, lambda machine: machine.ready_after.update(agent_002=25.0)))
+    assert drive(machine, tmp_path).status == "ok"
+
+
+@pytest.mark.parametrize("kind", [LockstepRun, RealtimeRun])
+def test_a_robot_that_may_be_missing_later_may_not_be_at_the_start(tmp_path: Path, kind: type[ProcessRun]) -> None:
+    machine = FakeMachine(crashes=Counter(agent_002=9), ready_after={RECORDER: 5.0})
+    outcome = drive(machine, tmp_path, *(DROP if kind is LockstepRun else ()), kind=kind)
+    assert (outcome.status, machine.told) == ("failed", [])
+    assert outcome.reason is not None and outcome.reason.startswith("agent_002 (process 110) was killed by SIGSEGV")
+    assert machine.clock - BEGUN < 2.0
+
+
 @pytest.mark.parametrize(
     ("machine", "reason", "seconds"),
     [

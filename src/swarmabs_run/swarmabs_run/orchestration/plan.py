@@ -321,6 +321,13 @@ def partners(processes: Collection[ProcessPlan]) -> dict[str, tuple[int, ...]]:
     return {name: tuple(sorted(others)) for name, others in found.items()}
 
 
+def announced_to(processes: Collection[ProcessPlan]) -> dict[str, tuple[int, ...]]:
+    """Return the participant ids to which each process announces itself: the coordinators' and its partners'."""
+    coordinators = {*range(COORDINATORS), *(process.participant for process in processes if not process.agents)}
+    of_robots = partners(processes)
+    return {p.name: tuple(sorted({*coordinators, *of_robots.get(p.name, ())})) for p in processes}
+
+
 def expect_counterparts(processes: Collection[ProcessPlan]) -> None:
     """Set in every process the number of counterparts of each of its endpoints."""
     publishers = Counter(topic for process in processes for topic in process.publications)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_bag.recorder.swarm_summary import SwarmSummary
 from swarmabs_config.configure import plugins
-from swarmabs_config.graph import COORDINATORS, LOCKSTEP, REALTIME, RECORDER, Driver
+from swarmabs_config.graph import LOCKSTEP, REALTIME, RECORDER, Driver
 from swarmabs_run.ending import end_asked, end_grace
 from swarmabs_run.orchestration.machine import Machine, woken_by_signals
 from swarmabs_run.orchestration.network import (
@@ -19,7 +19,7 @@ from swarmabs_run.orchestration.network import (
     profile_xml,
     udp_ports,
 )
-from swarmabs_run.orchestration.plan import Arrange, ProcessPlan, partners, plan
+from swarmabs_run.orchestration.plan import Arrange, ProcessPlan, announced_to, partners, plan
 from swarmabs_run.orchestration.run_files import ProgressFile, write_network, write_processes
 from swarmabs_run.orchestration.supervision import Failure, Supervision, last_lines
 from swarmabs_run.run import DEFAULTS, Outcome, Progress, RunOptions
@@ -88,14 +88,12 @@ class ProcessRun:
             asked = stack.enter_context(end_asked())
             stack.enter_context(tracing_files_removed())
             domain = stack.enter_context(claimed_domain(participants))
-            of_robots = partners(self._plan)
-            coordinators = {*range(COORDINATORS), *(p.participant for p in self._plan if not p.agents)}
+            of_robots, announced = partners(self._plan), announced_to(self._plan)
             multicast = not of_robots and multicast_works()
             profiles = {name: self._folder.logs / f"{name}.xml" for name in of_robots}
-            for path, others in ((profile, ()), *((profiles[name], of_robots[name]) for name in of_robots)):
-                text = profile_xml(
-                    domain, peers=sorted({*coordinators, *others}), multicast=multicast, realtime=realtime
-                )
+            alone = next(process.name for process in self._plan if process.name not in of_robots)
+            for path, name in ((profile, alone), *((path, name) for name, path in profiles.items())):
+                text = profile_xml(domain, peers=announced[name], multicast=multicast, realtime=realtime)
                 path.write_text(text, encoding="utf-8")
             write_network(self._folder.logs, domain, participants, realtime=realtime)
             stack.callback(self._progress_file.over)
@@ -141,7 +139,7 @@ class ProcessRun:
                 return None
             if self._started is None:
                 count = len(state.pids) + len(state.ready)
-                if count > counted or self._restart_lost():
+                if count != counted or self._restart_lost():
                     counted, news = count, now
                 if state.all_ready():
                     state.started = True

@@ -48,7 +48,8 @@ class Supervision:
     Parameters
     ----------
     dispensable : frozenset of str
-        Names of the processes whose end the run survives: the robots, if the scenario drops silent ones.
+        Names of the processes whose end the run survives once it has started: the robots, if the scenario drops
+        silent ones.
     hosts : mapping
         Process by robot: these may be restarted until the run has started.
 
@@ -95,7 +96,7 @@ class Supervision:
             self.stalls[node] = Stall(report["step"], tuple(report["missing"]), report["silence"])
         elif event == "recovered":
             self.stalls.pop(node, None)
-        elif event == "failed" and node not in self.dispensable:
+        elif event == "failed" and not self._survives(node):
             self._fail(Failure(f"{node}: {report['reason']}"))
         elif event == "progress":
             self.progress = report
@@ -137,7 +138,7 @@ class Supervision:
             self.lost.append(name)
             return
         finished = name == RECORDER and self.done is not None
-        if name in self.expected_ends or name in self.dispensable or finished:
+        if name in self.expected_ends or self._survives(name) or finished:
             return
         self._fail(Failure(f"{name} (process {self.pids.get(name)}) {how_it_ended(code)}", (name,)))
 
@@ -153,6 +154,10 @@ class Supervision:
                         "in this namespace?"
                     )
                 )
+
+    def _survives(self, name: str) -> bool:
+        """Return whether the run goes on without a process: never before all have been ready."""
+        return self.started and name in self.dispensable
 
     def _may_restart(self, name: str) -> bool:
         return not self.started and name in self.hosts.values() and self.restarts[name] < RESTARTS
