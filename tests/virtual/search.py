@@ -16,8 +16,10 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
 from hashlib import blake2b
 from itertools import count
+from math import inf
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeAlias
@@ -35,6 +37,8 @@ MOST_TRIALS = 150
 """Runs that are spent on making a case shorter."""
 MOST_SHOWN = 20
 """Kinds of failures of which one case is shortened and shown; of further ones only the seeds are."""
+TOLD_EVERY = 30.0
+"""Time, s, between two lines on how far a search is."""
 LONGEST = 60.0
 """Time of the processor, s, of a seed; usual ones need one."""
 YEAR = 365.25 * 86400.0
@@ -189,40 +193,80 @@ def _numbers(only: Iterable[int]) -> str:
     return ",".join(map(str, only)) or "none"
 
 
+class Tally:
+    """What came of many seeds."""
+
+    def __init__(self) -> None:
+        self._started = self._told = time.monotonic()
+        self._done = 0
+        self._simulated = self._processor = self._years = 0.0
+        self._faults: Counter[str] = Counter()
+        self.broken: Counter[str] = Counter()
+
+    def add(self, one: Trial) -> None:
+        """Count a trial, and say now and then how many there are."""
+        self._done += 1
+        self._simulated += one.simulated
+        self._processor += one.took
+        self._years += one.simulated * one.robots / YEAR
+        self._faults += one.faults
+        self.broken[one.broken] += bool(one.broken)
+        if time.monotonic() - self._told > TOLD_EVERY:
+            self._told = time.monotonic()
+            print(f"{self.seconds:.0f} s: {self._done} seeds, broken: {self._said}", file=sys.stderr, flush=True)
+
+    @property
+    def seconds(self) -> float:
+        """The time since the beginning, s."""
+        return time.monotonic() - self._started
+
+    @property
+    def _said(self) -> str:
+        return ", ".join(f"{name} {number}" for name, number in (+self.broken).most_common()) or "nothing"
+
+    def __str__(self) -> str:
+        """Return all of it in a line."""
+        kinds = ", ".join(f"{kind} {number}" for kind, number in self._faults.most_common())
+        speed = self._simulated / self._processor if self._processor else 0.0
+        return (
+            f"{self._done} seeds in {self.seconds:.0f} s: {self._simulated:.0f} s simulated, {speed:.0f} times real "
+            f"time on each core; {self._years:.4f} robot-years; {sum(self._faults.values())} faults ({kinds}); "
+            f"broken: {self._said}"
+        )
+
+
+def _trials(seeds: Iterable[int], jobs: int, goes_on: Callable[[], bool]) -> Iterator[Trial]:
+    """Run seeds in so many processes while it goes on; yield what comes of them in the order in which they end."""
+    context, ignored = get_context("fork"), (signal.SIGINT, signal.SIG_IGN)
+    with ProcessPoolExecutor(jobs, context, signal.signal, ignored) as pool:
+        running: set[Future[Trial]] = set()
+        for seed in seeds:
+            running.add(pool.submit(trial, seed))
+            if len(running) > 2 * jobs:
+                done, running = wait(running, return_when=FIRST_COMPLETED)
+                yield from (one.result() for one in done)
+            if not goes_on():
+                break
+        yield from (one.result() for one in as_completed(running))
+
+
 def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
     """Run seeds until they or the time are over; show what is broken, and return the exit code."""
-    started = time.monotonic()
-    simulated = processor = years = 0.0
-    done = 0
-    faults: Counter[str] = Counter()
-    broken: Counter[str] = Counter()
-    shown: set[str] = set()
-    with get_context("fork").Pool(jobs) as pool:
-        for one in pool.imap_unordered(trial, seeds, chunksize=1):
-            done += 1
-            simulated += one.simulated
-            processor += one.took
-            years += one.simulated * one.robots / YEAR
-            faults += one.faults
-            if one.broken:
-                broken[one.broken] += 1
-                if len(shown) < MOST_SHOWN and one.kind not in shown:
-                    shown.add(one.kind)
-                    _show_short(one)
-                else:
-                    print(f"seed {one.seed}: {one.text}; replay: {COMMAND} --seeds {one.seed}", flush=True)
-            if minutes is not None and time.monotonic() - started > 60.0 * minutes:
-                pool.terminate()
-                break
-    took = time.monotonic() - started
-    print(
-        f"{done} seeds in {took:.0f} s: {simulated:.0f} s simulated, {simulated / processor:.0f} times real time "
-        f"on each core; "
-        f"{years:.4f} robot-years; {sum(faults.values())} faults "
-        f"({', '.join(f'{kind} {number}' for kind, number in faults.most_common())}); "
-        f"broken: {dict(broken) or 'nothing'}"
-    )
-    return int(bool(broken))
+    tally, shown = Tally(), set[str]()
+    limit = inf if minutes is None else 60.0 * minutes
+    try:
+        for one in _trials(seeds, jobs, lambda: tally.seconds < limit):
+            tally.add(one)
+            if one.broken and one.kind not in shown and len(shown) < MOST_SHOWN:
+                shown.add(one.kind)
+                _show_short(one)
+            elif one.broken:
+                print(f"seed {one.seed}: {one.text}; replay: {COMMAND} --seeds {one.seed}", flush=True)
+    except KeyboardInterrupt:
+        print(f"interrupted: {tally}", file=sys.stderr)
+        return 1
+    print(tally)
+    return int(tally.broken.total() > 0)
 
 
 def _show_short(one: Trial) -> None:
