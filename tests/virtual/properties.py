@@ -46,7 +46,7 @@ from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.agent import RealtimeLaw
 from swarmabs_core.realtime.base import Level
 
-CLEAN = {"crash", "idle", "pause", "cut"}
+CLEAN = {"crash", "idle", "leave", "pause", "cut"}
 """Faults of one of a pair of coordinators because of which no robot stops at all."""
 GUARD_MOST = 0.5
 """Upper limit, s, of the time by which a RESET must be newer than a STOP."""

@@ -161,6 +161,7 @@ class Story(Watcher):
         self._tell = tell
         self._holders: set[str] = set()
         self._stopped_at: str | None = None
+        self._left: set[str] = set()
         self._ordered = False
         self._robots = case.robot_names
         self.bags = FleetBags(fleet, case) if case.recorded else None
@@ -198,6 +199,9 @@ class Story(Watcher):
         if not early:
             facts.moving_from = case.begins * 1e9
         heals, resets, holds = case.settles + 0.2, 1.4 + case.periods(20), case.periods(10)
+        fleet.run(case.quiet - fleet.time)
+        for name in sorted(self._left):
+            self._command(name, "join")
         fleet.run(case.quiet + heals - fleet.time)
         self._say("all", f"no fault for {heals:g} s")
         if self._holders or self._stops():
@@ -205,8 +209,6 @@ class Story(Watcher):
             self.ending.nobody_moves(f"an operator stopped the swarm at {self._stopped_at} and nobody has reset it")
         elif not self._ordered:
             self.ending.all_is_well()
-        for name in self._robots:
-            self._command(name, "join")
         if self._ordered:
             self._order("reset")
             fleet.run(resets)
@@ -337,8 +339,6 @@ class Story(Watcher):
         """Return the nodes whose work a fault may disturb."""
         if fault.kind in LINKS:
             return tuple(sorted(self._of_links(fault)))
-        if fault.kind == "leave":
-            return (fault.who,)
         if fault.kind == "removal":
             return ()
         if fault.kind in {"crash", "idle", "pause", "clock", "blind"}:
@@ -399,8 +399,12 @@ class Story(Watcher):
             self._holders = set()
             self._ordered = True
             self.facts.moving_from = float("inf")
-        elif command == "join" and self.facts.until[node] == float("inf"):
-            self.facts.end((node,), "crash")
+        elif command == "leave" and node not in self._left:
+            self._left.add(node)
+            self.facts.begin((node,), "leave")
+        elif command == "join" and node in self._left:
+            self._left.remove(node)
+            self.facts.end((node,), "leave")
 
     def ends(self, node: str) -> None:
         self._holders.discard(node)

@@ -8,6 +8,27 @@ FOUND = {
     "an observer that is heard and hears nothing leads on": Case(
         5061, robots=3, hertz=50, paired=True, faults=(Fault(3.195, "cut", "*>abstraction_observer", 3.0),)
     ),
+    "who speaks for both of a pair leads a robot": Case(
+        121, hertz=10, paired=True, faults=(Fault(13.068, "impostor", "agent_001", 0.785, 1),), quiet=14.0
+    ),
+    "a robot that is activated at the start counts nobody, and stops for ever": Case(
+        31,
+        robots=8,
+        hertz=10,
+        each_robot=True,
+        start="proceed",
+        faults=(Fault(0.0, "crash", "plane_sim", 0.986), Fault(0.953, "idle", "agent_003", 0.086)),
+        quiet=3.5,
+    ),
+    "a robot that has left hears of no join while it is dead": Case(
+        187,
+        robots=3,
+        faults=(
+            Fault(4.966, "leave", "agent_001"),
+            Fault(5.1, "pause", "agent_001", 0.4),
+            Fault(5.2, "join", "agent_001"),
+        ),
+    ),
 }
 
 

@@ -168,8 +168,14 @@ class BroadcastInbox:
                 self._sets[of] = Broadcast(desired.stamp, step, abstract, sums, desired)  # type: ignore[arg-type]  # by topic
 
     def _choose(self, step: int) -> None:
-        """Leave the coordinators that the robot follows if their set is doubted, missing, or far behind others."""
+        """Leave the coordinators that the robot follows if their set is doubted, missing, or far behind others.
+
+        Those that are doubted are left once their known writers are silent: who contradicts them may be speaking for
+        the others, too.
+        """
         if len(self._sets) == 1 and self.followed in self._sets:
+            return
+        if self._doubts(self.followed, step) and self._speaks(self.followed):
             return
         trusted = {of: newest.step for of, newest in self._sets.items() if not self._doubts(of, step)}
         if not trusted:
@@ -181,6 +187,11 @@ class BroadcastInbox:
                 trusted,
                 key=lambda of: (trusted[of], of.observer == before.observer, of.controller == before.controller),
             )
+
+    def _speaks(self, of: Coordinators) -> bool:
+        """Return whether the known writers of coordinators are heard."""
+        origins = (Origin(topic.name, standby=standby) for topic, standby in _SENDERS[of])
+        return all(self.writers.is_heard(origin, MOST_BEHIND) for origin in origins)
 
     def _doubts(self, of: Coordinators, step: int) -> bool:
         """Return whether any broadcasts of these coordinators contradict each other."""

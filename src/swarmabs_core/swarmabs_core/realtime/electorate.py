@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmabs_core.rank_sets import is_majority
+from swarmabs_core.realtime.base import FEWEST
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -37,8 +38,8 @@ class Electorate:
         self._heard_since = 0
 
     def begin(self, heard: Collection[int]) -> None:
-        """Let those count that are heard at the start, unless the others have told better."""
-        if self.since < 0:
+        """Let those count that are heard at the start, unless they are too few, or the others have told better."""
+        if self.since < 0 and len(heard) >= FEWEST:
             self.counted = frozenset(heard)
 
     def learn(self, since: int, counted: Iterable[int]) -> None:

@@ -375,6 +375,10 @@ class Writers:
         """Return whether a writer is the first of an origin."""
         return origin in self._bound and self._bound[origin][0] == writer
 
+    def is_heard(self, origin: Origin, within: int) -> bool:
+        """Return whether the first writer of an origin is known, and has been heard within so many steps."""
+        return origin in self._bound and self._ran - self._bound[origin][1] <= within
+
     def speaks(self, writer: bytes) -> bool:
         """Return whether the participant of a writer is that of the first writer of any origin."""
         participant = participant_of(writer)
