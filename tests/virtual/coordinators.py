@@ -6,9 +6,10 @@ As in properties.py, the rules follow from docs/explanation/safety.md and standb
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import inf
 from typing import Any
 
-from tests.virtual.fleet import Parcel
+from tests.virtual.fleet import EPOCH, Parcel
 from tests.virtual.properties import Facts, Property, variants
 
 from swarmabs_config.graph import PLANE
@@ -34,6 +35,8 @@ from swarmabs_core.realtime.base import Level
 
 AGREED = 10
 """Periods in a row in which a standby must hear its primary before it yields."""
+LISTENS = (1.0, 2.0)
+"""Time, s, for which a primary and a standby listen when they start."""
 PROMPT = 2
 """Largest age, periods, of a message that is heard without delay."""
 RESET_LASTS = 1.0
@@ -80,8 +83,9 @@ class TakesTurns(Property):
         if not facts.case.paired:
             return
         self._takeover = facts.clock.steps(facts.scenario.realtime.takeover_after)
+        deceived = {fault.who for fault in facts.case.faults if fault.kind == "impostor"}
         self._peers = {a: b for pair in facts.case.pairs for a, b in (pair, pair[::-1])}
-        self._instances = {name: _Instance() for name in self._peers}
+        self._instances = {name: _Instance() for name in self._peers if name not in deceived}
         self.published = {ABSTRACT_STATE: self._says, DESIRED_ABSTRACT_STATE: self._says, EVENTS: self._event}
         self.heard = {topic: self._peer for of in (ABSTRACT_STATE, DESIRED_ABSTRACT_STATE) for topic in variants(of)}
         self.heard |= dict.fromkeys(variants(AGENT_STATE), self._robot)
@@ -101,13 +105,12 @@ class TakesTurns(Property):
         elif command in {"stop", "reset"}:
             self._ordered_at = self.facts.now
 
-    def _is_peer(self, node: str, parcel: Parcel) -> bool:
-        return node in self._instances and (not parcel.sender or parcel.sender == self._peers[node])
-
     def _peer(self, node: str, parcel: Parcel) -> None:
-        if not self._is_peer(node, parcel) or parcel.message is None:
+        if parcel.sender != self._peers.get(node) or parcel.message is None:
             return
-        one, step = self._instances[node], self.facts.step_of(node)
+        one, step = self._instances.get(node), self.facts.step_of(node)
+        if one is None:
+            return
         if parcel.writer != one.writer:
             one.writer, one.changed = parcel.writer, step
         if getattr(parcel.message, "mode", Mode.RUN) != Mode.RUN:
@@ -141,10 +144,17 @@ class TakesTurns(Property):
         one = self._instances.get(node)
         if event.kind != EventKind.LEADING or one is None or node in self.facts.wrong:
             return
-        step = self.facts.step_of(node)
-        if step - one.peer <= self._takeover and step - one.changed > 2 * self.facts.age:
+        self._begins_to_speak(node, one, self.facts.step_of(node))
+
+    def _begins_to_speak(self, node: str, one: _Instance, step: int) -> None:
+        """Check that one that has not spoken for longer than a takeover takes may speak."""
+        facts, listens = self.facts, LISTENS[node in {pair[1] for pair in self.facts.case.pairs}]
+        if step - one.peer <= self._takeover and step - one.changed > 2 * facts.age:
             text = f"begins to lead in step {step}, but has heard {self._peers[node]} in step {one.peer}"
             raise self.broken(node, f"{text}; it has to be silent for more than {self._takeover}")
+        running = facts.now - facts.runs_since(node) if facts.runs_since(node) == facts.started[node] else inf
+        if one.peer == one.released == _LONG_AGO and running < listens * 1e9 - 2 * facts.period:
+            raise self.broken(node, f"leads {running / 1e9:.3f} s after its start, and has to listen for {listens:g} s")
 
     def _says(self, node: str, message: Any) -> None:
         one, facts = self._instances.get(node), self.facts
@@ -161,9 +171,14 @@ class TakesTurns(Property):
         if node in facts.case.pairs[0] and step - one.robots > facts.state_age:
             heard = "none" if one.robots == _LONG_AGO else f"the last one in step {one.robots}"
             raise self.broken(node, f"publishes sums of step {message.step}, but hears no robot: {heard}")
+        resumed = facts.clock.step(EPOCH + facts.resumed.get(node, 0))
+        if facts.stood.get(node, 0) > (self._takeover + 2) * facts.period and step - resumed < self._takeover:
+            raise self.broken(node, f"publishes step {message.step} at once after it stood still until step {resumed}")
         if step > one.spoke:
             if step - one.spoke > 1:
                 one.began = step
+            if step - one.spoke > self._takeover + 1:
+                self._begins_to_speak(node, one, step)
             one.prompt = one.prompt + 1 if step - one.spoke == 1 and step - one.peer <= PROMPT else 0
             one.most_prompt = one.prompt
             one.spoke = step
@@ -211,7 +226,7 @@ class TellsWhoCounts(Property):
     name = "tells who counts"
     statement = (
         "An observer reports DEAD, JOINED and LEFT of just those robots which fall silent, are heard again or are gone "
-        "in the provenance of its sums."
+        "in the provenance of its sums; what one of a pair has seen while neither spoke is reported later."
     )
 
     def __init__(self, facts: Facts) -> None:
@@ -220,6 +235,7 @@ class TellsWhoCounts(Property):
         if facts.case.each_robot:
             return
         self._events: dict[str, set[tuple[int, int]]] = {}
+        self._joined: set[int] = set()
         self._before = dict.fromkeys(facts.case.pairs[0])
         self.published = {BASIS: self._basis, EVENTS: self._event}
 
@@ -236,12 +252,18 @@ class TellsWhoCounts(Property):
                 self._before[node] = None  # events of the time before are told now
             elif event.kind in {EventKind.DEAD, EventKind.JOINED, EventKind.LEFT}:
                 self._events[node].add((event.agent_id, event.kind))
+                self._joined |= {event.agent_id} if event.kind == EventKind.JOINED else set()
 
     def _basis(self, node: str, basis: Basis) -> None:
         if basis.source != Source.OBSERVER:
             return
         counted = dict(zip(basis.agent_ids, basis.standing, strict=True))
         before, told = self._before[node], self._events[node]
+        for robot, stands in counted.items():
+            if not stands and robot not in self._joined:
+                raise self.broken(
+                    node, f"counts robot {robot} in step {basis.step}, and nobody has reported JOINED of it"
+                )
         if before is not None and basis.step == before[0] + 1:
             due = set(_changes(before[1], counted))
             for robot, kind in sorted(due ^ told):
@@ -436,12 +458,24 @@ class SpeaksOfOrders(Property):
             said = self._said.get((node, Mode.STOP if command == "stop" else Mode.RESET), _LONG_AGO)
             if command == "stop" and said < since:
                 raise self.broken(node, "is told to stop, and does not publish STOP at once")
-            if facts.case.paired or (command == "reset" and facts.now - since > RESET_LASTS * 1e9 - facts.period):
-                continue
+            over = command == "reset" and facts.now - since > RESET_LASTS * 1e9 - facts.period
             # Where states of the plane become late, its steps wait for them.
-            if facts.now - max(said, since) > (facts.age + 2) * facts.period:
+            if not facts.case.paired and not over and facts.now - max(said, since) > (facts.age + 2) * facts.period:
                 text = f"was told to {command} {(facts.now - since) / 1e9:.3f} s ago, and no longer says so"
                 raise self.broken(node, text)
+        if facts.case.paired and all(map(facts.is_fine, facts.case.coordinators)):
+            self._pair_repeats()
+
+    def _pair_repeats(self) -> None:
+        """Check that one of a pair repeats a STOP."""
+        facts = self.facts
+        stopped = [at for command, at in self._told.values() if command == "stop"]
+        reset = [at for command, at in self._told.values() if command == "reset"]
+        if not stopped or max(reset, default=0) > min(stopped):
+            return
+        said = max(self._said.get((name, Mode.STOP), _LONG_AGO) for name in facts.case.stoppable)
+        if facts.now - max(said, *stopped) > (facts.age + 2) * facts.period:
+            raise self.broken(" and ".join(facts.case.stoppable), "were told to stop, and neither says so")
 
 
 class ReportsItsHealth(Property):

@@ -45,6 +45,7 @@ from swarmabs_core.messages import (
 from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.agent import RealtimeLaw
 from swarmabs_core.realtime.base import Level
+from swarmabs_core.robot_controller import RESET
 
 CLEAN = {"crash", "idle", "leave", "pause", "cut"}
 """Faults of one of a pair of coordinators because of which no robot stops at all."""
@@ -95,6 +96,8 @@ class Facts:
         For nodes that stood still or were deactivated, the time, ns, at which they went on.
     liars : set
         Robots that pass on what others have not said.
+    stood : dict
+        For these, for how long, ns, they stood still the last time.
     removed : set
         Robots of which an operator has said that they were carried away.
     late_until : float
@@ -122,6 +125,8 @@ class Facts:
         self.odd: set[str] = set()
         self.wrong: set[str] = set()
         self.resumed: dict[str, int] = {}
+        self.stood: dict[str, int] = {}
+        self._still_since: dict[str, int] = {}
         self.moving_from = inf
         self.settles = (case.settles if case.paired else 1.0 + case.periods(10)) * 1e9
         self.started: dict[str, int] = {}
@@ -168,6 +173,15 @@ class Facts:
     def is_sound(self, node: str) -> bool:
         """Return whether a node itself has had no fault for long; its links may be bad."""
         return self._sound.get(node, 0.0) < self.now and node not in self.wrong
+
+    def resumes(self, node: str) -> None:
+        """Note that a node goes on, if it stood still."""
+        if node in self._still_since:
+            self.resumed[node], self.stood[node] = self.now, self.now - self._still_since.pop(node)
+
+    def stands_still(self, node: str) -> None:
+        """Note that a node stands still, or is deactivated."""
+        self._still_since.setdefault(node, self.now)
 
     def runs_since(self, node: str) -> float:
         """Return since when, ns, a node has run without standing still; infinity if it does not."""
@@ -263,7 +277,7 @@ class ActsOnOneSet(Property):
         self._guard = min(facts.age + facts.ahead, facts.clock.steps(GUARD_MOST))
         if facts.case.each_robot:  # they hear no broadcasts
             return
-        self.published = {AGENT_STATE: self._state}
+        self.published = {AGENT_STATE: self._state, EVENTS: self._event}
         for topic in (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE):
             for variant in variants(topic):
                 self.heard[variant] = partial(self._broadcast, topic, variant is not topic)
@@ -290,6 +304,15 @@ class ActsOnOneSet(Property):
         self._spoke.add(node)
         if robot.new:
             self._take(robot, facts.step_of(node))
+
+    def _event(self, node: str, event: SwarmEvent) -> None:
+        """Check that a robot does not take a RESET as effective too early."""
+        robot = self._robots.get(node)
+        if robot is None or event.kind != EventKind.SAFE_STOP or event.detail != RESET or node in self.facts.wrong:
+            return
+        if robot.stop is not None and robot.reset - robot.stop <= self._guard:
+            text = f"takes the RESET of step {robot.reset} as effective, but has heard a STOP of step {robot.stop}"
+            raise self.broken(node, f"{text} (needed: {self._guard + 1} steps later)")
 
     def _take(self, robot: _Robot, step: int) -> None:
         """Let what was heard since the last state count for the next decision."""
@@ -475,7 +498,9 @@ class SumsUpWhatItHears(Property):
 
     def resumes(self, node: str) -> None:
         """Let robots stand until they are heard again: a node does not know how old that is which it knows."""
-        newest = self._newest.get(node, {})
+        if node == PLANE or node not in self._newest:  # the plane takes robots for where they were
+            return
+        newest = self._newest[node]
         for robot, state in newest.items():
             if state.status != Status.LEFT:
                 self._standing[node][robot] = state.step

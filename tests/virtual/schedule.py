@@ -346,6 +346,11 @@ def _stop_and_loss(draw: Random, case: Case, at: float) -> list[Fault]:
         kind, lasting, when = "crash", 0.3 * lasting, at + draw.uniform(0.0, 3.0) / case.hertz
         late = draw.uniform(11.0, 25.0) / case.hertz
         faults.append(Fault(max(0.0, at - 0.01), "slow", f"{controller}>{ALL}", when - at + 0.02, late))
+    elif draw.random() < 0.3:  # what has stopped a robot must not be forgotten with a clock, either
+        periods = draw.choice((-3.0, -5.0, -9.0, -12.0))
+        faults.append(Fault(when, "clock", draw.choice(case.robot_names), lasting + 1.0, periods / case.hertz))
+    if kind == "cut":
+        when = max(0.0, when - draw.uniform(0.0, 0.5))
     ways = (f"{controller}>{ALL}", f"{ALL}>{controller}") if kind == "cut" else (controller,)
     return [*faults, *(Fault(when, kind, way, lasting) for way in ways)]
 
@@ -355,8 +360,13 @@ def _handover(draw: Random, case: Case, at: float) -> list[Fault]:
     if not case.paired:
         return []
     pair = draw.choice(case.pairs)
-    times = [at, at + draw.choice((draw.uniform(1.0, 20.0) / case.hertz, draw.uniform(0.5, 2.0)))]
-    return [Fault(time, "release", name) for time, name in zip(times, draw.sample(pair, 2), strict=True)]
+    one, other = draw.sample(pair, 2)
+    if draw.random() < 0.3:
+        lost = at + draw.uniform(-10.0, 5.0) / case.hertz
+        kind, lasting = draw.choice(("crash", "pause")), draw.uniform(8.0, 40.0) / case.hertz
+        return [Fault(max(0.0, lost), kind, other, lasting), Fault(at, "release", one)]
+    again = at + draw.choice((draw.uniform(1.0, 20.0) / case.hertz, draw.uniform(0.5, 2.0)))
+    return [Fault(at, "release", one), Fault(again, "release", other)]
 
 
 def _stay_away(draw: Random, case: Case, at: float) -> list[Fault]:
@@ -387,13 +397,15 @@ def _set_back(draw: Random, case: Case, at: float) -> list[Fault]:
     """Let the clock of a node be wrong by about as much as is tolerated, or set back by so many periods."""
     periods = draw.choice((1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 6.0, 9.0, 10.0, 11.0, 12.0))
     value = draw.choice((-1.0, 1.0)) * periods / case.hertz
-    return [Fault(at, "clock", draw.choice(case.names), draw.uniform(8.0, 30.0) / case.hertz, value)]
+    return [Fault(at, "clock", _some(draw, case), draw.uniform(8.0, 60.0) / case.hertz, value)]
 
 
 def _deaf(draw: Random, case: Case, at: float) -> list[Fault]:
     """Let a coordinator hear nothing of some or of all, for longer than the limits on ages."""
-    name, lasting = draw.choice(case.coordinators or case.names), draw.uniform(12.0, 50.0) / case.hertz
-    other = ",".join(draw.choice((case.robot_names, (PLANE,), tuple(o for o in case.names if o != name))))
+    pair = draw.choice(case.pairs or (case.robot_names[:2],))
+    name, lasting = draw.choice(pair), draw.uniform(12.0, 50.0) / case.hertz
+    others = case.robot_names, (PLANE,), tuple(o for o in pair if o != name), tuple(o for o in case.names if o != name)
+    other = ",".join(draw.choice(others) or (PLANE,))
     ways = [f"{other}>{name}", f"{name}>{other}"][: draw.choice((1, 1, 2))]
     return [Fault(at, "cut", way, lasting) for way in ways if name not in other.split(",")]
 

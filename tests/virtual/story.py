@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import cache, partial
 from hashlib import blake2b
-from math import nan
+from math import inf, nan
 from typing import Any, NamedTuple, Protocol
 
 from tests.swarmabs_core.helpers import builtin
@@ -33,6 +33,7 @@ from swarmabs_core.messages import (
     Mode,
     PlaneState,
     Removal,
+    Status,
     SwarmEvent,
     Topic,
 )
@@ -163,6 +164,8 @@ class Story(Watcher):
         self._stopped_at: str | None = None
         self._left: set[str] = set()
         self._ordered = False
+        self._calm = not case.each_robot
+        self._following: set[str] = set()
         self._robots = case.robot_names
         self.bags = FleetBags(fleet, case) if case.recorded else None
         recorders = () if self.bags is None else self.bags.recorders
@@ -224,6 +227,13 @@ class Story(Watcher):
 
     def _period(self) -> None:
         self._checks.period()
+        if (
+            self.facts.moving_from == inf
+            and self._calm
+            and not self._holders
+            and len(self._following) == self.case.robots
+        ):
+            self.facts.moving_from = self.facts.now  # orders that nothing has disturbed have been carried out
         self.fleet.later(self.fleet.clock.period, self._period)
 
     def _stops(self) -> bool:
@@ -248,6 +258,8 @@ class Story(Watcher):
     # What is done
 
     def _begin(self, fault: Fault) -> None:
+        if fault.kind not in COMMANDS and (self.facts.moving_from == inf or fault.kind in self._starting()):
+            self._calm = False
         concerned = self._concerned(fault)
         self.facts.begin(concerned, fault.kind)
         if fault.kind in LINKS:
@@ -274,12 +286,14 @@ class Story(Watcher):
                 self._ordered, facts.moving_from = True, float("inf")
         elif fault.kind == "idle":
             fleet.deactivate(name)
+            facts.stands_still(name)
             self._say(name, "is deactivated")
             if name in self._robots and not self._drive(name).rests:
                 raise BrokenError("comes to rest", name, "goes on although its node is deactivated")
         elif fault.kind == "pause":
             facts.odd.add(name)
             fleet.pause(name)
+            facts.stands_still(name)
             self._say(name, "stands still")
         elif fault.kind == "clock":
             facts.odd.add(name)
@@ -308,11 +322,11 @@ class Story(Watcher):
             fleet.revive(name)
         elif fault.kind == "idle":
             fleet.activate(name)
-            self.facts.resumed[name] = self.facts.now
+            self.facts.resumes(name)
             self._say(name, "is activated")
         elif fault.kind == "pause":
             fleet.resume(name)
-            self.facts.resumed[name] = self.facts.now
+            self.facts.resumes(name)
             self._say(name, "goes on")
         elif fault.kind in {"clock", "drift"}:
             fleet.set_clock(name, 0.0)
@@ -390,7 +404,13 @@ class Story(Watcher):
 
     # Who knows of a STOP
 
+    def _starting(self) -> set[str]:
+        """Return the faults after which a fleet that starts in STOP stands still."""
+        return {"crash"} if self.case.stopped else set()
+
     def told(self, node: str, command: str) -> None:
+        if command in {"stop", "reset"}:
+            self._calm &= all(map(self.facts.is_fine, self.case.names)) and self.facts.late_until < self.facts.now
         if command == "stop":
             self._holders = {node}
             self._stopped_at, self._ordered = node, True
@@ -410,14 +430,17 @@ class Story(Watcher):
         self._holders.discard(node)
 
     def published(self, node: str, topic: Topic, message: Message, data: bytes) -> None:
+        if isinstance(message, AgentState):
+            follows = message.status == Status.ACTIVE and message.broadcast_step != NEVER
+            (self._following.add if follows else self._following.discard)(node)
         if node in self._holders and isinstance(message, DesiredAbstractState) and message.mode == Mode.RUN:
             raise BrokenError("STOP wins", node, f"publishes RUN, but knows of the STOP given to {self._stopped_at}")
 
     def heard(self, node: str, parcel: Parcel) -> None:
-        if parcel.topic.message is not DesiredAbstractState or node in self._robots or node in self.facts.odd:
+        if parcel.topic.message is not DesiredAbstractState or node in self._robots or node in self.facts.wrong:
             return
         holds = parcel.sender in self._holders and isinstance(parcel.message, DesiredAbstractState)
-        if holds and parcel.message.mode == Mode.STOP and not self.facts.odd & {*self.case.stoppable}:  # type: ignore[union-attr]
+        if holds and parcel.message.mode == Mode.STOP and not self.facts.wrong & {*self.case.stoppable}:  # type: ignore[union-attr]
             self._holders.add(node)
 
 
