@@ -742,13 +742,18 @@ class Ending(Watcher):
             if health.level > Level.OK and "a second sender" not in health.text:
                 raise self._broken(name, f"reports: {health.text}")
 
-    def nobody_moves(self, why: str) -> None:
-        """Raise an error if a robot moves, or a controller lets it, although the swarm was stopped."""
+    def nobody_moves(self, since: float, why: str) -> None:
+        """Raise an error if a robot moves, or a controller lets it, although the swarm was stopped at a time, ns.
+
+        A controller that started later and leads in RUN may not have heard of it, nor a robot.
+        """
+        started = self._facts.started
+        unaware = {name for name in self._facts.case.names if started[name] > since}
         for name, desired in self._newest(DesiredAbstractState).items():
-            if desired.mode != Mode.STOP:
+            if desired.mode != Mode.STOP and name not in unaware:
                 raise BrokenError("STOP wins", name, f"publishes {Mode(desired.mode).name}, although {why}")
         for name, state in self._newest(AgentState).items():
-            if state.broadcast_step != NEVER:
+            if state.broadcast_step != NEVER and name not in unaware:
                 raise BrokenError("STOP wins", name, f"moves, although {why}")
 
     def memory_is_bounded(self) -> None:

@@ -162,6 +162,7 @@ class Story(Watcher):
         self._tell = tell
         self._holders: set[str] = set()
         self._stopped_at: str | None = None
+        self._stopped_since = 0
         self._left: set[str] = set()
         self._ordered = False
         self._calm = not case.each_robot
@@ -209,7 +210,8 @@ class Story(Watcher):
         self._say("all", f"no fault for {heals:g} s")
         if self._holders or self._stops():
             fleet.run(holds)
-            self.ending.nobody_moves(f"an operator stopped the swarm at {self._stopped_at} and nobody has reset it")
+            why = f"an operator stopped the swarm at {self._stopped_at} and nobody has reset it"
+            self.ending.nobody_moves(self._stopped_since, why)
         elif not self._ordered:
             self.ending.all_is_well()
         if self._ordered:
@@ -413,7 +415,7 @@ class Story(Watcher):
             self._calm &= all(map(self.facts.is_fine, self.case.names)) and self.facts.late_until < self.facts.now
         if command == "stop":
             self._holders = {node}
-            self._stopped_at, self._ordered = node, True
+            self._stopped_at, self._stopped_since, self._ordered = node, self.facts.now, True
             self.facts.moving_from = float("inf")
         elif command == "reset":
             self._holders = set()
