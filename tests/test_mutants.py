@@ -29,6 +29,7 @@ def test_bounded():
 
 
 @pytest.mark.skipif(sys.version_info < (3, 12), reason="lines are watched by sys.monitoring, new in Python 3.12")
+@pytest.mark.system
 def test_mutants_are_noticed_or_missed(tmp_path: Path) -> None:
     (tmp_path / "bounded.py").write_text(SOURCE, encoding="utf-8")
     (tmp_path / "test_bounded.py").write_text(TESTS, encoding="utf-8")

@@ -14,8 +14,6 @@ from swarmabs_config.scenarios import builtin_scenarios
 DIGESTS: Any = script("docs/digests.py")
 LONG = "_40", "payload_8", "overloaded"
 """Ends of the names of examples that take 2 to 10 s."""
-SECONDS = {"payload", "plate", "ship"}
-"""Folders of the other examples that take 1 to 3 s."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -36,16 +34,15 @@ def test_a_built_in_scenario_has_its_frozen_digest(name: str) -> None:
     assert DIGESTS.stated()[name] == frozen["digest"]
 
 
-def marks_of(name: str) -> list[pytest.MarkDecorator]:
-    if Path(name).stem.endswith(LONG):
-        return [pytest.mark.full]
-    return [pytest.mark.system] * (Path(name).parent.name in SECONDS)
-
-
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=marks_of(name)) for name in DIGESTS.scenarios() if name not in builtin_scenarios()],
+    [
+        pytest.param(name, marks=[pytest.mark.full] * Path(name).stem.endswith(LONG))
+        for name in DIGESTS.scenarios()
+        if name not in builtin_scenarios()
+    ],
 )
+@pytest.mark.system
 def test_an_example_has_the_digest_of_the_page(name: str) -> None:
     assert DIGESTS.digest(name) == DIGESTS.stated()[name]

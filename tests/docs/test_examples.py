@@ -23,6 +23,7 @@ PROGRAMS = sorted({path.name for path in (ROOT / "examples").glob("*.py")} - {"r
 
 
 @pytest.mark.parametrize("name", ["README.md", *SCENARIOS])
+@pytest.mark.system
 def test_example_scenarios_level_the_plane(name: str) -> None:
     scenario = SCENARIOS.get(name) or parse_scenario(README)
     run = simulate(scenario)

@@ -40,6 +40,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("name", "command", "block"), SHOWN, ids=[f"{name}: {command}" for name, command, _ in SHOWN])
+@pytest.mark.system
 def test_sample_output_is_what_the_command_prints(
     name: str,
     command: str,

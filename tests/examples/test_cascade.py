@@ -140,6 +140,7 @@ def runs(folder: Path) -> dict[str, RunArrays]:
     return {name: load_arrays(folder / name, namespace=f"/{name}") for name in ("upper", *LOWER)}
 
 
+@pytest.mark.system
 def test_every_layer_has_a_bag_and_lower_planes_move_upper_robots(folder: Path, runs: dict[str, RunArrays]) -> None:
     for name in ("upper", *LOWER):
         info = bag_info(folder / name)
@@ -157,6 +158,7 @@ def test_every_layer_has_a_bag_and_lower_planes_move_upper_robots(folder: Path, 
         np.testing.assert_allclose(np.diff(upper.agents.position[:, column]), moved, atol=1e-15)
 
 
+@pytest.mark.system
 def test_continuous_cascade_agrees(runs: dict[str, RunArrays]) -> None:
     solved = solve(15.0, np.arange(1001) * 0.01)
     angles = runs["upper"].angle, np.transpose([runs[name].angle for name in LOWER])

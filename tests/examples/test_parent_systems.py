@@ -155,6 +155,7 @@ def test_the_ship_rolls_alike_with_any_number_of_trolleys(number: int) -> None:
         *(pytest.param(*of, marks=pytest.mark.full) for of in (("ship", False), ("ship_4", False), ("plate_3", True))),
     ],
 )
+@pytest.mark.system
 def test_robots_that_die_do_not_fling_the_others(name: str, *, force: bool) -> None:
     """With a completion that ignores them, trolleys of ship_4 reach 100 m/s and more after 2 or 4 has died."""
     count = len(given(name)["swarm"]["agents"])
@@ -225,6 +226,7 @@ def test_the_payload_follows_its_path() -> None:
     assert np.abs(error[350:, 2]).max() < 0.03
 
 
+@pytest.mark.system
 def test_rotors_at_their_limits_say_so_and_the_others_take_over() -> None:
     run = simulated("overloaded", 5.0, LOSS.format(3.0, 3.09), "system.distance=0", "system.height=0")
     limited = run.agents.status == Status.LIMITED

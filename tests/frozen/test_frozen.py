@@ -15,9 +15,9 @@ ALONE = [
     if "during" not in case
 ]
 COVERED = ("sensors", "offset_and_disturbance_steps", "robot_gravity", "parent_response_pd", "join_freeze")
-"""Cases whose mechanisms `everything_at_once`, or another that takes less than all, has over DDS too."""
-ALIKE = ("pd_si_4", "pd_di_4", "arise_si_4", "arise_di_4")
-"""Runs of the paper of which there is one with both kinds of robots as well."""
+"""Cases whose mechanisms `everything_at_once`, or another that takes less than all, has, too."""
+ALIKE = ("pd_si_4", "pd_di_4", "arise_si_4", "arise_di_4", "arise_het_20")
+"""Runs of the paper of which there is one with both kinds of robots, or with more of them, as well."""
 SEVERAL = ("--agents-per-process", "4")
 
 
@@ -69,7 +69,7 @@ def test_what_a_repaired_bag_holds_verifies_up_to_what_was_lost(folder: Path, na
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.system] * (name in ALIKE)) for name in digests.CASES]
+    "name", [pytest.param(name, marks=[pytest.mark.system] * (name in {*ALIKE, *COVERED})) for name in digests.CASES]
 )
 def test_a_simulation_gives_its_frozen_results(name: str, tmp_path: Path) -> None:
     assert digests.difference(name, digests.summary(name, tmp_path, "simulate", "--no-bag")) == {}

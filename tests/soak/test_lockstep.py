@@ -192,6 +192,7 @@ def grown(samples: list[Sample]) -> list[str]:
     ]
 
 
+@pytest.mark.system
 def test_growth_is_told_from_caches_that_fill_and_runs_of_different_size() -> None:
     calm = Sample(60.0, 50_000, 6, 1, 0)
     for name, growth in (("memory", 3.0), ("objects", 300), ("descriptors", 1), ("threads", 1), ("children", 1)):

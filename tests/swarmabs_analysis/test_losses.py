@@ -92,6 +92,7 @@ HEAVIEST = 3.0 * G * 0.6 / 1.1
 
 @pytest.mark.usefixtures("systems")
 @pytest.mark.parametrize(("share", "lost"), [(1.03, False), (0.97, True)])
+@pytest.mark.system
 def test_rotors_that_are_too_weak_after_a_loss_do_not_cover_it(share: float, *, lost: bool) -> None:
     top = f"swarm.agents.1.constants.top={share * HEAVIEST!r}"
     scenario = parse_scenario(LIFT, overrides=[top, "faults=[{kind: remove, at: 4.0, agent: 3}]"])

@@ -453,6 +453,7 @@ def drawn(panel: Panel) -> dict[str, list[Floats]]:
     return curves
 
 
+@pytest.mark.system
 def test_the_page_has_the_numbers_of_the_bag(sheet: Path) -> None:
     report, read = make_report(sheet), Read(sheet)
     assert_self_contained(report.html)

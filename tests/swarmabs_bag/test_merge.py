@@ -666,6 +666,7 @@ def test_spans_are_a_set() -> None:
         assert (spans.first, spans.last) == (min(steps), max(steps))
 
 
+@pytest.mark.system
 def test_a_repaired_bag_in_real_time_is_not_complete_nor_is_a_merge_of_such_bags_only(
     fleet: Path, tmp_path: Path
 ) -> None:

@@ -31,6 +31,7 @@ def test_a_bag_is_verified_compared_exported_and_run_again(run: Path, tmp_path: 
     assert (again["rerun_of"]["same"], again["digest"]) == (True, found["digest"])
 
 
+@pytest.mark.system
 def test_a_cut_off_bag_is_repaired_and_merged_with_another(run: Path, tmp_path: Path) -> None:
     whole = (run / "bag" / BAG_FILE).read_bytes()
     cut = tmp_path / "cut.mcap"

@@ -26,6 +26,7 @@ def place(difference: dict[str, Any]) -> list[Any]:
     return [difference[name] for name in ("topic", "step", "agent", "field")]
 
 
+@pytest.mark.system
 def test_verify_and_report(bag: Path, run: Path) -> None:
     east = document("verify", bag, "--namespace", "/east")
     assert east["complete"]

@@ -246,6 +246,7 @@ def test_what_cannot_be_verified_is_refused(run: Path, tmp_path: Path) -> None:
     assert "nowhere" in refused("verify", tmp_path / "nowhere")
 
 
+@pytest.mark.system
 def test_a_bag_without_a_scenario_is_verified_and_reported_with_a_named_one(tmp_path: Path) -> None:
     assert swarm(("simulate", "--duration", "0.3", "-o", tmp_path / "run"), tmp_path).code == 0
     bare = copied(tmp_path / "run" / "bag", tmp_path / "bare.mcap", attachments=False)

@@ -117,6 +117,7 @@ def accepted(folder: Path, certificate: Path) -> bool:
     return openssl("verify", *lists, "-CAfile", folder / "identity_ca.cert.pem", certificate).returncode == 0
 
 
+@pytest.mark.system
 def test_revoked_certificates_are_refused_by_all_and_replaced(own: Callable[[str], Path], tmp_path: Path) -> None:
     before = own("sros2")
     keys = before.parent / "keys"

@@ -80,6 +80,7 @@ def test_the_whole_run_has_the_statuses_and_places_of_its_frames(recording: Reco
                 assert tuple(swarm.coordinates[row, column].tolist()) == robot.coordinates
 
 
+@pytest.mark.system
 def test_thinned_curves_reach_as_far_as_the_whole(tmp_path: Path) -> None:
     folder = record(tmp_path / "run", "arise_het_4", "duration=21.0", "plane.sensor.noise=[0.001, 0.001]")
     recording = open_recording(folder)

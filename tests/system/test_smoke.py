@@ -126,6 +126,7 @@ MULTICAST = "<defaultMulticastLocatorList>"
 LOG = ("SIGKILL to process", "SIGSTOP to process", "SIGTERM to process")
 
 
+@pytest.mark.system
 def test_robots_end_as_their_faults_say_and_the_others_go_on(folder: Path, mark: str) -> None:
     seen: list[set[str]] = []
 
@@ -161,6 +162,7 @@ def test_packed_grouped_and_late_robots_change_no_bit(folder: Path, monkeypatch:
     assert MULTICAST not in (folder / "logs" / "fastdds.xml").read_text(encoding="utf-8")
 
 
+@pytest.mark.system
 def test_a_robot_that_does_not_answer_fails_the_run_or_is_dropped(tmp_path: Path, mark: str) -> None:
     for on_stall in ("fail", "drop"):
         folder = tmp_path / on_stall

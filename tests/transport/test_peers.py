@@ -70,6 +70,7 @@ def test_the_plane_moves_as_with_observer_and_controller(name: str, links: str, 
     assert active(fleet) == ALL
 
 
+@pytest.mark.system
 def test_a_robot_passes_on_what_neighbours_lack_in_one_datagram_for_eighty_robots() -> None:
     fleet = peers_of("pd_si_4", *generated(80), "links={type: random, degree: 6}", begun=0.12)
     relays = said(fleet, msg.Relay)
@@ -222,6 +223,7 @@ def test_a_robot_that_restarts_continues_the_law_of_the_others() -> None:
         assert max(column) - min(column) < 1e-3 * (1.0 + max(map(abs, column)))
 
 
+@pytest.mark.system
 def test_integrals_stay_together_while_states_of_the_plane_are_lost() -> None:
     """Without the pull the integrals of robots that miss states of the plane drift apart."""
     fleet = peers_of("arise_het_4", network=Network(loss=0.5), begun=4.0)
@@ -254,7 +256,8 @@ def test_the_swarm_stops_without_the_plane_and_goes_on_with_it() -> None:
     assert active(fleet) == ALL
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(1, 30))])
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(30))
 def test_no_robot_of_a_majority_stops_whatever_happens_to_others(seed: int) -> None:
     """Eight robots, half of all messages lost; up to three are killed, paused, cut off or have a wrong clock."""
     draw = Random(f"majority:{seed}")

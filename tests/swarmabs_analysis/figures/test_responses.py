@@ -38,7 +38,7 @@ from swarmabs_run.run import Outcome, RunOptions
 from swarmabs_run.simulated_run import simulate_run
 
 WIDTHS = {"mappingEx": COLUMN, "posMapping": COLUMN, "PD_res": PAGE, "ARISE_res": PAGE, "ARISE_lg_swarm": PAGE}
-SEVERAL_RUNS = ("ARISE_res", "ARISE_lg_swarm")
+SEVERAL_RUNS = ("PD_res", "ARISE_res", "ARISE_lg_swarm")
 SCRIPT = """
 import hashlib, sys
 from pathlib import Path
@@ -118,7 +118,9 @@ def assert_same(line: tuple[Floats, Floats], times: Floats, values: Floats) -> N
     np.testing.assert_allclose(line[1], values, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize(("name", "controller"), [("PD_res", "pd"), ("ARISE_res", "arise")])
+@pytest.mark.parametrize(
+    ("name", "controller"), [pytest.param("PD_res", "pd", marks=pytest.mark.system), ("ARISE_res", "arise")]
+)
 def test_nine_panels_show_the_bags_and_any_reference(name: str, controller: str, short_runs: Path) -> None:
     rows, others = grid(draw(name, short_runs), 3)
     assert len(rows) == 3

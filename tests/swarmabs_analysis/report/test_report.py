@@ -402,6 +402,7 @@ def test_nothing_or_one_step_recorded(tmp_path: Path, count: int) -> None:
     assert report.png.startswith(b"\x89PNG")
 
 
+@pytest.mark.system
 def test_two_hundred_robots_are_drawn_as_percentiles_three_of_them_and_density(tmp_path: Path) -> None:
     run = record(tmp_path / "run", "arise_het_200", "duration=0.5")
     recorded, bag = read_recorded(run), ReadBag(run)

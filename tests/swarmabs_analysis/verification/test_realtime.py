@@ -45,12 +45,22 @@ def judged(bag: Iterable[Stored]) -> int:
     return sum(stored.topic in {*msg.MAIN_TOPICS, msg.STANDING} for stored in bag)
 
 
-RECORDED = [(name, {}) for name in WORLDS if not name.startswith("brief")]
+SELDOM = ("operator on a bad network", "deaths on a bad network", "begun in a stop", "noisy plane", "end stop")
+RECORDED = [
+    pytest.param(name, {}, marks=[pytest.mark.system] * (name in SELDOM))
+    for name in WORLDS
+    if not name.startswith("brief")
+]
 LOST_OR_LATE = {"loss": 0.03, "jitter": 0.012}
 
 
 @pytest.mark.parametrize(
-    ("name", "way"), [*RECORDED, *((name, LOST_OR_LATE) for name in ("adaptive", "deaths", "operator", "clocks"))]
+    ("name", "way"),
+    [
+        *RECORDED,
+        ("deaths", LOST_OR_LATE),
+        *(pytest.param(name, LOST_OR_LATE, marks=pytest.mark.system) for name in ("adaptive", "operator", "clocks")),
+    ],
 )
 def test_a_right_run_is_found_right_whatever_the_recorder_lost(name: str, way: dict[str, float]) -> None:
     scenario, bag, *_ = world(name, **way)

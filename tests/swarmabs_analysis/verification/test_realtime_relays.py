@@ -99,7 +99,9 @@ RUNS: dict[str, tuple[tuple[str, ...], Network, Callable[[VirtualFleet], None]]]
 }
 
 
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.system] * (name in {"half is lost", "jitter"})) for name in RUNS]
+)
 def test_a_right_run_is_found_right_and_everything_is_checked(name: str) -> None:
     named, network, story = RUNS[name]
     run = ran(*named, network=replace(network, cut=set()), story=story)

@@ -90,6 +90,7 @@ def rounds(scenario: Scenario) -> Iterator[Relay]:
     return (message for message in network.deliver() if isinstance(message, Relay))
 
 
+@pytest.mark.system
 def test_few_rounds_and_one_datagram_are_enough() -> None:
     """Of 200 robots with 6 neighbours: 10 rounds if half of all is lost; of 80, each message fits 1,472 bytes."""
     large = builtin("arise_het_200", "duration=0.01", DECENTRALISED, "links={type: random, loss: 0.5}")
