@@ -295,3 +295,24 @@ def test_a_state_of_the_plane_that_a_robot_refuses_is_not_passed_on(angle: float
     assert len([plane for plane in told if plane is not None]) > 50
     assert {*filter(None, told)} <= {*said(fleet, msg.PlaneState)}
     assert active(fleet) == ALL
+
+
+def test_who_sends_unreadable_relays_in_the_name_of_a_robot_does_not_take_its_place() -> None:
+    scenario = builtin("pd_het_4", "coordination=each_robot")
+    fleet = VirtualFleet(scenario, identified=True)
+    fleet.run(1.0)
+    fleet.kill(agent_name(3))
+
+    def intrude() -> None:
+        relay = msg.Relay(0, round(fleet.time / PERIOD), 3, 0, 0, 0, b"anything")
+        topic = msg.relay_topic(3)
+        fleet.deliver(Parcel("", topic, encode(relay), b"an intruder", relay), [agent_name(i) for i in (1, 2, 4)])
+        fleet.later(PERIOD, intrude)
+
+    fleet.run(0.3)
+    intrude()
+    fleet.run(0.3)
+    fleet.revive(agent_name(3))
+    fleet.run(0.5)
+    assert hearing(fleet, 1).hears == (2, 3, 4)
+    assert active(fleet) == ALL

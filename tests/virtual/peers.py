@@ -45,8 +45,8 @@ SETTLED = 1.0
 """Time, s, for which a majority hears the same robots until these are those that count."""
 RESETTING = 1.0
 """Time, s, for which robots stand still after a RESET."""
-APART = 1e-3
-"""Most by which the integrals of robots may differ when all has been well for long, relative to 1 + their size."""
+APART = 1e-5
+"""By how much the integrals of robots may differ when they approach each other, relative to 1 + their size."""
 PASSED_ON = "passes on what it hears"
 SUMMED = "sums up what it knows"
 ORDERED = "orders reach all"
@@ -371,12 +371,12 @@ class TellEachOther(Property):
             if rank == robot.rank or (lying and not self._is_true(motion, step)):
                 continue
             known = rank in robot.introduced or rank in told.constants
-            certain = sure and known and self._sure(self._names[rank]) and step <= now + facts.ahead
+            certain = sure and known and not lying and self._sure(self._names[rank]) and step <= now + facts.ahead
             self._learn(robot, rank, step, sure=certain)
             if certain:
                 robot.introduced.add(rank)
-        if told.plane is not None and not lying:
-            self._measure(node, robot, told.plane.step, sure=sure)
+        if told.plane is not None and not (lying and told.plane not in self._planes.get(told.plane.step, ())):
+            self._measure(node, robot, told.plane.step, sure=sure and not lying)
 
     def _obey(self, robot: _Robot, told: Told, now: int, *, sure: bool) -> None:
         if max(told.orders) > now + self.facts.ahead + self._guard + 1:
@@ -595,9 +595,11 @@ class TellEachOther(Property):
 
     @property
     def holders(self) -> list[str]:
-        """The robots that live and know of a STOP that holds."""
-        alive = [name for name in self._names if self.facts.fleet.nodes[name].activity is not None]
-        return [name for name in alive if self._robots[name].orders.stops(self._guard)]
+        """The robots that live and certainly know of a STOP that holds."""
+        facts = self.facts
+        alive = [n for n in self._names if facts.fleet.nodes[n].activity is not None and n not in facts.wrong]
+        known = {name: (self._robots[name].orders.stop, self._robots[name].most.reset) for name in alive}
+        return [name for name, (stop, reset) in known.items() if 0 <= stop >= reset - self._guard]
 
     def agree(self, before: float) -> None:
         """Raise an error unless all robots know the same orders and electorate, and their laws agree.
@@ -642,7 +644,7 @@ class TellEachOther(Property):
                 raise self._break(ALIKE, name, text)
             if len(law.memory) != len(first.memory):
                 raise self._break(ALIKE, name, "remembers nothing of its law")
-        most = APART + (0.98 * before if self._lossless else 0.1 + before)
+        most = APART + 0.97 * before if self._lossless else 0.1 + before
         if self.spread() > most:
             text = (
                 f"has integrals that are {self.spread():.3g} apart from those of others; before they were {before:.3g}"

@@ -30,6 +30,8 @@ COMMANDS = ("stop", "reset", "release", "leave", "join")
 """What an operator can say to a node."""
 REMOVAL = "removal"
 """An operator says to all observers that a robot was carried off the plane."""
+LIAR = "liar"
+"""A robot passes on of others what they have not said, by its value: 1 moved, 2 later, 3 of the plane."""
 FORGED = ("stranger", "nonsense", "future", "garbage", "impostor")
 """What somebody else can send to a node: states of an unknown robot, values that cannot be, steps that have not come,
 bytes of another layout; or messages in the name of a node that are credible."""
@@ -59,7 +61,7 @@ class Fault(NamedTuple):
             fault = cls(float(at), kind, who, lasting, float(value[0]) if value else 0.0)
         except (ValueError, IndexError):
             raise InputError(f"{line!r} is not a fault", "write such as '2.130 +0.400 crash controller'") from None
-        if kind not in (*LINKS, *NODES, *COMMANDS, REMOVAL, *FORGED):
+        if kind not in (*LINKS, *NODES, *COMMANDS, REMOVAL, LIAR, *FORGED):
             raise InputError(f"{line!r}: there is no fault {kind!r}", "see tests/virtual/schedule.py")
         return fault
 
@@ -483,11 +485,12 @@ def _split(draw: Random, case: Case, at: float) -> list[Fault]:
 
 
 def _orders(draw: Random, case: Case, at: float) -> list[Fault]:
-    """Give orders to robots that do not know of each other's: within few periods."""
-    one, other = draw.sample(case.robot_names, 2)
-    first = draw.choice(("stop", "reset", "stop"))
-    second = "stop" if first == "reset" else draw.choice(("reset", "reset", "stop"))
-    return [Fault(at, first, one), Fault(at + draw.choice((0.5, 1.0, 5.0, 15.0)) / case.hertz, second, other)]
+    """Give robots orders within few periods, so that who gets one may not know of those before."""
+    faults = []
+    for _ in range(draw.randint(2, 4)):
+        faults.append(Fault(at, draw.choice(("stop", "reset")), draw.choice(case.robot_names)))
+        at += draw.choice((0.5, 1.0, 5.0, 15.0)) / case.hertz
+    return faults
 
 
 def _long(draw: Random, case: Case, at: float) -> list[Fault]:
@@ -504,5 +507,11 @@ def _long(draw: Random, case: Case, at: float) -> list[Fault]:
     return faults
 
 
-_AMONG_ROBOTS = (_split, _split, _orders, _long)
+def _lies(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let a robot lie about others, where these sign what they say."""
+    name, lasting = draw.choice(case.robot_names), draw.uniform(0.1, 2.0)
+    return [Fault(at, LIAR, name, lasting, draw.choice((1, 2, 3)))] if case.sealed else _forged(draw, case, at)
+
+
+_AMONG_ROBOTS = (_split, _split, _orders, _long, _lies)
 """What else happens among robots without coordinators."""

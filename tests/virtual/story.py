@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cache, partial
-from hashlib import blake2b
 from math import inf, nan
 from typing import Any, NamedTuple, Protocol
 
 from tests.swarmabs_core.helpers import builtin
 from tests.virtual.checks import Checks
 from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
+from tests.virtual.lies import VirtualSeals, falsified, forged_relays
 from tests.virtual.properties import BrokenError, Ending, Facts
 from tests.virtual.recorders import FleetBags
-from tests.virtual.schedule import ALL, COMMANDS, FORGED, LINKS, Case, Fault
+from tests.virtual.schedule import ALL, COMMANDS, FORGED, LIAR, LINKS, Case, Fault
 from tests.virtual.weather import Weather
 
 from swarmabs_config.graph import OBSERVER, PLANE
@@ -32,6 +32,7 @@ from swarmabs_core.messages import (
     Message,
     Mode,
     PlaneState,
+    Relay,
     Removal,
     Status,
     SwarmEvent,
@@ -39,7 +40,6 @@ from swarmabs_core.messages import (
 )
 from swarmabs_core.nodes import ROBOT_PREFIX
 from swarmabs_core.realtime.envelope import LATENCY
-from swarmabs_core.realtime.relayed import SIGNATURE
 
 STARTS = 2.1
 """Time, s, at which an operator resets a fleet that starts in STOP."""
@@ -81,23 +81,6 @@ def scenario_of(robots: int, hertz: int, start: str, coordination: str, links: s
         "manifold.torque_max=2",
         "duration=10",
     ).resolved()
-
-
-class VirtualSeals:
-    """The keys of one author in a fleet of which nobody knows those of others; as `Seals`, and cheap."""
-
-    def __init__(self, author: int) -> None:
-        self._author = author
-
-    def sign(self, content: bytes) -> bytes:
-        return _signature(self._author, content)
-
-    def holds(self, author: int, content: bytes, signature: bytes) -> bool:
-        return signature == _signature(author, content)
-
-
-def _signature(author: int, content: bytes) -> bytes:
-    return blake2b(content, key=author.to_bytes(2, "big"), digest_size=SIGNATURE).digest()
 
 
 class Result(NamedTuple):
@@ -271,6 +254,10 @@ class Story(Watcher):
             self._command(fault.who, fault.kind)
         elif fault.kind == "removal":
             self._remove(fault.who)
+        elif fault.kind == LIAR:
+            self._say(fault.who, "passes on what others have not said")
+            self.facts.liars.add(fault.who)
+            self.fleet.liars[fault.who] = partial(falsified, round(fault.value), self._robots)
         elif fault.kind in FORGED:
             self._say(fault.who, f"gets forged messages: {fault.kind}")
             self._forge(fault)
@@ -318,6 +305,9 @@ class Story(Watcher):
         if fault.kind in LINKS:
             self.weather.end(fault)
             self._say(_of_link(fault)[0], f"no longer: {fault.kind}")
+        elif fault.kind == LIAR:
+            fleet.liars.pop(name, None)
+            self._say(name, "tells the truth again")
         elif fault.kind == "crash":
             if fleet.nodes[name].activity is None:
                 self._say(name, "starts again")
@@ -401,6 +391,10 @@ class Story(Watcher):
             for read in fleet.nodes[fault.who].endpoints.subscriptions:
                 if read.message is topic.message:
                     fleet.deliver(Parcel("", read, data, FOREIGN, known), [fault.who])
+        for read in fleet.nodes[fault.who].endpoints.subscriptions:
+            if read.message is Relay:
+                for relay in forged_relays(fault.kind, read.agent_id, max(0, step), self.case):
+                    fleet.deliver(Parcel("", read, encode(relay), FOREIGN, relay), [fault.who])
         if fleet.time + fleet.clock.period < until:
             fleet.later(fleet.clock.period, partial(self._forge, fault, until))
 

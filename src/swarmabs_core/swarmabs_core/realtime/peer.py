@@ -247,14 +247,14 @@ class RealtimePeer:
             return self._refusals.add(Problem(f"a relay {FROM_FUTURE}").of(origin), step, now)
         if relay.agent_id not in config.neighbours:
             return self._refusals.add(Problem("a relay of a robot that is not a neighbour").of(origin), step, now)
-        if problem := self._writers.second(origin, sender.writer, step):
-            return self._refusals.add(problem.of(origin), step, now)
         try:
             told = read(relay, len(self._ids), answers=False)
         except MalformedMessageError as error:
             return self._refusals.add(Problem(_UNREADABLE, str(error)).of(origin), step, now)
         if told.sealed != self._signatures.sealed:
-            problem = Problem("a relay without signatures" if self._signatures.sealed else "a relay with signatures")
+            other = "a relay without signatures" if self._signatures.sealed else "a relay with signatures"
+            return self._refusals.add(Problem(other).of(origin), step, now)
+        if problem := self._writers.second(origin, sender.writer, step):
             return self._refusals.add(problem.of(origin), step, now)
         before = self._told.get(relay.agent_id)
         if before is None or before[0] < relay.step:
