@@ -14,6 +14,7 @@ from tests.virtual.properties import (
     Ending,
     Facts,
     KeepsFollowing,
+    KeepsSpeaking,
     NoStepTwice,
     OneLeads,
     Property,
@@ -27,6 +28,7 @@ from swarmabs_core.messages import Message, Topic
 PROPERTIES: tuple[type[Property], ...] = (
     ActsOnOneSet,
     KeepsFollowing,
+    KeepsSpeaking,
     OneLeads,
     SumsUpWhatItHears,
     AnswersThePlane,

@@ -11,6 +11,7 @@ from typing import Any
 
 from tests.virtual.fleet import EPOCH, Parcel
 from tests.virtual.properties import Facts, Property, variants
+from tests.virtual.schedule import TAKEOVER
 
 from swarmabs_config.graph import PLANE
 from swarmabs_core.messages import (
@@ -82,7 +83,7 @@ class TakesTurns(Property):
         self._ordered_at = float("-inf")
         if not facts.case.paired:
             return
-        self._takeover = facts.clock.steps(facts.scenario.realtime.takeover_after)
+        self._takeover = TAKEOVER
         deceived = {fault.who for fault in facts.case.faults if fault.kind == "impostor"}
         self._peers = {a: b for pair in facts.case.pairs for a, b in (pair, pair[::-1])}
         self._instances = {name: _Instance() for name in self._peers if name not in deceived}
@@ -160,10 +161,11 @@ class TakesTurns(Property):
         one, facts = self._instances.get(node), self.facts
         if one is None:
             return
-        if getattr(message, "mode", Mode.RUN) != Mode.RUN:
+        mode, step = getattr(message, "mode", Mode.RUN), facts.step_of(node)
+        if mode != Mode.RUN:
             self._ordered_at = facts.now
+            one.spoke = step if mode == Mode.RESET else one.spoke  # a silent one repeats STOP, too
             return
-        step = facts.step_of(node)
         if node in facts.wrong:
             return
         if step - one.released < self._takeover:

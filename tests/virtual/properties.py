@@ -13,7 +13,7 @@ from math import inf, isfinite
 from typing import Any, NamedTuple
 
 from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
-from tests.virtual.schedule import Case
+from tests.virtual.schedule import AGE, AHEAD, Case
 
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_config.graph import CONTROLLER, PLANE, STANDBY_TOPICS, own_topic
@@ -65,6 +65,8 @@ FEWEST = 2
 """Number of robots without which the others cannot follow."""
 MOST_ENTRIES = 3000
 """Entries of all containers of a node of a small fleet, whatever it has heard."""
+SILENT = 5
+"""Periods for which a robot or the plane may be silent: one whose clock is set back a little waits for it."""
 MOST_REFUSED = 40
 """Reports of refused messages of a node within ten seconds."""
 
@@ -115,10 +117,8 @@ class Facts:
         self.clock = fleet.clock
         self.links = lockstep.links(self.scenario)
         self.period = self.clock.period_ns
-        limits = self.scenario.realtime
-        self.age = self.clock.steps(limits.broadcast_age_limit)
-        self.state_age = self.clock.steps(limits.state_age_limit)
-        self.ahead = self.clock.ahead(limits.clock_tolerance)
+        self.age = self.state_age = AGE
+        self.ahead = AHEAD
         configs = configure.agent_configs(self.scenario, self.clock)
         self.measurement_age = max(config.measurement_age_limit for config in configs) * 1e9
         self.until: dict[str, float] = dict.fromkeys(case.names, 0.0)
@@ -621,6 +621,38 @@ class NoStepTwice(Property):
         if message.step <= before and node not in self.facts.odd:
             raise self.broken(node, f"publishes step {message.step} of {topic} after step {before}")
         self._last[node, topic] = message.step
+
+
+class KeepsSpeaking(Property):
+    """A robot and the plane say in each period where they are, also if their clock is set."""
+
+    name = "keeps speaking"
+    statement = f"A robot that has not left, and the plane, are silent for {SILENT} periods at most while they run."
+
+    def __init__(self, facts: Facts) -> None:
+        super().__init__(facts)
+        self._last: dict[str, int] = {}
+        self.published = {AGENT_STATE: self._said, PLANE_STATE: self._said}
+
+    def _said(self, node: str, message: AgentState | PlaneState) -> None:
+        left = isinstance(message, AgentState) and message.status == Status.LEFT
+        self._last[node] = 2**62 if left else self.facts.now
+
+    def told(self, node: str, command: str) -> None:
+        if command == "join":
+            self._last[node] = self.facts.now
+
+    def begins(self, node: str) -> None:
+        self._last.pop(node, None)
+
+    resumes = begins
+
+    def period(self) -> None:
+        """Look for those that are silent."""
+        for node, last in self._last.items():
+            lasting = self.facts.now - max(last, self.facts.runs_since(node))
+            if lasting > SILENT * self.facts.period:
+                raise self.broken(node, f"runs, and says nothing for {lasting / 1e9:.3f} s")
 
 
 class StaysInItsLane(Property):

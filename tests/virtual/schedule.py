@@ -19,6 +19,8 @@ from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, standby_name
 from swarmabs_core.errors import InputError
 from swarmabs_core.nodes import agent_name
 
+AGE, AHEAD, TAKEOVER = 10, 2, 4
+"""Limits of all fleets, in periods: ages of messages, how far ahead they may be, and the silence before a takeover."""
 ALL = "*"
 LINKS = ("cut", "loss", "slow", "late", "again")
 """What can happen on a link: nothing passes; some messages are lost; all are late by a time; each by another time up to

@@ -13,7 +13,7 @@ from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
 from tests.virtual.lies import VirtualSeals, falsified, forged_relays
 from tests.virtual.properties import BrokenError, Ending, Facts
 from tests.virtual.recorders import FleetBags
-from tests.virtual.schedule import ALL, COMMANDS, FORGED, LIAR, LINKS, Case, Fault
+from tests.virtual.schedule import AGE, AHEAD, ALL, COMMANDS, FORGED, LIAR, LINKS, TAKEOVER, Case, Fault
 from tests.virtual.weather import Weather
 
 from swarmabs_config.graph import OBSERVER, PLANE
@@ -65,8 +65,8 @@ def scenario_of(robots: int, hertz: int, start: str, coordination: str, links: s
         agents.append(
             f"{{id: {number}, {body}, mass: {0.3 + 0.05 * number:g}, position: {side * (0.1 + 0.03 * number):g}}}"
         )
-    ages = ", ".join(f"{name}_age_limit: {10 * period:g}" for name in ("broadcast", "state", "plane"))
-    limits = f"{ages}, clock_tolerance: {2 * period:g}, takeover_after: {4 * period:g}, start: {start}"
+    ages = ", ".join(f"{name}_age_limit: {AGE * period:g}" for name in ("broadcast", "state", "plane"))
+    limits = f"{ages}, clock_tolerance: {AHEAD * period:g}, takeover_after: {TAKEOVER * period:g}, start: {start}"
     return builtin(
         "pd_het_4",
         f"swarm.agents=[{', '.join(agents)}]",
