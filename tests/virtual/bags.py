@@ -37,6 +37,7 @@ from tests.virtual.recorders import (
     Recorder,
     Stored,
     content,
+    is_explained,
     lacking,
     place_of,
 )
@@ -88,7 +89,7 @@ class BagCase:
     """A run by its name, its recorders and what happens to them.
 
     A file of a bag ends after so many bytes (`split`, 0: never) or s (`lasts`); chunks have `chunk_bytes`; writes are
-    short with a probability.
+    short with a probability. A run in lockstep takes `pace` s for a step; its recorder gathers messages for so long, s.
     """
 
     seed: int
@@ -100,6 +101,7 @@ class BagCase:
     chunk_bytes: int = 2**20
     short: float = 0.0
     pace: float = 0.02
+    gathers: float = 0.0
     robots: int = 3
     numbers: tuple[int, ...] | None = None
 
@@ -121,7 +123,7 @@ class BagCase:
 def bag_case(seed: int) -> BagCase:
     """Draw a case."""
     draw = Random(f"virtual bags:{seed}")
-    name = draw.choice((*FLEETS, *FLEETS, *RUNS))
+    name = draw.choice((*FLEETS, *RUNS, *RUNS))
     recorders = draw.choice((1, 2, 2, 3)) if name in FLEETS else draw.choice((1, 1, 2))
     harms = []
     for number in range(1, recorders + 1):
@@ -140,6 +142,7 @@ def bag_case(seed: int) -> BagCase:
         draw.choice((2**20, 2**20, 2500, 8000)),
         draw.choice((0.0, 0.3)),
         draw.choice((0.005, 0.02, 0.06)),
+        draw.choice((0.0, 0.2, 0.2)),
     )
 
 
@@ -253,19 +256,36 @@ class LockstepRecorder(Recorder):
 
     recording: Recording
 
-    def __init__(self, name: str, folder: Path, disk: Disk, scenario: Scenario, split: Split) -> None:
+    def __init__(
+        self, name: str, folder: Path, disk: Disk, scenario: Scenario, split: Split, *, gathers: float
+    ) -> None:
         super().__init__(name, folder, disk)
+        self._gathers, self._drained = gathers, disk.clock()
+        self._arrived: dict[Topic, list[bytes]] = {}
         self.recording = Recording(scenario, folder, driver="lockstep", split=split)
         self.behaviour = LockstepBehaviour(scenario, self.recording, lambda _: None)
         self.reports = Reports()
         self._watch("write_step")
 
     def hear(self, topic: Topic, data: bytes) -> None:
-        """Take a message that arrives."""
+        """Take a message that arrives; messages are gathered for a while."""
+        self._arrived.setdefault(topic, []).append(data)
+        if self.disk.clock() - self._drained >= self._gathers:
+            self._drain()
+
+    def _drain(self) -> None:
+        arrived, self._arrived, self._drained = self._arrived, {}, self.disk.clock()
         try:
-            self.behaviour.hear_all(topic, [data])
+            for topic, payloads in arrived.items():
+                self.behaviour.hear_all(topic, payloads)
         except BagWriteError as error:
             self.fail(error)
+
+    def end(self, ending: str = CLOSED) -> None:
+        """End after what has arrived is recorded."""
+        if not self.ending:
+            self._drain()
+        super().end(ending)
 
     def complete(self, ending: str) -> None:
         """End as the node does: the bag of a run that is not over is not closed."""
@@ -336,7 +356,9 @@ class _Host:
                 name, folder, disk, fleet.scenario, fleet.schedule, paired=fleet.paired, split=self._split
             )
         else:
-            self._recorder = LockstepRecorder(name, folder, disk, run_of(case.name).scenario, self._split)
+            self._recorder = LockstepRecorder(
+                name, folder, disk, run_of(case.name).scenario, self._split, gathers=case.gathers
+            )
         self._bags.recorders.append(self._recorder)
 
     def _end(self, harm: Harm) -> None:
@@ -431,7 +453,7 @@ class BagStory:
                 self._said += [f"{bag.name} {topic} {time} {data.hex()}\n" for topic, time, data in stored]
                 if case.name in RUNS:
                     is_run(cast("LockstepRecorder", recorder), bag, stored, run_of(case.name))
-            merged = bags.merged(found.values(), explained=True)
+            merged = bags.merged(found.values(), explained=case.name in FLEETS)
             if merged is not None:
                 stored = content(merged[0])
                 missing = {*lacking(merged[1])}
@@ -439,6 +461,8 @@ class BagStory:
                     names_losses(missing, stored, fleet_of(case.name))
                 else:
                     names_steps(missing, stored, run_of(case.name))
+                    if not missing:
+                        is_explained(merged[0], MERGED)
                 if case.seed % 3 == 0:
                     is_the_same(merged[0], found.values())
         finally:
@@ -507,7 +531,7 @@ def names_losses(named: set[Missing], merged: list[Stored], fleet: Fleet) -> Non
 @cache
 def _said_at_once(fleet: Fleet) -> list[set[tuple[str, int, int]]]:
     """Return what nodes have said at once."""
-    spoken = (said for said in fleet.said if said.topic is not EVENTS and said.topic is not STANDING)
+    spoken = (said for said in fleet.said if usual_topic(said.topic) not in {EVENTS, STANDING})
     return [
         {_usual(said.topic.name, said.data) for said in together}
         for _, together in groupby(spoken, key=attrgetter("time", "node"))

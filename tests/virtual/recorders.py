@@ -19,6 +19,7 @@ from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple, cast
 
+from mcap.records import Chunk
 from tests.virtual.disk import FOLDER, RESERVED, Disk, Disks
 from tests.virtual.fleet import EPOCH, VirtualFleet, Watcher, decode
 from tests.virtual.properties import BrokenError
@@ -26,6 +27,7 @@ from tests.virtual.schedule import Case
 
 from swarmabs_analysis.verify import BagToVerify
 from swarmabs_bag.errors import BagWriteError, DamagedBagError
+from swarmabs_bag.mcap.records import parse, read_record
 from swarmabs_bag.merge import MergeReport, merge_bags
 from swarmabs_bag.reader import open_bag
 from swarmabs_bag.realtime_world import RealtimeWorld
@@ -97,7 +99,7 @@ class Recorder:
         self.ended = inf
         self.described = True
         self.survives: set[int] | None = None
-        self._pieces: list[Piece] = []
+        self.pieces: list[Piece] = []
         self._first = self._complete = 0
 
     @property
@@ -131,10 +133,10 @@ class Recorder:
         self._note_piece(writer.path, writer._file.committed, self._first + writer._mcap.statistics.message_count)
 
     def _note_piece(self, path: Path, end: int, last: int) -> None:
-        of_file = [piece for piece in self._pieces if piece.path == path]
+        of_file = [piece for piece in self.pieces if piece.path == path]
         begin, first = (of_file[-1].end, of_file[-1].last) if of_file else (0, self._first)
         if last > first:
-            self._pieces.append(Piece(path, begin, end, first, last))
+            self.pieces.append(Piece(path, begin, end, first, last))
 
     def poll(self) -> None:
         """Do what a recorder does from time to time."""
@@ -159,9 +161,9 @@ class Recorder:
 
     def cut_power(self) -> None:
         """Cut the power of the disk."""
-        before = {piece: piece.path.read_bytes()[piece.begin : piece.end] for piece in self._pieces}
+        before = {piece: piece.path.read_bytes()[piece.begin : piece.end] for piece in self.pieces}
         self.disk.cut_power()
-        files = {path: path.read_bytes() if path.exists() else b"" for path in {piece.path for piece in self._pieces}}
+        files = {path: path.read_bytes() if path.exists() else b"" for path in {piece.path for piece in self.pieces}}
         whole = [piece for piece, data in before.items() if files[piece.path][piece.begin : piece.end] == data]
         described = {piece.path for piece in whole if not piece.begin}  # the first one describes topics and run
         self.described = bool(described)
@@ -327,7 +329,7 @@ class Bags:
         except (DamagedBagError, InputError) as error:
             if not whole and not survives:
                 return None
-            raise BrokenError("bags survive", name, str(error)) from error
+            raise BrokenError("bags survive", name, str(error).replace(f"{self.folder}/", "")) from error
         bag = recorder.folder if report.output is None else place
         if whole and report.output is not None:
             problems = (*report.problems, *(problem for file in report.files for problem in file.problems))
@@ -339,15 +341,21 @@ class Bags:
             text = f"lacks {len(missing)} messages, the first on {first.topic} of step {step_of(first.payload)}"
             raise BrokenError("bags survive", name, text)
         is_counted(report, found, name)
+        if len({piece.path for piece in recorder.pieces}) == 1:
+            losses_are_counted(report, recorder.written, lost, name)
         reason, cut = open_bag(bag).aborted(), recorder.ending in {KILLED, POWER}
         unknown = cut and reason is None and not recorder.writer.path.exists()  # the file that was not complete is lost
         if ((reason is None) != (recorder.ending == CLOSED) or (reason == CUT_OFF) != cut) and not unknown:
             raise BrokenError("bags survive", name, f"says that it ended early because: {reason}")
         if isinstance(recorder, RealtimeRecorder):
             are_counted(recorder, name)
+        if whole:
+            has_checksums(bag, name)
         if not recorder.described or not found:
             return None
-        if explained:
+        # A bag in lockstep is verified up to its end, if it has no gap and says why it ended.
+        follows = not unknown and found == recorder.written[: len(found)]
+        if explained and (follows or isinstance(recorder, RealtimeRecorder)):
             is_explained(bag, name)
         return bag
 
@@ -378,6 +386,29 @@ def is_counted(report: RepairReport, found: list[Stored], name: str) -> None:
     has = dict(Counter(stored.topic for stored in found))
     if counted != has or report.messages != len(found):
         raise BrokenError("losses are counted", name, f"has {has}, but the repair counts {counted}")
+
+
+def has_checksums(bag: Path, name: str) -> None:
+    """Raise an error if a chunk of a bag has no CRC, without which damage cannot be seen."""
+    for file in open_bag(bag).files:
+        with file.path.open("rb") as stream:
+            for entry in file.index.chunks:
+                if not parse(Chunk, read_record(stream, entry.chunk_start_offset, file.size)).uncompressed_crc:
+                    raise BrokenError("bags survive", name, f"has a chunk without a CRC in {file.path.name}")
+
+
+def losses_are_counted(report: RepairReport, written: list[Stored], lost: set[int], name: str) -> None:
+    """Raise an error if the report of a repair does not count what is lost before other messages of its topic."""
+    truth: Counter[str] = Counter()
+    gap: Counter[str] = Counter()
+    for number, stored in enumerate(written):
+        if number in lost:
+            gap[stored.topic] += 1
+        else:
+            truth[stored.topic] += gap.pop(stored.topic, 0)
+    counted = {topic.name.lstrip("/"): topic.lost for topic in report.topics if topic.lost}
+    if counted != {topic: number for topic, number in truth.items() if number}:
+        raise BrokenError("losses are counted", name, f"has lost {+truth}, but the repair counts {counted}")
 
 
 def are_counted(recorder: RealtimeRecorder, name: str) -> None:
@@ -437,7 +468,7 @@ def check_merged(merged: list[Stored], contents: list[list[Stored]], report: Mer
         for stored in of_bag:
             key = stored.topic, stored.payload
             times[key] = min(stored.time, times.get(key, stored.time))
-    for before, after in pairwise(merged):
+    for before, after in pairwise(stored for stored in merged if stored.topic != OWN):  # in lockstep events may be late
         if after.time < before.time:
             raise BrokenError("bags are merged", name, f"has {after.topic} at {after.time} ns after {before.time} ns")
     for stored in merged:

@@ -25,7 +25,7 @@ from functools import cache, partial
 from math import inf
 from pathlib import Path
 from random import Random
-from signal import SIGCONT, SIGINT, SIGKILL, SIGSTOP, Signals
+from signal import SIGCONT, SIGINT, SIGKILL, SIGSTOP, SIGTERM, Signals
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
@@ -404,7 +404,7 @@ class Host:
             return
         process.alive, process.status, process.ended = False, status, self.now
         self.tell(self.now, process.name, f"ends: {os.waitstatus_to_exitcode(status)}")
-        lease = self.draw.choice((0.01, 0.3, 3.0))
+        lease = self.draw.choice((0.01, 3.0, LONGEST))
         self.after(1e-3, self._child_ended)
         for other in self.processes.values():
             self.after(lease, partial(other.known.discard, process))
@@ -715,10 +715,14 @@ class StartStory:
             raise _wrong(f"says {text}, but nobody has interrupted it")
         if outcome.status != "ok" and all(self._is_mild(trouble) for trouble in self.case.faults):
             raise _wrong(f"says {text}, although the swarm could go on")
-        if outcome.status == "interrupted" and host.current().get(RECORDER) is not None:
-            told = {(name, number) for _, name, number in host.signals}
-            if (RECORDER, SIGINT) not in told and host.current()[RECORDER].alive:
-                raise _wrong("does not tell the recorder of the interrupt")
+        recorder, ends = host.current().get(RECORDER), {SIGINT, SIGTERM}
+        told = [number for _, name, number in host.signals if name == RECORDER and number in ends]
+        lives = recorder is not None and recorder.ended >= decided and host.code != -9
+        if outcome.status != "ok" and lives and not told and RECORDER not in (outcome.reason or ""):
+            raise _wrong(f"says {text}, but does not tell the recorder to end")
+        wrong = {SIGTERM} if outcome.status == "interrupted" else set() if host.asked else {SIGINT}
+        if wrong.intersection(told[:1]):
+            raise _wrong(f"says {text}, but tells the recorder so by {Signals(told[0]).name}")
         for name, plan in host.plan.items():
             spawned = sum(process.name == name for process in host.processes.values())
             if spawned > (1 + RESTARTS if plan.agents else 1):
@@ -745,6 +749,8 @@ class StartStory:
     def _names_dead(self, outcome: Outcome, decided: float) -> None:
         """Raise an error if the warnings of a run in real time do not name the robots that have died."""
         host = self.host
+        if untold := [p.name for p in host.current().values() if p.ended >= decided and not p.told and not p.done]:
+            raise _wrong(f"does not tell {untold[0]} to end")
         dead = {p.name for p in host.processes.values() if p.plan.agents and p.number == self._spawned(p.name)}
         dead = {name for name in dead if not any(_timing(report, name) for _, report in host.reports)}
         dead -= {p.name for p in host.processes.values() if p.told and p.ended < decided}  # they were to end
