@@ -154,9 +154,10 @@ class Case:
         """Return the text of the case."""
         words = [
             f"{self.robots} robots at {self.hertz} Hz",
-            f"each robot coordinates{', sealed' * self.sealed}, links {self.links}, law {self.law}"
+            f"each robot coordinates{', sealed' * self.sealed}, links {self.links}"
             if self.each_robot
             else f"observer, controller{', standbys' * self.paired}",
+            f"law {self.law}",
             *(["two recorders"] if self.recorded else []),
             *(["a topic for each robot"] if self.own_topics else []),
             f"starts in {'STOP' if self.stopped else 'RUN'}, robots needed: {self.start}",
@@ -211,7 +212,10 @@ def case_of(seed: int, robots: int | None = None) -> Case:
         quiet = time + lasting
         faults = [f for f in faults if f.kind != "impostor"]  # who takes the place of one that is lost is believed
     faults = sorted(Fault(round(f.at, 3), f.kind, f.who, round(f.lasting, 3), round(f.value, 4)) for f in faults)
-    case = replace(case, recorded=not case.each_robot and case.robots <= 4 and case.hertz <= 20 and draw.random() < 0.2)
+    if not case.each_robot:
+        law = draw.choice(("pd", "pd", "pid", "arise")) if case.hertz >= 20 else "pd"
+        small = case.robots <= 4 and case.hertz <= 20
+        case = replace(case, law=law, recorded=small and draw.random() < (0.2 if law == "pd" else 0.4))
     return replace(case, quiet=round(max([quiet, 0.5, *(f.end for f in faults)]), 3), faults=tuple(faults))
 
 
