@@ -289,7 +289,7 @@ class RestsAndLeaves(Property):
     name = "rests and leaves"
     statement = (
         "A robot that does not follow commands 0, or if it is driven by a force its brake; one that is told to leave "
-        f"rests, says so for {LEAVING} periods, and is then silent until it is told to join."
+        f"rests, says so for {LEAVING} periods, then is silent until it is told to join."
     )
 
     def __init__(self, facts: Facts) -> None:
@@ -298,7 +298,6 @@ class RestsAndLeaves(Property):
         self._left: dict[str, tuple[int, int]] = {}
         self._rested: set[str] = set()
         self._time = max(BRAKING_TIME, facts.clock.period)
-        self._longest_age = facts.measurement_age
         self.published = {AGENT_STATE: self._state}
 
     def begins(self, node: str) -> None:

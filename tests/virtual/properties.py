@@ -534,6 +534,9 @@ class SumsUpWhatItHears(Property):
         if node in facts.wrong:
             return
         used = dict(zip(basis.agent_ids, zip(basis.state_steps, basis.standing, strict=True), strict=True))
+        for robot, (step, _) in used.items():
+            if step > basis.step + facts.ahead:
+                raise self.broken(node, f"in step {basis.step} it uses a state of robot {robot} of step {step}")
         known = self._standing[node]
         for robot in known.keys() ^ used.keys():
             if robot not in newest:  # the memory of the host knows those that stand on the plane
@@ -574,7 +577,10 @@ class AnswersThePlane(Property):
     """A controller asks for something only in answer to a state of the plane."""
 
     name = "answers the plane"
-    statement = "A controller in RUN publishes a desired state only for a step whose state of the plane has reached it."
+    statement = (
+        "A controller in RUN publishes a desired state only for a step whose state of the plane has reached it, and is "
+        "neither too old nor from the future."
+    )
 
     def __init__(self, facts: Facts) -> None:
         super().__init__(facts)
@@ -596,6 +602,9 @@ class AnswersThePlane(Property):
             del steps[:-50]
 
     def _desired(self, node: str, message: Any) -> None:
+        late = self.facts.step_of(node) - message.step
+        if message.mode == Mode.RUN and not -self.facts.ahead <= late <= self.facts.age:
+            raise self.broken(node, f"asks for step {message.step} in its step {message.step + late}")
         if message.mode == Mode.RUN and message.step not in self._heard[node]:
             raise self.broken(node, f"asks for step {message.step}, of which it has no state of the plane")
 
