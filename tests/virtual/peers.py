@@ -45,8 +45,8 @@ SETTLED = 1.0
 """Time, s, for which a majority hears the same robots until these are those that count."""
 RESETTING = 1.0
 """Time, s, for which robots stand still after a RESET."""
-APART = 1e-5
-"""By how much the integrals of robots may differ when they approach each other, relative to 1 + their size."""
+APART = 0.5
+"""By how much the integrals of robots may differ soon after a start, relative to 1 + their size."""
 PASSED_ON = "passes on what it hears"
 SUMMED = "sums up what it knows"
 ORDERED = "orders reach all"
@@ -66,7 +66,7 @@ STATEMENTS = {
         "A robot follows only while it hears a majority of those that count, and then it does; those count that a "
         "majority has heard for a second."
     ),
-    ALIKE: "When all is well, all robots know the same orders, count the same robots, and have laws that agree.",
+    ALIKE: "When all is well, all robots know the same orders, count the same robots, and have laws of one time.",
 }
 """What each of these properties means, for people."""
 _NO_ORDERS = Orders()
@@ -96,6 +96,7 @@ class _Robot:
     orders: Orders = _NO_ORDERS
     most: Orders = _NO_ORDERS
     ordered: int = -(10**18)
+    left: dict[int, int] = field(default_factory=dict)
     ordering: bool = False
     resumed: int = -(10**18)
     summed: int = -1
@@ -136,8 +137,6 @@ class TellEachOther(Property):
         self._late = any(fault.kind in {"slow", "late", "again"} for fault in case.faults)
         self._intruder = any(fault.kind == "impostor" for fault in case.faults)
         self._settled = clock.steps(SETTLED)
-        links = scenario.links
-        self._lossless = not links.loss and not links.sensing
         self.published = {
             AGENT_STATE: self._state,
             PLANE_STATE: self._plane,
@@ -257,8 +256,8 @@ class TellEachOther(Property):
         )
 
     def _left(self, robot: _Robot) -> frozenset[int]:
-        """Return the ranks of those that have left as far as a robot knows."""
-        return frozenset(r for r, of in enumerate(robot.known) if of >= 0 and self._may_have_left(r, of))
+        """Return the ranks of those that may have left as far as a robot knows."""
+        return frozenset(r for r, of in robot.left.items() if of >= robot.known[r])
 
     def _may_have_left(self, rank: int, step: int) -> bool:
         return any(status == Status.LEFT for status, *_ in self._published.get((rank, step), ()))
@@ -313,6 +312,8 @@ class TellEachOther(Property):
     def _learn(self, robot: _Robot, rank: int, step: int, *, sure: bool) -> None:
         may = robot.may[rank]
         may[step] = None
+        if self._may_have_left(rank, step):
+            robot.left[rank] = max(robot.left.get(rank, -1), step)
         if len(may) > 200:
             for old in sorted(may)[:-100]:
                 del may[old]
@@ -644,7 +645,7 @@ class TellEachOther(Property):
                 raise self._break(ALIKE, name, text)
             if len(law.memory) != len(first.memory):
                 raise self._break(ALIKE, name, "remembers nothing of its law")
-        most = APART + 0.97 * before if self._lossless else 0.1 + before
+        most = max(APART, before)
         if self.spread() > most:
             text = (
                 f"has integrals that are {self.spread():.3g} apart from those of others; before they were {before:.3g}"

@@ -188,10 +188,11 @@ def case_of(seed: int, robots: int | None = None) -> Case:
         draw.random() < 0.3,
         draw.choice(("wait", "wait", "proceed")),
     )
-    if draw.random() < 0.2:
+    if draw.random() < 0.35:
         case = _without_coordinators(case)
     mix = (*_MIX, *_AMONG_ROBOTS) if case.each_robot else _MIX
     kinds = draw.sample(mix, draw.choice((1, 2, 2, 3, 5, len(_MIX))))
+    kinds += [_lies] * case.sealed
     one_at_a_time = draw.random() < 0.5
     faults: list[Fault] = []
     time = case.begins

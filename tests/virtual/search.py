@@ -27,6 +27,7 @@ from typing import NamedTuple, Protocol, TypeAlias
 from tests.virtual.bags import BagCase, BagStory, bag_case
 from tests.virtual.checks import STATEMENTS
 from tests.virtual.lockstep import LockstepCase, LockstepStory, lockstep_case
+from tests.virtual.rounds import RoundsCase, RoundsStory, rounds_case
 from tests.virtual.schedule import Case, case_of
 from tests.virtual.starts import StartCase, StartStory, start_case
 from tests.virtual.story import Result, Story, outcome
@@ -61,14 +62,14 @@ class Trial(NamedTuple):
         return re.sub(r"agent_\d+|[-+\d.]+(e[-+]\d+)?", "", self.text)
 
 
-AnyCase: TypeAlias = "Case | LockstepCase | BagCase | StartCase"
+AnyCase: TypeAlias = "Case | LockstepCase | RoundsCase | BagCase | StartCase"
 _OTHERS: dict[int, Callable[[int], AnyCase]] = {0: lockstep_case, 2: bag_case, 4: start_case, 6: bag_case}
 """What is drawn of other kinds than fleets, by the remainder of the seed."""
 
 
 def drawn(seed: int) -> AnyCase:
-    """Return the case of a seed: of eight, one is in lockstep, one a start, and two are of recorders."""
-    return _OTHERS.get(seed % 8, case_of)(seed)
+    """Return the case of a seed: of sixteen, two are in lockstep, one of them without coordinators; see `_OTHERS`."""
+    return rounds_case(seed) if seed % 16 == 8 else _OTHERS.get(seed % 8, case_of)(seed)
 
 
 class Told(Protocol):
@@ -86,6 +87,8 @@ def story_of(case: AnyCase, tell: Callable[[float, str, str], None]) -> Told:
     """Return what lets a case happen that is not one of a fleet."""
     if isinstance(case, LockstepCase):
         return LockstepStory(case, tell)
+    if isinstance(case, RoundsCase):
+        return RoundsStory(case, tell)
     if isinstance(case, BagCase):
         return BagStory(case, tell)
     assert isinstance(case, StartCase)

@@ -139,9 +139,9 @@ class World:
 
     @property
     def drops(self) -> dict[int, int]:
-        """The steps from which on robots are dropped, as recorded."""
+        """The steps from which on robots are dropped, as recorded; not those whose end was planned."""
         events = (decoded(data) for data in self.recorded.get("swarm/events", ()))
-        return {event.agent_id: event.step for event in events if event.kind == EventKind.DEAD}
+        return {e.agent_id: e.step for e in events if e.kind == EventKind.DEAD and e.detail == SILENT}
 
 
 def decoded(data: bytes) -> SwarmEvent:

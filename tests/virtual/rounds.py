@@ -1,0 +1,128 @@
+"""Robots in lockstep without coordinators: rounds of relays with losses, robots that come, go, end or stand still.
+
+What is recorded must be, bit for bit, what observer and parent controller would have led to; where the robots agree on
+dropping silent ones, with an observer that drops the same ones at the same steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from random import Random
+from typing import NamedTuple
+
+from tests.swarmabs_core.behaviours.peers_in_time import LATE, SECONDS, World
+from tests.swarmabs_core.behaviours.test_dropping import LINKS, MORE, STEPS, judged, swarm
+from tests.virtual.properties import BrokenError
+from tests.virtual.schedule import numbered
+
+from swarmabs_core.cdr import encode
+from swarmabs_core.messages import topic_of
+from swarmabs_core.nodes import agent_name
+
+_UNTIL = 30.0
+"""Time, s, after which a run that has not ended hangs."""
+
+
+class Doing(NamedTuple):
+    """What happens to a robot: it `ends` after so many messages, or `stands` still from a time, s, for a while, s."""
+
+    kind: str
+    robot: int
+    when: float
+    lasting: float = 0.0
+
+    def __str__(self) -> str:
+        if self.kind == "ends":
+            return f"robot {self.robot} ends after {self.when:g} messages"
+        return f"robot {self.robot} stands still from {self.when:.3f} s on for {self.lasting:.3f} s"
+
+
+@dataclass(frozen=True)
+class RoundsCase:
+    """A swarm, who hears whom, the share of messages that the network loses, what is planned, and what happens."""
+
+    seed: int
+    robots: int
+    links: str
+    loss: float
+    planned: str
+    faults: tuple[Doing, ...]
+    numbers: tuple[int, ...] | None = None
+
+    def only(self, numbers: Iterable[int]) -> RoundsCase:
+        """Return the case with some of what happens only."""
+        return replace(self, faults=tuple(self.faults[number] for number in numbers), numbers=tuple(numbers))
+
+    def __str__(self) -> str:
+        what = f"{self.robots} robots without coordinators, links {self.links}, loss {self.loss:g}"
+        plan = f"; planned: {self.planned}" if self.planned != "[]" else ""
+        return "\n".join([f"seed {self.seed}: lockstep, {what}{plan}", *numbered(self.faults, self.numbers)])
+
+
+def rounds_case(seed: int) -> RoundsCase:
+    """Draw a case: with changes of the swarm that are planned, or with robots that end or stand still."""
+    draw = Random(f"virtual rounds:{seed}")
+    robots = draw.randint(4, 10)
+    links, loss = draw.choice(LINKS if robots < 6 else LINKS + MORE), draw.choice((0.0, 0.0, 0.05))
+    if draw.random() < 0.3:
+        first, *others = draw.sample(range(3, robots + 1), 2)
+        kinds = draw.sample(("kill", "leave", "join", "freeze"), 2)
+        planned = [
+            f"{{kind: {kind}, agent: {robot}, at: {0.01 * draw.randint(2, STEPS - 3):g}}}"
+            for kind, robot in zip(kinds, (first, *others), strict=True)
+        ]
+        links = draw.choice([one for one in LINKS if "ring" not in one])
+        return RoundsCase(seed, robots, links, loss, f"[{', '.join(planned)}]", ())
+    doings = []
+    for robot in draw.sample(range(1, robots + 1), draw.randint(1, robots // 2)):
+        if draw.random() < 0.7:
+            doings.append(Doing("ends", robot, draw.randint(1, 100)))
+        else:
+            lasting = draw.uniform(0.0, SECONDS - 3 * LATE)
+            doings.append(Doing("stands", robot, round(draw.uniform(0.0, 1.0), 3), round(lasting, 3)))
+    if draw.random() < 0.1:  # long enough to be dropped: it finds that out when it goes on
+        doings = [Doing("stands", draw.randint(1, robots), round(draw.uniform(0.1, 0.3), 3), 4 * SECONDS)]
+    return RoundsCase(seed, robots, links, loss, "[]", tuple(doings))
+
+
+class RoundsStory:
+    """Lets a case happen; as `tests.virtual.lockstep.LockstepStory`."""
+
+    def __init__(self, case: RoundsCase, tell: Callable[[float, str, str], None] = lambda *_: None) -> None:
+        self.case = case
+        self._tell = tell
+        scenario = swarm(case.robots, case.links, faults=case.planned)
+        self.world = World(scenario, Random(case.seed), loss=case.loss)
+
+    @property
+    def time(self) -> float:
+        """The time since the beginning, s."""
+        return self.world.time
+
+    def said(self) -> str:
+        """Return what was said, as text."""
+        return "".join(f"{node} says {topic_of(m).name} {encode(m).hex()}\n" for node, m in self.world.log)
+
+    def check(self) -> None:
+        """Run; raise an error if a property does not hold."""
+        world, case = self.world, self.case
+        turns = []
+        for doing in case.faults:
+            if doing.kind == "ends":
+                world.end_at(doing.robot, int(doing.when))
+            else:
+                turns += [(doing.when, doing.robot, True), (doing.when + doing.lasting, doing.robot, False)]
+        for when, robot, still in sorted(turns):
+            world.run(max(0.0, when - world.time))
+            (world.frozen.add if still else world.frozen.discard)(robot)
+            self._tell(when, agent_name(robot), "stands still" if still else "goes on")
+        world.run(_UNTIL)
+        for robot in sorted(world.dead):
+            self._tell(world.time, agent_name(robot), "has ended")
+        for robot, why in sorted(world.stopped.items()):
+            self._tell(world.time, agent_name(robot), f"stops: {why}")
+        try:
+            judged(world, swarm(case.robots, case.links, "central", case.planned))
+        except AssertionError as error:
+            raise BrokenError("equal digests", "the swarm", f"is not as one with an observer: {error}") from None
