@@ -585,6 +585,8 @@ class AnswersThePlane(Property):
     def __init__(self, facts: Facts) -> None:
         super().__init__(facts)
         self._heard: dict[str, list[int]] = {}
+        self._known: dict[str, dict[tuple[int, bool], Any]] = {}
+        self._doubted: dict[str, int] = {}
         if facts.case.each_robot:  # they have states of the plane from each other
             return
         self._heard = {name: [] for name in facts.case.pairs[1]}
@@ -594,17 +596,37 @@ class AnswersThePlane(Property):
     def begins(self, node: str) -> None:
         if node in self._heard:
             self._heard[node] = []
+            self._known.pop(node, None)
+            self._doubted.pop(node, None)
 
     def _plane(self, node: str, parcel: Parcel) -> None:
         if node in self._heard and parcel.message is not None and parcel.sender:
             steps = self._heard[node]
             steps.append(parcel.message.step)
             del steps[:-50]
+        if node in self._heard and parcel.message is not None:
+            self._compare(node, parcel.message, forged=not parcel.sender)
+
+    def _compare(self, node: str, state: Any, *, forged: bool) -> None:
+        """Let a controller doubt from a step on, if it can tell that somebody forges credible states of the plane."""
+        step, known = self.facts.step_of(node), self._known.setdefault(node, {})
+        if abs(state.angle) > 3.2 or not step - self.facts.age <= state.step <= step + self.facts.ahead:
+            return
+        known[state.step, forged] = state
+        other = known.get((state.step, not forged))
+        if other is not None and other != state:
+            self._doubted[node] = step
+        if len(known) > 100:
+            for old in [key for key in known if key[0] < step - self.facts.age]:
+                del known[old]
 
     def _desired(self, node: str, message: Any) -> None:
         late = self.facts.step_of(node) - message.step
         if message.mode == Mode.RUN and not -self.facts.ahead <= late <= self.facts.age:
             raise self.broken(node, f"asks for step {message.step} in its step {message.step + late}")
+        since = self._doubted.get(node, -(2**62))
+        if message.mode == Mode.RUN and 0 <= message.step + late - since <= self.facts.age:
+            raise self.broken(node, f"asks for step {message.step}, but knows since step {since} that states differ")
         if message.mode == Mode.RUN and message.step not in self._heard[node]:
             raise self.broken(node, f"asks for step {message.step}, of which it has no state of the plane")
 

@@ -360,7 +360,8 @@ def _stop_and_loss(draw: Random, case: Case, at: float) -> list[Fault]:
         faults.append(Fault(when, "clock", draw.choice(case.robot_names), lasting + 1.0, periods / case.hertz))
     if kind == "cut":
         when = max(0.0, when - draw.uniform(0.0, 0.5))
-    ways = (f"{controller}>{ALL}", f"{ALL}>{controller}") if kind == "cut" else (controller,)
+    lost = draw.choice((controller, controller, controller, PLANE))  # a STOP is repeated without the plane, too
+    ways = (f"{lost}>{ALL}", f"{ALL}>{lost}") if kind == "cut" else (lost,)
     return [*faults, *(Fault(when, kind, way, lasting) for way in ways)]
 
 
@@ -438,8 +439,8 @@ def _forged(draw: Random, case: Case, at: float) -> list[Fault]:
 
 
 def _impostor(draw: Random, case: Case, at: float) -> list[Fault]:
-    """Let somebody speak in the name of others, to somebody who hears robots."""
-    hears = draw.choice(((PLANE,), case.pairs[0] if case.pairs else case.robot_names))
+    """Let somebody speak in the name of others, to somebody who hears robots or the plane."""
+    hears = draw.choice(((PLANE,), *(case.pairs or (case.robot_names,))))
     return [Fault(at, "impostor", draw.choice(hears), draw.uniform(0.1, 1.0), draw.choice((-1, 0, 1, 2)))]
 
 
