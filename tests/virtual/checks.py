@@ -56,7 +56,7 @@ class Checks(Watcher):
                 self._heard.setdefault(topic, []).append(heard)
 
     def begins(self, node: str) -> None:
-        self._facts.started[node] = self._facts.now
+        self._facts.starts(node)
         for one in self._properties:
             one.begins(node)
 

@@ -174,6 +174,11 @@ class Facts:
         """Return whether a node itself has had no fault for long; its links may be bad."""
         return self._sound.get(node, 0.0) < self.now and node not in self.wrong
 
+    def starts(self, node: str) -> None:
+        """Note that a node starts."""
+        self.started[node] = self.now
+        self._still_since.pop(node, None)
+
     def resumes(self, node: str) -> None:
         """Note that a node goes on, if it stood still."""
         if node in self._still_since:

@@ -29,6 +29,14 @@ FOUND = {
             Fault(5.2, "join", "agent_001"),
         ),
     ),
+    "what happens just after a coordinator is lost is never reported": Case(
+        421,
+        robots=4,
+        paired=True,
+        start="proceed",
+        faults=(Fault(0.0, "crash", "agent_001", 2.97), Fault(3.052, "crash", "abstraction_observer", 1.0)),
+        quiet=4.1,
+    ),
 }
 
 

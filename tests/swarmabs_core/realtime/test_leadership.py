@@ -333,11 +333,11 @@ def test_events_from_the_time_in_which_neither_spoke_are_published_by_the_next_l
 
     voice = voice_of(STANDBY, following(step=100))
     for k in range(101, 115):
-        if k == 108:  # until step 111 the peer spoke
+        if k == 108:  # the peer has told what happened up to its last step
             voice.leadership.hear(107, 108)
         assert voice.say((event(k),), at(k), able=k > 110) == ()
     leads = msg.SwarmEvent(at(115), 115, 0, msg.EventKind.LEADING, 0.0, "abstraction_observer_standby: peer silent")
-    assert voice.say((event(115),), at(115)) == (leads, *map(event, range(112, 116)))
+    assert voice.say((event(115),), at(115)) == (leads, *map(event, range(108, 116)))
     assert voice.say((event(116),), at(116)) == (event(116),)
 
 

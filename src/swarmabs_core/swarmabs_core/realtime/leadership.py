@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from swarmabs_core.declaration import same, setting
 from swarmabs_core.events import EventCode
-from swarmabs_core.messages import Message, Messages, SwarmEvent
+from swarmabs_core.messages import Messages, SwarmEvent
 from swarmabs_core.pair_role import STANDBY_SUFFIX, PairRole, role_values
 from swarmabs_core.realtime.base import MOST_BACK, Realtime
 
@@ -102,6 +102,11 @@ class Leadership:
         """Note a message of the other one; one from the future shows nothing, because robots reject it too."""
         if message_step <= step + self._ahead:
             self._heard = max(self._heard, message_step)
+
+    @property
+    def heard(self) -> int:
+        """The newest step in which the other one spoke."""
+        return self._heard
 
     def hears_peer(self, step: int) -> bool:
         """Return whether the other one speaks."""
@@ -219,7 +224,7 @@ class Voice:
         self._single = pair.single
         self._begun = begun
         self._suffix = STANDBY_SUFFIX if pair.rank == STANDBY else ""
-        self._kept: deque[Message] = deque(maxlen=_MOST_KEPT)
+        self._kept: deque[SwarmEvent] = deque(maxlen=_MOST_KEPT)
         self._leads = False
         self.settled = pair.single
         self._counted = 0
@@ -243,10 +248,9 @@ class Voice:
         self._leads = speaks
         self._settle(step)
         if not speaks:
-            if self.leadership.hears_peer(step):
-                self._kept.clear()
-            else:
-                self._kept.extend(message for message in messages if isinstance(message, SwarmEvent))
+            self._kept.extend(message for message in messages if isinstance(message, SwarmEvent))
+            while self._kept and self._kept[0].step <= self.leadership.heard:  # the other one has told it
+                self._kept.popleft()
             return ()
         if led:
             return messages
