@@ -34,7 +34,7 @@ FOUND = {
         robots=4,
         paired=True,
         start="proceed",
-        faults=(Fault(0.0, "crash", "agent_001", 2.97), Fault(3.052, "crash", "abstraction_observer", 1.0)),
+        faults=(Fault(0.0, "crash", "agent_001", 2.97), Fault(3.01, "crash", "abstraction_observer", 1.0)),
         quiet=4.1,
     ),
 }
