@@ -530,6 +530,7 @@ class TellEachOther(Property):
         if since < 0:  # at the start
             return
         text = f"lets robots {self._named(counted)} count from step {since} on"
+        may |= self._hears(robot, since, surely=False)
         if not counted <= may:
             raise self._break(COUNTED, node, f"{text}, but hears robots {self._named(may)}")
         of = [known for _, known in (before, *robot.electing) if known]

@@ -365,13 +365,6 @@ PLANTED = (
         "return self._replace(reset=max(self.reset, other.reset))",
     ),
     Planted(
-        "reset_without_guard",
-        "A RESET that does not know of a STOP of the same time overrides it among robots.",
-        "swarmabs_core.realtime.modes",
-        "return 0 <= self.stop >= self.reset - guard",
-        "return 0 <= self.stop >= self.reset",
-    ),
-    Planted(
         "plane_is_passed_on_to_nobody",
         "A robot does not pass on the plane's state if one of its neighbours has it.",
         "swarmabs_core.realtime.peer",
