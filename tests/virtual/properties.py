@@ -687,7 +687,8 @@ class KeepsSpeaking(Property):
         """Look for those that are silent."""
         for node, last in self._last.items():
             lasting = self.facts.now - max(last, self.facts.runs_since(node))
-            if lasting > SILENT * self.facts.period:
+            before_all = self.facts.step_of(node) < SILENT  # its clock shows a time before the first step, or did so
+            if lasting > SILENT * self.facts.period and not before_all:
                 raise self.broken(node, f"runs, and says nothing for {lasting / 1e9:.3f} s")
 
 
