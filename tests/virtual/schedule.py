@@ -270,6 +270,13 @@ def _pause(draw: Random, case: Case, at: float) -> list[Fault]:
     return [Fault(at, "pause", _some(draw, case), _length(draw))]
 
 
+def _leader(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let one that leads, or a robot, be lost for longer than a takeover takes."""
+    name, lasting = draw.choice(case.pairs or (case.robot_names,))[0], draw.uniform(8.0, 40.0) / case.hertz
+    kind = draw.choice(("crash", "idle", "pause", "cut"))
+    return [Fault(at, kind, f"{name}>{ALL}" if kind == "cut" else name, lasting)]
+
+
 def _host(draw: Random, case: Case, at: float) -> list[Fault]:
     """Let the host of two coordinators fail, or of all primaries and a robot."""
     lasting, kind, standby = _length(draw), draw.choice(("crash", "pause")), case.paired and draw.random() < 0.5
@@ -462,6 +469,8 @@ def _overload(draw: Random, case: Case, at: float) -> list[Fault]:
 _MIX: tuple[Callable[[Random, Case, float], list[Fault]], ...] = (
     _crash,
     _pause,
+    _leader,
+    _leader,
     _host,
     _cut,
     _weather,
