@@ -438,10 +438,13 @@ class KeepsFollowing(Property):
         if state.status == Status.ACTIVE and state.broadcast_step != NEVER:
             self._stopped.pop(node, None)
             return
-        since = self._stopped.setdefault(node, self.facts.now)
         expected = self.facts.follows(node)
+        if not expected:
+            self._stopped.pop(node, None)
+            return
+        since = self._stopped.setdefault(node, self.facts.now)
         lasting = self.facts.now - since
-        if expected and lasting > (self._longest if expected == "soon" else 3 * self.facts.period):
+        if lasting > (self._longest if expected == "soon" else 3 * self.facts.period):
             what = f"is {Status(state.status).name} and does not move for {lasting / 1e9:.3f} s"
             others = "most robots are" if self.facts.case.each_robot else "one of each pair of coordinators is"
             why = f"it and {others} fine"

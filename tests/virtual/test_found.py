@@ -37,6 +37,14 @@ FOUND = {
         faults=(Fault(0.0, "crash", "agent_001", 2.97), Fault(3.01, "crash", "abstraction_observer", 1.0)),
         quiet=4.1,
     ),
+    "an order before the first step ends a robot": Case(
+        22061,
+        hertz=10,
+        each_robot=True,
+        stopped=True,
+        faults=(Fault(0.339, "clock", "agent_003", 1.092, -0.5), Fault(0.36, "stop", "agent_003")),
+        quiet=1.5,
+    ),
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from math import isclose
 from typing import TYPE_CHECKING, ClassVar, Generic, TypeAlias, TypeVar
 
 from swarmabs_analysis.difference import Difference, judge
@@ -54,6 +55,7 @@ NO_BROADCASTS = "the broadcasts that the robot followed are not in the bag"
 NO_ANSWER_BEFORE = "the answer from which it continues is not in the bag"
 NO_DIVISION = "what the observer told of standing robots is not in the bag"
 NO_PLANE = "the plane's state that it answers is not in the bag"
+_ROUNDING = 1e-12
 
 
 Followed: TypeAlias = "tuple[History, History]"
@@ -448,6 +450,8 @@ class ControllerCheck(_CoordinatorCheck[RealtimeControllerConfig]):
         torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
         if self._last is not None and self._last.torque == torque:
             inertia = self._last.inertia
+        elif isclose(inertia, asked.inertia, rel_tol=_ROUNDING):
+            inertia = asked.inertia  # computed around robots that stand, for a message that was not recorded
         return DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia)
 
     def _division(self, provenance: Basis) -> StandingState | None:

@@ -236,7 +236,9 @@ class RealtimePeer:
     def _ordered(self, said: Messages, now: int) -> Messages:
         """Pass on an order at once; who hears of it tells others in its next period."""
         events = () if self._speaks else tuple(message for message in said if isinstance(message, SwarmEvent))
-        return (*events, *self._share(said, now), *self._relay(self._schedule.step(now), now))
+        step = self._schedule.step(now)
+        relayed = self._relay(step, now) if step >= 0 else ()  # before the first step there is none that could tell it
+        return (*events, *self._share(said, now), *relayed)
 
     def _hear_relay(self, relay: Relay, now: int, sender: Sender) -> Messages:
         step, config = self._schedule.step(now), self._config
