@@ -497,12 +497,16 @@ Missing = tuple["str | None", int, int]
 
 
 def names_steps(named: set[Missing], merged: list[Stored], run: Run) -> None:
-    """Raise an error unless what merged bags of a run in lockstep lack up to their last step is named."""
+    """Raise an error unless what merged bags of a run in lockstep lack up to their last step is named.
+
+    Of events, and of how the abstract state divides, no number per step is known.
+    """
+    optional = {EVENTS.name, STANDING.name}
     there = {place_of(stored.topic, stored.payload) for stored in merged}
     last = max(place.step for place in there)
     places = {place_of(stored.topic, stored.payload) for stored in run.stored}
-    wanted = {_missing(place) for place in places - there if place.topic != EVENTS.name and place.step <= last}
-    is_named({name for name in named if name[2] <= last}, wanted)
+    wanted = {_missing(place) for place in places - there if place.topic not in optional and place.step <= last}
+    is_named({name for name in named if name[2] <= last and name[0] not in optional}, wanted)
 
 
 def names_losses(named: set[Missing], merged: list[Stored], fleet: Fleet) -> None:
