@@ -386,6 +386,7 @@ class SpeaksOfOrders(Property):
         self._said: dict[tuple[str, int], int] = {}
         self._restarts: dict[str, int] = {}
         self._reset_told = not facts.case.stopped
+        self._reset_at = _LONG_AGO
         if facts.case.each_robot:
             return
         self.published = {DESIRED_ABSTRACT_STATE: self._says, BASIS: self._basis, AGENT_STATE: self._moves}
@@ -401,7 +402,7 @@ class SpeaksOfOrders(Property):
             return
         self._told[node] = command, facts.now
         if command == "reset":
-            self._reset_told = True
+            self._reset_told, self._reset_at = True, facts.now
             led = facts.now - max(self._said.get((node, mode), _LONG_AGO) for mode in Mode) <= 2 * facts.period
             if not facts.case.paired or led:
                 self._restarts[node] = facts.step_of(node)
@@ -473,8 +474,7 @@ class SpeaksOfOrders(Property):
         """Check that one of a pair repeats a STOP."""
         facts = self.facts
         stopped = [at for command, at in self._told.values() if command == "stop"]
-        reset = [at for command, at in self._told.values() if command == "reset"]
-        if not stopped or max(reset, default=0) > min(stopped):
+        if not stopped or self._reset_at > min(stopped):
             return
         said = max(self._said.get((name, Mode.STOP), _LONG_AGO) for name in facts.case.stoppable)
         if facts.now - max(said, *stopped) > (facts.age + 2) * facts.period:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from hashlib import blake2b
-from math import inf
+from math import copysign, inf
 from random import Random
 from typing import Any, NamedTuple, Protocol, cast
 
@@ -253,7 +253,7 @@ class Node:
 
 
 class SimulatedBody(SimulatedDrive):
-    """A body that moves by the time of the world, whatever the clock of its node says.
+    """A body that moves by the time of the world, whatever the clock of its node says, up to the ends of the plane.
 
     While it is `blind`, its sensor is silent. With a `watchdog` it stops when it gets no command for so many periods.
     """
@@ -269,6 +269,7 @@ class SimulatedBody(SimulatedDrive):
         super().__init__(Body(*body, position=start[0], velocity=start[1]))
         self._time = time
         self._period = config.schedule.period_ns
+        self._end = 0.5 * config.plane_length
         self._watchdog = watchdog
         self._written = 0
         self._seen: Measurement | None = None
@@ -291,6 +292,9 @@ class SimulatedBody(SimulatedDrive):
                 super().read(EPOCH + stops)
                 self.stop()
         moved = super().read(EPOCH + self._time())
+        if abs(moved.position) > self._end:
+            self._position, self._velocity = copysign(self._end, moved.position), 0.0
+            moved = moved._replace(position=self._position, velocity=0.0)
         if not self.blind or self._seen is None:
             self._seen = moved._replace(stamp=now)
         return self._seen

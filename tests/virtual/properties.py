@@ -188,6 +188,10 @@ class Facts:
         """Note that a node stands still, or is deactivated."""
         self._still_since.setdefault(node, self.now)
 
+    def stood_until(self, node: str) -> int:
+        """Return until when, ns, a node stood still, also if it goes on only now; 0 if it never did."""
+        return self.now if node in self._still_since else self.resumed.get(node, 0)
+
     def runs_since(self, node: str) -> float:
         """Return since when, ns, a node has run without standing still; infinity if it does not."""
         one = self.fleet.nodes[node]
@@ -490,6 +494,7 @@ class SumsUpWhatItHears(Property):
     def __init__(self, facts: Facts) -> None:
         super().__init__(facts)
         self._newest: dict[str, dict[int, AgentState]] = {}
+        self._arrived: dict[tuple[str, int], int] = {}
         self._counted: dict[str, tuple[int, int]] = {}
         if facts.case.each_robot:
             return
@@ -521,6 +526,7 @@ class SumsUpWhatItHears(Property):
         before = newest.get(state.agent_id)
         if (before is None or state.step > before.step) and state.step <= self.facts.step_of(node) + self.facts.ahead:
             newest[state.agent_id] = state
+            self._arrived[node, state.agent_id] = self.facts.now
 
     def _removal(self, node: str, parcel: Parcel) -> None:
         """Let a robot have left that is silent, and was not heard after it was carried away."""
@@ -557,9 +563,11 @@ class SumsUpWhatItHears(Property):
         known.update((robot, step) for robot, (step, stands) in used.items() if stands)
         for robot, state in newest.items():
             name = agent_name(robot)
-            # A node that has just started counts as a second sender until the one before it is forgotten.
-            new = facts.now - facts.started[name] <= 2 * facts.state_age * facts.period
-            if name in facts.wrong or new:
+            # A node that has just started counts as a second sender until the one before it is forgotten; who stands
+            # still forgets nobody. One that cannot brake may be off the plane, which nobody believes.
+            since = max(facts.started[name], facts.stood_until(node))
+            new = self._arrived[node, robot] - since <= 2 * facts.state_age * facts.period
+            if name in facts.wrong or name in facts.coasting or new:
                 continue
             if (state.status == Status.LEFT) == (robot in used):
                 text = "has left, and still counts" if robot in used else "is on the plane, and does not count"

@@ -158,7 +158,7 @@ def soak(*, virtual: bool, **given: object) -> int:
 
     Without --virtual these are 1,000 scenarios in lockstep with injected faults. With --virtual, nodes in real time
     meet crashes, pauses, partitions, loss, wrong clocks, forged messages and operators, each drawn from a seed. See
-    docs/developers/testing.md.
+    docs/developers/virtual_fleets.md.
     """
     words = [word for name, value in given.items() if value is not None for word in (f"--{name}", str(value))]
     if virtual:
