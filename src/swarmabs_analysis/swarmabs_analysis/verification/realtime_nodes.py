@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import product
-from math import isclose
 from typing import TYPE_CHECKING, ClassVar, Generic, TypeAlias, TypeVar
 
 from swarmabs_analysis.difference import Difference, judge
@@ -450,7 +449,7 @@ class ControllerCheck(_CoordinatorCheck[RealtimeControllerConfig]):
         torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
         if self._last is not None and self._last.torque == torque:
             inertia = self._last.inertia
-        elif isclose(inertia, asked.inertia, rel_tol=_ROUNDING):
+        elif abs(asked.inertia - inertia) <= _ROUNDING * inertia:
             inertia = asked.inertia  # computed around robots that stand, for a message that was not recorded
         return DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia)
 
