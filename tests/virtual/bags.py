@@ -41,7 +41,7 @@ from tests.virtual.recorders import (
     lacking,
     place_of,
 )
-from tests.virtual.schedule import numbered
+from tests.virtual.schedule import Fault, numbered
 from tests.virtual.story import scenario_of
 
 from swarmabs_analysis.verify import BagToVerify
@@ -80,8 +80,7 @@ class Harm(NamedTuple):
     value: float = 0.0
 
     def __str__(self) -> str:
-        lasting, value = (f" +{self.lasting:.3f}" if self.lasting else ""), (f" {self.value:g}" if self.value else "")
-        return f"{self.at:.3f}{lasting} {self.kind} recorder {self.recorder}{value}"
+        return str(Fault(self.at, self.kind, f"recorder {self.recorder}", self.lasting, self.value))
 
 
 @dataclass(frozen=True)

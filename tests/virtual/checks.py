@@ -61,7 +61,6 @@ class Checks(Watcher):
             one.begins(node)
 
     def resumes(self, node: str) -> None:
-        self._facts.resumed[node] = self._facts.now
         for one in self._properties:
             one.resumes(node)
 

@@ -180,8 +180,8 @@ class Facts:
         self._still_since.pop(node, None)
 
     def resumes(self, node: str) -> None:
-        """Note that a node goes on, if it stood still."""
-        if node in self._still_since:
+        """Note that a node goes on, if it stood still and nothing else holds it."""
+        if node in self._still_since and self._runs(node):
             self.resumed[node], self.stood[node] = self.now, self.now - self._still_since.pop(node)
 
     def stands_still(self, node: str) -> None:
@@ -194,10 +194,11 @@ class Facts:
 
     def runs_since(self, node: str) -> float:
         """Return since when, ns, a node has run without standing still; infinity if it does not."""
+        return max(self.started[node], self.resumed.get(node, 0)) if self._runs(node) else inf
+
+    def _runs(self, node: str) -> bool:
         one = self.fleet.nodes[node]
-        if one.activity is None or one.paused or not one.activity.active:
-            return inf
-        return max(self.started[node], self.resumed.get(node, 0))
+        return one.activity is not None and one.activity.active and not one.paused
 
     def is_fine(self, node: str) -> bool:
         """Return whether no fault concerns a node, nor what is left of one."""
