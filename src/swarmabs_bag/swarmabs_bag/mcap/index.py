@@ -93,6 +93,10 @@ def no_statistics() -> Statistics:
     )
 
 
+_OWN = "swarmabs"
+"""Prefix of the library name in files written by this project."""
+
+
 @dataclass(slots=True)
 class FileIndex:
     """The contents of an MCAP file and their positions: schemas and channels by id, index records in file order.
@@ -123,6 +127,11 @@ class FileIndex:
     problem: str | None = None
     definitions: int = 0
     unknown: int | None = None
+
+    @property
+    def is_own(self) -> bool:
+        """Whether this project has written the file, as its header says."""
+        return self.header.library.startswith(_OWN)
 
     def take(self, record: Record, data: bytes | None = None) -> None:
         """Add the record of the data section at `data_end`; `data` is the content of a chunk."""

@@ -14,7 +14,6 @@ from swarmabs_bag.errors import DamagedBagError, NotABagError
 from swarmabs_bag.mcap.index import FileIndex, scan_index
 from swarmabs_bag.mcap.records import MAGIC, RecordError, parse, read_record
 from swarmabs_bag.repair.rebuild import Rebuilt
-from swarmabs_bag.repair.salvage import OWN
 from swarmabs_bag.run.channels import bag_topics
 from swarmabs_bag.run.metadata import METADATA_FILE, BagChannel, custom_texts, listed_topic, load_yaml
 from swarmabs_bag.run_folder import SUFFIX, missing_files, split_files
@@ -119,7 +118,7 @@ def _definitions(files: Iterable[Path]) -> FileIndex | None:
                 index = scan_index(stream, stream.seek(0, 2))
         except (OSError, RecordError):
             continue
-        if index.channels and index.header.library.startswith(OWN):
+        if index.channels and index.is_own:
             return index
     return None
 

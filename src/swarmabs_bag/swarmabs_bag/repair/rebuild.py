@@ -24,7 +24,7 @@ from swarmabs_bag.mcap.records import (
     stored_message,
 )
 from swarmabs_bag.mcap.stored import ChunkContent
-from swarmabs_bag.repair.salvage import OWN, Damage, Salvage
+from swarmabs_bag.repair.salvage import Damage, Salvage
 from swarmabs_bag.run.channels import bag_topics
 from swarmabs_bag.run.metadata import FileRecord, bag_metadata, dump_yaml
 
@@ -257,7 +257,7 @@ class Rebuilt:
 
     def _count_gaps(self, channels: list[int], sequences: list[int]) -> None:
         """Count the messages that are missing before those with these channels and sequence numbers."""
-        if not self.index.header.library.startswith(OWN):
+        if not self.index.is_own:
             return
         for channel, sequence in zip(channels, sequences, strict=True):
             gap = sequence - self._next_sequence.get(channel, 0)

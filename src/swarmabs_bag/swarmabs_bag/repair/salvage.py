@@ -36,9 +36,6 @@ from swarmabs_bag.mcap.stored import MESSAGE_HEAD, ChunkContent
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-OWN = "swarmabs"
-"""Prefix of the library name in files written by this project."""
-
 _KINDS: dict[int, str] = {
     Opcode.HEADER: "header",
     Opcode.SCHEMA: "schema",
@@ -141,16 +138,11 @@ class Salvage:
         content.take(record, data)
         if content.unknown is not None:
             raise RecordError(offset, f"a record of kind {content.unknown:#04x}, which is not allowed here")
-        if record.opcode == Opcode.ATTACHMENT and self._is_own and not any(record.content[-4:]):
+        if record.opcode == Opcode.ATTACHMENT and self.before.is_own and not any(record.content[-4:]):
             raise RecordError(offset, "zeros instead of its CRC, which this project always writes")
         if record.opcode == Opcode.MESSAGE and self._has_chunks and not self._section_is_right:
             raise RecordError(offset, "outside of the chunks, where no CRC confirms it")
         return Saved(record, data)
-
-    @property
-    def _is_own(self) -> bool:
-        """Whether this project has written the file, as its header says."""
-        return self.before.header.library.startswith(OWN)
 
     @cached_property
     def _has_chunks(self) -> bool:
