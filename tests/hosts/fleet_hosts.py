@@ -18,6 +18,7 @@ from tests.processes import ROOT, until
 from tests.system.realtime import Client
 
 from swarmabs_config.fleet.loader import LoadedFleet, load_fleet
+from swarmabs_core.nodes import agent_name
 from swarmabs_fleet.bundle import deploy
 
 PERIOD = 0.02
@@ -252,6 +253,15 @@ class Operator(Client):
             return newest[0] >= CALM_FOR
 
         until(calm, lambda: f"{CALM_FOR} states in a row within {CALM} rad; calm for, newest: {newest}", PATIENCE)
+
+    def until_counted(self, *numbers: int) -> None:
+        """Wait until these robots, without coordinators, count for a majority and no others, as each of them says."""
+        wanted = " ".join(map(str, numbers))
+
+        def counted() -> dict[int, str]:
+            return {i: self.health(agent_name(i)).get("values", {}).get("counted robots", "") for i in numbers}
+
+        until(lambda: {*counted().values()} == {wanted}, lambda: f"robots {wanted} count; {counted()}", PATIENCE)
 
     def reset(self, service: str = "swarm/reset") -> None:
         """Let the swarm move, by the service of the controller or of a robot."""

@@ -96,6 +96,7 @@ class Trials:
             time.sleep(trial.seconds)
         end = time.time_ns()
         self.operator.until_following(*self.fleet.ids)
+        self.operator.until_counted(*self.fleet.ids)
         self.operator.until_calm()
         return trial, begin, end
 

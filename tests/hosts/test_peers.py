@@ -38,8 +38,9 @@ def test_a_fleet_of_peers_survives_the_loss_of_any_robot(tmp_path: Path) -> None
             fleet.robots[1].power_on()
             operator.until_following(*fleet.ids)
             machines.impair(Impairment())
-            operator.until_calm()  # for longer than it takes until robot 1 counts for a majority again
+            operator.until_calm()
 
+            operator.until_counted(*fleet.ids)
             check_partition(machines, fleet, operator)
         stopped = fleet.base.swarm("stop", fleet.file)
         assert stopped.returncode == 0, stopped.stderr

@@ -45,6 +45,18 @@ FOUND = {
         faults=(Fault(0.339, "clock", "agent_003", 1.092, -0.5), Fault(0.36, "stop", "agent_003")),
         quiet=1.5,
     ),
+    "a STOP that repeats an answer which was never published is taken for wrong": Case(
+        30863,
+        hertz=10,
+        paired=True,
+        recorded=True,
+        faults=(
+            Fault(3.422, "leave", "agent_002"),
+            Fault(3.513, "join", "agent_002"),
+            Fault(7.957, "stop", "parent_controller_standby"),
+        ),
+        quiet=7.957,
+    ),
 }
 
 

@@ -295,6 +295,28 @@ def test_a_law_with_memory_is_followed_again_after_a_reset() -> None:
         assert result.not_checkable.total() - continued <= 4
 
 
+def test_a_stop_after_an_answer_that_was_not_recorded_is_checked_against_the_next() -> None:
+    recorded = world("operator")
+    first = next(
+        m.step for m in messages(recorded.bag) if isinstance(m, msg.DesiredAbstractState) and m.mode == msg.Mode.STOP
+    )
+
+    def standing(stored: Stored) -> Stored:
+        asked: Any = stored.message
+        stops = stored.topic is msg.DESIRED_ABSTRACT_STATE and asked.mode == msg.Mode.STOP
+        return changed(stored, inertia=1.01 * asked.inertia) if stops else stored
+
+    around = [*map(standing, without(recorded.bag, msg.DESIRED_ABSTRACT_STATE, first - 1))]
+    result = verify(recorded.scenario, around)
+    assert (result.difference, result.not_checkable[NO_ANSWER_BEFORE]) == (None, 1)
+    for step, fields in ((first, {"torque_rate": 1.0}), (first + 1, {"torque": 0.1}), (first + 9, {"inertia": 0.03})):
+        bag = edited(around, msg.DesiredAbstractState, step, **fields)
+        assert place(verify(recorded.scenario, bag).difference)[:2] == (msg.DESIRED_ABSTRACT_STATE.name, step), fields
+    # With the answer of the same step in the bag nothing is missing.
+    bag = edited(recorded.bag, msg.DesiredAbstractState, first, step=first - 1, inertia=0.03)
+    assert place(verify(recorded.scenario, bag).difference)[:2] == (msg.DESIRED_ABSTRACT_STATE.name, first - 1)
+
+
 def test_what_comes_from_nowhere_gives_a_difference_and_no_error() -> None:
     recorded = world("quiet")
     draw = Random(1)

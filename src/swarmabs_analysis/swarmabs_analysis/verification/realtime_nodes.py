@@ -398,6 +398,7 @@ class ControllerCheck(_CoordinatorCheck[RealtimeControllerConfig]):
         self._make_law = make_law
         self._generator: DesiredStateGenerator | None = None
         self._last: DesiredAbstractState | None = None  # in mode RUN
+        self._still: DesiredAbstractState | None = None  # in another mode, since then
         self._law_step = self._begun = -1
 
     def _recomputed(self, provenance: Basis) -> Mapping[Topic, Sequence[Message]]:
@@ -440,18 +441,32 @@ class ControllerCheck(_CoordinatorCheck[RealtimeControllerConfig]):
         asked = stored.message
         assert isinstance(asked, DesiredAbstractState)  # noqa: S101 - by topic
         if asked.mode != Mode.RUN:
-            return self._judge(stored, self._still(asked))
-        self._last = asked
+            finding = self._compare_still(stored, asked)
+            self._still = asked
+            return finding
+        self._last, self._still = asked, None
         return super()._compare(stored, problem, possible)
 
-    def _still(self, asked: DesiredAbstractState) -> DesiredAbstractState:
-        """Return what is published while the swarm holds still: a point of the manifold with zero rates."""
-        torque, inertia = asked.torque, self._config.manifold.inertia(asked.torque)
-        if self._last is not None and self._last.torque == torque:
-            inertia = self._last.inertia
+    def _compare_still(self, stored: Record, asked: DesiredAbstractState) -> Finding:
+        """Compare what is published while the swarm holds still: the last desired state in mode RUN with zero rates.
+
+        That one is on the curve if no robots stand. It may not be in the bag (a standby's never is), but the next
+        ones of the mode repeat it.
+        """
+        before, age = self._still, self._config.schedule.steps(self._config.plane_age_limit)
+        repeats = before is not None and before.mode == asked.mode and asked.step - before.step <= age
+        last = before if repeats else self._last
+        inertia = self._config.manifold.inertia(asked.torque)
+        if last is not None and last.torque == asked.torque:
+            inertia = last.inertia
         elif abs(asked.inertia - inertia) <= _ROUNDING * inertia:
             inertia = asked.inertia  # computed around robots that stand, for a message that was not recorded
-        return DesiredAbstractState(asked.stamp, asked.step, asked.mode, torque, inertia)
+        still = DesiredAbstractState(asked.stamp, asked.step, asked.mode, asked.torque, inertia)
+        wrong = self._judge(stored, still)
+        answered = self._last is not None and self._last.step >= asked.step
+        if wrong and not (repeats or answered) and not self._judge(stored, still._replace(inertia=asked.inertia)):
+            return NO_ANSWER_BEFORE
+        return wrong
 
     def _division(self, provenance: Basis) -> StandingState | None:
         """Return how the abstract state divides, by the observer or standby that the controller names, if any."""
