@@ -227,16 +227,16 @@ class TellEachOther(Property):
             raise self._break(SUMMED, node, text)
         if used not in robot.planes:
             raise self._break(SUMMED, node, f"follows step {used}, of which it has no state of the plane")
-        if not any(self._majority(self._hears(robot, used, surely=False), of) for of in self._electorates(robot)):
-            text = (
-                f"follows step {used}, in which it hears robots {self._named(self._hears(robot, used, surely=False))}"
+        hears, counted = self._hears(robot, used, surely=False), self._electorates(robot, before.step - used)
+        if not any(self._majority(hears, of) for of in counted):
+            told = " or ".join(map(self._named, dict.fromkeys(counted)))
+            raise self._break(
+                COUNTED, node, f"follows step {used}, in which it hears robots {self._named(hears)} of {told}"
             )
-            told = " or ".join(self._named(of) for _, of in robot.own)
-            raise self._break(COUNTED, node, f"{text} of {told}")
 
-    def _electorates(self, robot: _Robot) -> list[frozenset[int]]:
-        """Return the ranks that may have counted lately."""
-        return [of for _, of in robot.own] or [frozenset(range(len(self._ids)))]
+    def _electorates(self, robot: _Robot, ago: int = 0) -> list[frozenset[int]]:
+        """Return the ranks that may have counted since so many steps ago."""
+        return [of for _, of in robot.own[-3 - max(0, ago) :]] or [frozenset(range(len(self._ids)))]
 
     def _majority(self, there: Collection[int], counted: Collection[int]) -> bool:
         inside = len({*there} & {*counted})
@@ -496,7 +496,11 @@ class TellEachOther(Property):
         new = told.electing[0], frozenset(_ranks(told.electing[1]))
         hears = self._hears(robot, relay.step, surely=True)
         may = self._hears(robot, relay.step, surely=False)
-        if robot.settled[0] != hears or hears != may or any(not self._majority(hears, of) for _, of in robot.own):
+        if (
+            robot.settled[0] != hears
+            or hears != may
+            or any(not self._majority(hears, of) for of in self._electorates(robot))
+        ):
             robot.settled = hears, relay.step
         lasting = relay.step - robot.settled[1]
         before = robot.own[-1] if robot.own else (-1, frozenset(range(len(self._ids))))
@@ -511,7 +515,7 @@ class TellEachOther(Property):
             text = f"counts robots {self._named(new[1])}, but hears robots {self._named(hears)} for {lasting} steps"
             raise self._break(COUNTED, node, text)
         robot.electing = [new]
-        robot.own = [*robot.own[-2:], new]
+        robot.own = [*robot.own[-facts.age - 2 :], new]
 
     def _sure_of_all(self, robot: _Robot) -> bool:
         return all(map(self._sure, self._names))
