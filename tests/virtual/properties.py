@@ -216,8 +216,9 @@ class Facts:
         return "always" if all(map(all, pairs)) or self.late_until < self.now else "soon"
 
     def _hears_most(self, robot: str) -> bool:
-        """Return whether a robot without coordinators hears most others, and the plane, past those with faults."""
-        fine = {number for number, name in enumerate(self.case.robot_names, 1) if self.is_fine(name)}
+        """Return whether a robot without coordinators hears most others, and the plane, past liars and faults."""
+        names = enumerate(self.case.robot_names, 1)
+        fine = {number for number, name in names if self.is_fine(name) and name not in self.liars}
         near = new = {self.case.robot_names.index(robot) + 1}
         while new:
             new = {other for one in new for other in self.links.of(one)} & fine - near
