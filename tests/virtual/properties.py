@@ -392,7 +392,21 @@ class ActsOnOneSet(Property):
                     f"its command of step {decided} is {state.command:.9g}; the broadcasts of step {used} that it has "
                     f"received give {' or '.join(f'{law:.9g}' for law in laws)}"
                 )
-                raise self.broken(node, text)
+                raise self.broken(node, f"{text}{self._mixture(node, robot, before, state)}")
+
+    def _mixture(self, node: str, robot: _Robot, before: AgentState, state: AgentState) -> str:
+        """Return of which broadcasts that do not belong together a command comes, if it does, for people."""
+        near = range(before.step - self.facts.age, before.step + self.facts.ahead + 1)
+        heard = {topic: [] for topic in (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE)}
+        for step in near:
+            for (topic, standby), message in robot.sets.get(step, {}).items():
+                heard[topic].append((f"{_said((topic, standby))} of step {step}", message))
+        for parts in product(*heard.values()):
+            abstract, sums, desired = (message for _, message in parts)
+            mixed = Broadcast(desired.stamp, desired.step, abstract, sums, desired)
+            if self._laws[node].decide(before.position, before.velocity, mixed)[0].command == state.command:
+                return f"; it follows from {', '.join(words for words, _ in parts)}"
+        return ""
 
     @staticmethod
     def _sets(heard: dict[tuple[Topic, bool], Message]) -> list[Broadcast]:

@@ -430,13 +430,15 @@ def _deaf(draw: Random, case: Case, at: float) -> list[Fault]:
 def _absence(draw: Random, case: Case, at: float) -> list[Fault]:
     """Let a robot be dead for long, and meanwhile a coordinator, or both of a pair, for a while."""
     robot = agent_name(draw.randint(1, case.robots))
-    pair, lasting = draw.choice(case.pairs or (case.robot_names,)), _length(draw)
-    lost = draw.choice((pair, pair[:1], pair[-1:]))
-    begins = max(0.0, at + draw.choice((draw.uniform(0.3, 1.0), draw.uniform(-0.5 * lasting, 10.0 / case.hertz))))
+    pair, lasting = draw.choice((*case.pairs[:1], *case.pairs) or (case.robot_names,)), _length(draw)
+    lost = draw.choice((pair, pair, pair[:1], pair[-1:]))
+    soon = draw.uniform(-0.5 * lasting, 10.0 / case.hertz)  # one that starts again may not know of this robot
+    begins = max(0.0, at + draw.choice((draw.uniform(0.3, 1.0), soon, soon)))
     faults = [Fault(begins, "crash", name, lasting) for name in lost]
     if not case.each_robot and draw.random() < 0.3:
         faults.append(Fault(at + draw.uniform(0.0, 0.5), REMOVAL, draw.choice((robot, draw.choice(case.robot_names)))))
-    away = draw.choice((begins - at + lasting + case.settles + 1.0, draw.uniform(0.3, 1.0)))
+    long = begins - at + lasting + case.settles + 1.0
+    away = draw.choice((long, long, draw.uniform(0.3, 1.0)))
     return [Fault(at, "crash", robot, away), *faults]
 
 

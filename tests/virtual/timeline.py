@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from hashlib import blake2b
 from typing import NamedTuple, TextIO
 
@@ -110,6 +111,15 @@ class Timeline(Watcher):
             self._now(node, "speaks again")
         self._spoke[node] = now
 
+    def _silences(self) -> Iterator[Entry]:
+        """Yield who is silent at the end."""
+        if self._fleet is None:
+            return
+        period = self._fleet.clock.period
+        for node, last in self._spoke.items():
+            if self._fleet.time - last > _SILENT * period:
+                yield Entry(last + period, len(self._entries), node, "falls silent", done=False)
+
     def _robot(self, node: str, state: AgentState) -> None:
         follows = state.status == Status.ACTIVE and state.broadcast_step != NEVER
         before = self._status.get(node, "")
@@ -132,7 +142,7 @@ class Timeline(Watcher):
         What was done to nodes is marked.
         """
         lines: list[tuple[Entry, list[str]]] = []
-        for entry in sorted(self._entries):
+        for entry in sorted([*self._entries, *self._silences()]):
             same = (names for one, names in reversed(lines[-12:]) if _is_same(one, entry))
             names = next(same, None)
             if names is None:
