@@ -16,11 +16,11 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from hashlib import blake2b
 from itertools import count
 from math import inf
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeAlias
 
@@ -58,8 +58,8 @@ class Trial(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """What is broken without nodes and numbers: failures of one kind have perhaps one reason."""
-        return re.sub(r"agent_\d+|[-+\d.]+(e[-+]\d+)?", "", self.text)
+        """What is broken without nodes, numbers and details: failures of one kind have perhaps one reason."""
+        return re.sub(r"agent_\d+|[-+\d.]+(e[-+]\d+)?| or |;.*", "", self.text)
 
 
 AnyCase: TypeAlias = "Case | LockstepCase | RoundsCase | BagCase | StartCase"
@@ -238,52 +238,58 @@ class Tally:
         )
 
 
-def _trials(seeds: Iterable[int], jobs: int, goes_on: Callable[[], bool]) -> Iterator[Trial]:
-    """Run seeds in so many processes while it goes on; yield what comes of them in the order in which they end."""
-    context, ignored = get_context("fork"), (signal.SIGINT, signal.SIG_IGN)
-    with ProcessPoolExecutor(jobs, context, signal.signal, ignored) as pool:
-        running: set[Future[Trial]] = set()
-        for seed in seeds:
-            running.add(pool.submit(trial, seed))
-            if len(running) > 2 * jobs:
-                done, running = wait(running, return_when=FIRST_COMPLETED)
-                yield from (one.result() for one in done)
-            if not goes_on():
-                break
-        yield from (one.result() for one in as_completed(running))
-
-
 def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
-    """Run seeds until they or the time are over; show what is broken, and return the exit code."""
+    """Run seeds in so many processes until they or the time are over; show what is broken, and return the exit code.
+
+    A case is made shorter while the search goes on.
+    """
     tally, shown = Tally(), set[str]()
     limit = inf if minutes is None else 60.0 * minutes
-    try:
-        for one in _trials(seeds, jobs, lambda: tally.seconds < limit):
-            tally.add(one)
-            if one.broken and one.kind not in shown and len(shown) < MOST_SHOWN:
-                shown.add(one.kind)
-                _show_short(one)
-            elif one.broken:
-                print(f"seed {one.seed}: {one.text}; replay: {COMMAND} --seeds {one.seed}", flush=True)
-    except KeyboardInterrupt:
-        print(f"interrupted: {tally}", file=sys.stderr)
-        return 1
+    running: set[Future[Trial] | Future[str]] = set()
+    with ProcessPoolExecutor(jobs, get_context("fork"), signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+
+        def take(most: int) -> None:
+            """Wait until no more than so many are running, and take what has come."""
+            while len(running) > most:
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                running.difference_update(done)
+                for one in (future.result() for future in done):
+                    if isinstance(one, str):
+                        print(one, flush=True)
+                        continue
+                    tally.add(one)
+                    if one.broken and one.kind not in shown and len(shown) < MOST_SHOWN:
+                        shown.add(one.kind)
+                        running.add(pool.submit(_short, one))
+                    elif one.broken:
+                        print(f"seed {one.seed}: {one.text}; replay: {COMMAND} --seeds {one.seed}", flush=True)
+
+        try:
+            for seed in seeds:
+                running.add(pool.submit(trial, seed))
+                take(2 * jobs)
+                if tally.seconds >= limit:
+                    break
+            take(0)
+        except KeyboardInterrupt:
+            for process in active_children():
+                process.terminate()
+            print(f"interrupted: {tally}", file=sys.stderr)
+            return 1
     print(tally)
     return int(tally.broken.total() > 0)
 
 
-def _show_short(one: Trial) -> None:
-    """Make the case of a seed as short as possible, and show it."""
+def _short(one: Trial) -> str:
+    """Make the case of a seed as short as possible; return what tells people of it."""
     case = drawn(one.seed)
     only = shortened(case, one.broken)
     short = case.only(only)
     result, timeline, digest = replay(short)
     if result.broken is None:  # it does not break again: that is a fault of the search
-        print(f"seed {one.seed}: {one.text}, but not when it is replayed", flush=True)
-        return
+        return f"seed {one.seed}: {one.text}, but not when it is replayed"
     command = f"{COMMAND} --seeds {one.seed}" + ("" if len(only) == len(case.faults) else f" --only {_numbers(only)}")
-    print("\n".join(report(short, result, timeline, command)))
-    print(f"trace {digest}", flush=True)
+    return "\n".join([*report(short, result, timeline, command), f"trace {digest}"])
 
 
 def _seeds(text: str) -> int | range:

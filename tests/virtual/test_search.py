@@ -65,6 +65,12 @@ def test_what_is_wrong_is_shown_with_what_led_to_it(capsys: pytest.CaptureFixtur
     assert "BROKEN: acts on one fresh set" in told
     assert f"replay:    ./scripts/swarm soak --virtual --seeds {seed}" in told
     assert "steps is the age limit" in told.splitlines()[-2]
+    assert main(["--seeds", f"{seed}-{seed}", "--jobs", "2"]) == 1
+    *case, total = capsys.readouterr().out.splitlines()
+    assert case[0] == told.splitlines()[0]
+    assert f"replay:    ./scripts/swarm soak --virtual --seeds {seed}" in case[3]
+    assert case[-2].endswith("steps is the age limit")
+    assert total.startswith("1 seeds in") and total.endswith("broken: acts on one fresh set 1")
 
 
 @pytest.mark.usefixtures("old_broadcasts")
