@@ -112,11 +112,11 @@ class RoundsStory:
             if doing.kind == "ends":
                 world.end_at(doing.robot, int(doing.when))
             else:
-                turns += [(doing.when, doing.robot, True), (doing.when + doing.lasting, doing.robot, False)]
-        for when, robot, still in sorted(turns):
+                turns += [(doing.when, 0, doing.robot), (doing.when + doing.lasting, 1, doing.robot)]
+        for when, over, robot in sorted(turns):
             world.run(max(0.0, when - world.time))
-            (world.frozen.add if still else world.frozen.discard)(robot)
-            self._tell(when, agent_name(robot), "stands still" if still else "goes on")
+            (world.frozen.discard if over else world.frozen.add)(robot)
+            self._tell(when, agent_name(robot), "goes on" if over else "stands still")
         world.run(_UNTIL)
         for robot in sorted(world.dead):
             self._tell(world.time, agent_name(robot), "has ended")

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from random import Random
 from typing import Any
 
@@ -22,7 +23,7 @@ from swarmabs_bag.realtime_world import RealtimeWorld
 from swarmabs_bag.run.realtime_gatherer import RealtimeCollector
 from swarmabs_config import realtime as configure
 from swarmabs_config.configure import members
-from swarmabs_config.graph import CONTROLLER
+from swarmabs_config.graph import CONTROLLER, PLANE
 from swarmabs_config.scenario import Scenario
 from swarmabs_core import messages as msg
 from swarmabs_core.errors import MalformedMessageError
@@ -315,6 +316,27 @@ def test_a_stop_after_an_answer_that_was_not_recorded_is_checked_against_the_nex
     # With the answer of the same step in the bag nothing is missing.
     bag = edited(recorded.bag, msg.DesiredAbstractState, first, step=first - 1, inertia=0.03)
     assert place(verify(recorded.scenario, bag).difference)[:2] == (msg.DESIRED_ABSTRACT_STATE.name, first - 1)
+
+
+def test_where_a_plane_was_held_is_not_known_if_its_last_state_is_missing() -> None:
+    scenario = builtin("pd_het_4")
+    fleet = VirtualFleet(scenario)
+    fleet.run(0.7)
+    fleet.deactivate(PLANE)
+    fleet.run(0.4)
+    fleet.activate(PLANE)
+    fleet.run(0.7)
+    bag = record(fleet, scenario).bag
+    steps = [stored.message.step for stored in bag if stored.topic is msg.PLANE_STATE]
+    last, anew = next((k, n) for k, n in pairwise(steps) if n > k + 1)
+    assert verify(scenario, bag).not_checkable.total() == 0
+    of_plane = [m.step == last and getattr(m, "source", msg.Source.PLANE) == msg.Source.PLANE for m in messages(bag)]
+    lost = [s for s, gone in zip(bag, of_plane, strict=True) if not gone or s.topic not in {msg.PLANE_STATE, msg.BASIS}]
+    result = verify(scenario, lost)
+    assert (result.difference, result.not_checkable[NO_ANSWER_BEFORE]) == (None, 1)
+    for step, fields in ((anew, {"angular_velocity": 1.0}), (anew + 1, {"angle": 0.05}), (steps[0], {"angle": 0.05})):
+        difference = verify(scenario, edited(bag, msg.PlaneState, step, **fields)).difference
+        assert place(difference)[:2] == (msg.PLANE_STATE.name, step), fields
 
 
 def test_what_comes_from_nowhere_gives_a_difference_and_no_error() -> None:

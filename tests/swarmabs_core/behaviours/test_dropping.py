@@ -114,6 +114,19 @@ def test_wherever_robots_end_the_others_go_on_as_an_observer_would_or_are_no_maj
     assert 4 <= sum(outcomes) < 8
 
 
+def test_a_robot_that_speaks_for_all_may_end_with_each_of_its_last_messages() -> None:
+    scenario, usual = swarm(4, "{}"), swarm(4, "{}", "central")
+    world = World(scenario, Random(1))
+    world.run(4 * SECONDS)
+    number = len(world.said_by(1))
+    assert finished(world)
+    for ends in range(number - 12, number):
+        world = World(scenario, Random(1))
+        world.end_at(1, ends)
+        world.run(4 * SECONDS)
+        assert judged(world, usual), ends
+
+
 @pytest.mark.full
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("first", range(1000, 2000, 100))

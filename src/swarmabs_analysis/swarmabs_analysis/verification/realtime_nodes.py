@@ -22,6 +22,7 @@ from swarmabs_core.messages import (
     AbstractState,
     AgentState,
     AuxiliaryState,
+    Basis,
     Broadcast,
     DesiredAbstractState,
     Mode,
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from swarmabs_analysis.verification.history import History
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.desired_state import DesiredStateGenerator
-    from swarmabs_core.messages import Basis, Message, Topic
+    from swarmabs_core.messages import Message, Topic
     from swarmabs_core.record import Record
 
 Config = TypeVar("Config", RealtimeAgentConfig, RealtimeObserverConfig, RealtimePlaneConfig, RealtimeControllerConfig)
@@ -325,6 +326,7 @@ class PlaneCheck(_CoordinatorCheck[RealtimePlaneConfig]):
         super().__init__(config, history, tolerance)
         self._motion = PlaneMotion(config)
         self._true_state: tuple[int, float, float] | None = None
+        self._spoke = False
 
     def _recomputed(self, provenance: Basis) -> Mapping[Topic, Sequence[Message]]:
         last, self._true_state = self._true_state, None
@@ -360,6 +362,17 @@ class PlaneCheck(_CoordinatorCheck[RealtimePlaneConfig]):
         if lost or missed:
             raise UnconfirmedError(NO_STATES)
         return [self._motion.advance(start, earlier, robots, step - since, since - begun)]
+
+    def _compare(self, stored: Record, problem: Finding, possible: Sequence[Message]) -> Finding:
+        """Return the finding; where a plane that has spoken was held, its last state may not be in the bag."""
+        finding, state, spoke = super()._compare(stored, problem, possible), stored.message, self._spoke
+        self._spoke = True
+        assert isinstance(state, PlaneState)  # noqa: S101 - by topic
+        provenance = self._history.get(Basis, state.step, Source.PLANE)
+        if problem or not finding or not spoke or provenance is None or provenance.since != NEVER:
+            return finding
+        elsewhere = (one._replace(angle=state.angle) for one in possible if isinstance(one, PlaneState))
+        return self._judge(stored, *elsewhere) or NO_ANSWER_BEFORE
 
     def _start(self, since: int, last: tuple[int, float, float] | None, *, held: bool) -> tuple[float, float]:
         """Return the true state from which the plane continued; while held, it keeps its initial state."""

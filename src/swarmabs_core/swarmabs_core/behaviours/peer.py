@@ -340,13 +340,12 @@ class Peer:
         self._observer.drop(dropped, SILENT)
         self._meet()
         self._refuse_gaps(self._step)
-        if not self._due():  # the run is over
-            return ()
         again = self._own_again  # the parent counts only what comes after the events
         if not self._speaks(self._step):
             return again
-        # Whoever spoke before may have ended before the recorder had it.
-        return (*(message for _, messages in self._kept for message in messages), *self._observer.changes(), *again)
+        # Whoever spoke before may have ended before the recorder had it. After the last step nobody is missed.
+        changes = self._observer.changes() if self._due() else ()
+        return (*(message for _, messages in self._kept for message in messages), *changes, *again)
 
     def steer(self, order: Steering) -> None:
         """Apply an order in all that it hosts."""
