@@ -514,6 +514,8 @@ class TellEachOther(Property):
         if lasting > self._settled + 2 * facts.age + 6 and new[1] != hears and robot.started and facts.is_sound(node):
             text = f"counts robots {self._named(new[1])}, but hears robots {self._named(hears)} for {lasting} steps"
             raise self._break(COUNTED, node, text)
+        if new[0] > facts.counted[0]:
+            facts.counted = new[0], frozenset(self._ids[rank] for rank in new[1])
         robot.electing = [new]
         robot.own = [*robot.own[-facts.age - 2 :], new]
 

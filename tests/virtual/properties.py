@@ -96,6 +96,8 @@ class Facts:
         Nodes whose clock was ever wrong.
     resumed : dict
         For nodes that stood still or were deactivated, the time, ns, at which they went on.
+    counted : tuple
+        The step since which robots without coordinators count for a majority, as they say, and the ids of these.
     liars : set
         Robots that pass on what others have not said.
     stood : dict
@@ -132,6 +134,7 @@ class Facts:
         self.started: dict[str, int] = {}
         self.coasting: set[str] = set()
         self.removed: set[int] = set()
+        self.counted: tuple[int, frozenset[int]] = (-1, frozenset())
         self.liars: set[str] = set()
         self._sound: dict[str, float] = {}
         self._unsound: dict[str, int] = {}
@@ -223,7 +226,8 @@ class Facts:
         while new:
             new = {other for one in new for other in self.links.of(one)} & fine - near
             near = near | new
-        return 2 * len(near) > self.case.robots and any(map(self.links.senses, near))
+        count = not self.counted[1] or 2 * len(near & self.counted[1]) > len(self.counted[1])
+        return 2 * len(near) > self.case.robots and count and any(map(self.links.senses, near))
 
 
 class Property:
@@ -516,6 +520,7 @@ class SumsUpWhatItHears(Property):
             return
         self._newest = {name: {} for name in (PLANE, *facts.case.pairs[0])}
         self._standing: dict[str, dict[int, int]] = {name: {} for name in self._newest}
+        self._silent: dict[str, set[int]] = {name: set() for name in self._newest}
         self.published = {BASIS: self._basis, ABSTRACT_STATE: self._sum}
         for topic in variants(AGENT_STATE):
             self.heard[topic] = self._state
@@ -523,6 +528,9 @@ class SumsUpWhatItHears(Property):
 
     def begins(self, node: str) -> None:
         if node in self._newest:
+            # One that has stood by may have seen them fall silent before it died, and its host remembers that.
+            oldest = self.facts.step_of(node) - self.facts.state_age
+            self._silent[node] |= {robot for robot, state in self._newest[node].items() if state.step < oldest}
             self._newest[node] = {}
 
     def resumes(self, node: str) -> None:
@@ -567,14 +575,17 @@ class SumsUpWhatItHears(Property):
         for robot, (step, _) in used.items():
             if step > basis.step + facts.ahead:
                 raise self.broken(node, f"in step {basis.step} it uses a state of robot {robot} of step {step}")
-        known = self._standing[node]
+        known, silent = self._standing[node], self._silent[node]
         for robot in known.keys() ^ used.keys():
-            if robot not in newest:  # the memory of the host knows those that stand on the plane
+            if robot not in newest and (
+                robot in known or robot not in silent
+            ):  # the memory of the host knows those that stand on the plane
                 what = "has forgotten" if robot in known else "counts"
                 text = (
                     f"it {what} robot {robot}, which is{'' if robot in known else ' not'} known to stand on the plane"
                 )
                 raise self.broken(node, f"in step {basis.step} {text}")
+        silent.clear()
         known.clear()
         known.update((robot, step) for robot, (step, stands) in used.items() if stands)
         for robot, state in newest.items():
