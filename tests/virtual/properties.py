@@ -562,6 +562,7 @@ class SumsUpWhatItHears(Property):
             self._standing[node].pop(robot, None)
         elif state is not None and state.step < silent_before and state.step <= removal.step:
             newest[robot] = state._replace(status=Status.LEFT)
+            self._arrived[node, robot] = self.facts.now
 
     def _basis(self, node: str, basis: Basis) -> None:
         if basis.source not in {Source.OBSERVER, Source.PLANE}:

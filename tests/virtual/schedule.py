@@ -387,17 +387,24 @@ def _handover(draw: Random, case: Case, at: float) -> list[Fault]:
 
 
 def _stay_away(draw: Random, case: Case, at: float) -> list[Fault]:
-    """Let a robot leave for long or be carried away, and maybe start an observer in the meantime."""
+    """Let a robot leave for long or be carried away, and maybe start observers in the meantime.
+
+    Maybe it was silent before, so that hosts of observers have remembered it.
+    """
     robot, away = draw.choice(case.robot_names), draw.uniform(12.0, 40.0) / case.hertz + 0.5
+    faults = []
+    if draw.random() < 0.4:
+        faults.append(Fault(at, "crash", robot, draw.uniform(11.0, 15.0) / case.hertz))
+        at = faults[0].end + draw.uniform(22.0, 40.0) / case.hertz  # until it is no second sender any more
     if draw.random() < 0.5:
-        faults = [Fault(at, "leave", robot), Fault(at + away, "join", robot)]
+        faults += [Fault(at, "leave", robot), Fault(at + away, "join", robot)]
     else:
-        faults = [Fault(at, "crash", robot, away)]
+        faults.append(Fault(at, "crash", robot, away))
         if not case.each_robot:
-            faults.append(Fault(at + draw.uniform(0.0, away), REMOVAL, robot))
+            faults.append(Fault(at + draw.uniform(draw.choice((0.0, 12.0, 12.0)) / case.hertz, away), REMOVAL, robot))
     if draw.random() < 0.5:
-        observer = draw.choice(case.pairs[0] if case.pairs else case.robot_names)
-        faults.append(Fault(at + draw.uniform(0.0, away), "crash", observer, _length(draw)))
+        begins, lasting, pair = at + draw.uniform(0.0, away), _length(draw), (case.pairs or (case.robot_names,))[0]
+        faults += [Fault(begins, "crash", name, lasting) for name in draw.choice((pair, (draw.choice(pair),)))]
     return faults
 
 
