@@ -166,7 +166,10 @@ class TellEachOther(Property):
 
     def told(self, node: str, command: str) -> None:
         robot = self._robots.get(node)
-        if robot is None or command not in {"stop", "reset"}:
+        if robot is None:
+            return
+        robot.expected = 0
+        if command not in {"stop", "reset"}:
             return
         step = self.facts.step_of(node)
         for name in ("orders", "most"):
