@@ -375,7 +375,8 @@ class SpeaksOfOrders(Property):
 
     name = "publishes orders"
     statement = (
-        "A controller that is told to stop publishes STOP at once, and as the only one in every period until a reset; "
+        "A controller that is told to stop publishes STOP at once, and in every period until a reset, unless its peer "
+        "does; "
         f"one that is told to reset publishes RESET for {RESET_LASTS:g} s before RUN, and its law begins anew. A fleet "
         "that starts in STOP does not move before a reset."
     )
@@ -385,6 +386,8 @@ class SpeaksOfOrders(Property):
         self._told: dict[str, tuple[str, int]] = {}
         self._said: dict[tuple[str, int], int] = {}
         self._restarts: dict[str, int] = {}
+        self._heard_stop: dict[str, int] = {}
+        self._aware: set[str] = set()
         self._reset_told = not facts.case.stopped
         self._reset_at = _LONG_AGO
         if facts.case.each_robot:
@@ -395,12 +398,14 @@ class SpeaksOfOrders(Property):
     def begins(self, node: str) -> None:
         self._told.pop(node, None)
         self._restarts.pop(node, None)
+        self._aware.discard(node)
 
     def told(self, node: str, command: str) -> None:
         facts = self.facts
         if command not in {"stop", "reset"} or facts.case.each_robot:  # robots without a controller pass orders on
             return
         self._told[node] = command, facts.now
+        self._aware.add(node)
         if command == "reset":
             self._reset_told, self._reset_at = True, facts.now
             led = facts.now - max(self._said.get((node, mode), _LONG_AGO) for mode in Mode) <= 2 * facts.period
@@ -411,6 +416,9 @@ class SpeaksOfOrders(Property):
         """Let the law of one that stands by begin anew with a RESET."""
         if node not in self.facts.case.pairs[1] or not parcel.sender or parcel.message is None:
             return
+        self._aware.add(node)
+        if parcel.message.mode == Mode.STOP:  # type: ignore[union-attr]
+            self._heard_stop[node] = self.facts.now
         stands_by = self.facts.now - self._said.get((node, Mode.RUN), _LONG_AGO) > 2 * self.facts.settles
         if parcel.message.mode == Mode.RESET and stands_by and self.facts.is_fine(node):  # type: ignore[union-attr]
             self._restarts[node] = min(self._restarts.get(node, 2**62), parcel.message.step)
@@ -432,6 +440,8 @@ class SpeaksOfOrders(Property):
         self._said[node, mode] = facts.now
         if not self._reset_told and mode == Mode.RUN:
             raise self.broken(node, "publishes RUN, but nobody has told the swarm to move")
+        if facts.case.paired and facts.case.stopped and mode == Mode.STOP and node not in self._aware:
+            raise self.broken(node, "publishes STOP, but has started in it, and neither operator nor peer told it so")
         command, since = self._told.get(node, ("", 0))
         if command != "reset" or node in facts.wrong:
             return
@@ -463,12 +473,16 @@ class SpeaksOfOrders(Property):
             if command == "stop" and said < since:
                 raise self.broken(node, "is told to stop, and does not publish STOP at once")
             over = command == "reset" and facts.now - since > RESET_LASTS * 1e9 - facts.period
-            # Where states of the plane become late, its steps wait for them.
-            if not facts.case.paired and not over and facts.now - max(said, since) > (facts.age + 2) * facts.period:
+            # Where states of the plane become late, its steps wait for them. Of a pair one is enough that says STOP.
+            alone = not facts.case.paired or (command == "stop" and max(self._reset_at, self._heard(node)) < since)
+            if alone and not over and facts.now - max(said, since) > (facts.age + 2) * facts.period:
                 text = f"was told to {command} {(facts.now - since) / 1e9:.3f} s ago, and no longer says so"
                 raise self.broken(node, text)
         if facts.case.paired and all(map(facts.is_fine, facts.case.coordinators)):
             self._pair_repeats()
+
+    def _heard(self, node: str) -> int:
+        return self._heard_stop.get(node, _LONG_AGO)
 
     def _pair_repeats(self) -> None:
         """Check that one of a pair repeats a STOP."""

@@ -183,12 +183,12 @@ def case_of(seed: int, robots: int | None = None) -> Case:
         seed,
         robots or draw.choice((2, 3, 3, 3, 4, 4, 5, 8)),
         draw.choices((10, 20, 50, 100), (10, 7, 2, 1))[0],
-        draw.random() < 0.6,
+        draw.random() < 0.8,
         draw.random() < 0.3,
         draw.random() < 0.3,
         draw.choice(("wait", "wait", "proceed")),
     )
-    if draw.random() < 0.35:
+    if draw.random() < 0.3:
         case = _without_coordinators(case)
     mix = (*_MIX, *_AMONG_ROBOTS) if case.each_robot else _MIX
     kinds = draw.sample(mix, draw.choice((1, 2, 2, 3, 5, len(_MIX))))
@@ -342,7 +342,12 @@ def _operator(draw: Random, case: Case, at: float) -> list[Fault]:
             Fault(at + _length(draw), "reset", draw.choice(controllers)),
             Fault(at + draw.uniform(0.0, 1.5), "stop", draw.choice(controllers)),
         ]
-    return [Fault(at, "reset" if what == "reset" else "stop", draw.choice(controllers))]
+    told = draw.choice(controllers)
+    faults = [Fault(at, "reset" if what == "reset" else "stop", told)]
+    if case.paired and draw.random() < 0.3:  # the other one of the pair does not hear of it
+        (other,) = (name for name in controllers if name != told)
+        faults.append(Fault(max(0.0, at - 0.1), "cut", f"{told}>{other}", draw.uniform(0.2, 2.0)))
+    return faults
 
 
 def _takeover_of_a_stop(draw: Random, case: Case, at: float) -> list[Fault]:

@@ -63,7 +63,7 @@ class Trial(NamedTuple):
 
 
 AnyCase: TypeAlias = "Case | LockstepCase | RoundsCase | BagCase | StartCase"
-_OTHERS: dict[int, Callable[[int], AnyCase]] = {0: lockstep_case, 2: bag_case, 4: start_case, 6: bag_case}
+_OTHERS: dict[int, Callable[[int], AnyCase]] = {0: lockstep_case, 2: bag_case, 4: start_case}
 """What is drawn of other kinds than fleets, by the remainder of the seed."""
 
 

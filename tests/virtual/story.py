@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 from tests.swarmabs_core.helpers import builtin
 from tests.virtual.checks import Checks
-from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
+from tests.virtual.fleet import EPOCH, Parcel, VirtualFleet, Watcher
 from tests.virtual.lies import VirtualSeals, falsified, forged_relays
 from tests.virtual.properties import BrokenError, Ending, Facts
 from tests.virtual.recorders import FleetBags
@@ -412,7 +412,7 @@ class Story(Watcher):
             self._stopped_at, self._stopped_since, self._ordered = node, self.facts.now, True
             self.facts.moving_from = float("inf")
         elif command == "reset":
-            self._holders = set()
+            self._holders, self._stopped_at = set(), None
             self._ordered = True
             self.facts.moving_from = float("inf")
         elif command == "leave" and node not in self._left:
@@ -435,8 +435,12 @@ class Story(Watcher):
     def heard(self, node: str, parcel: Parcel) -> None:
         if parcel.topic.message is not DesiredAbstractState or node in self._robots or node in self.facts.wrong:
             return
-        holds = parcel.sender in self._holders and isinstance(parcel.message, DesiredAbstractState)
-        if holds and parcel.message.mode == Mode.STOP and not self.facts.wrong & {*self.case.stoppable}:  # type: ignore[union-attr]
+        message = parcel.message
+        if not parcel.sender or self._stopped_at is None or self.facts.wrong & {*self.case.stoppable}:
+            return
+        if not isinstance(message, DesiredAbstractState) or message.mode != Mode.STOP:
+            return
+        if message.stamp - EPOCH >= self._stopped_since:  # however late, and whether or not its sender still lives
             self._holders.add(node)
 
 
