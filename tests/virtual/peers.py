@@ -108,6 +108,7 @@ class _Robot:
     held: tuple[int, ...] = ()
     own: list[tuple[int, frozenset[int]]] = field(default_factory=list)
     electing: list[tuple[int, frozenset[int]]] = field(default_factory=list)
+    newest_since: int = -1
     settled: tuple[frozenset[int], int] = (frozenset(), 0)
     before: AgentState | None = None
     stopped: bool = False
@@ -279,7 +280,7 @@ class TellEachOther(Property):
             return False
         if robot.orders != robot.most or len(robot.own) < 2 or not robot.started or state.status == Status.LEFT:
             return False
-        return robot.plane >= step - facts.age // 2 and all(
+        return robot.plane >= max(robot.summed, step - facts.age // 2) and all(
             self._majority(self._hears(robot, of, surely=True), counted)
             for of in robot.sums
             if step - facts.age <= of < step
@@ -369,6 +370,7 @@ class TellEachOther(Property):
         since, counted = told.electing
         if since <= now + facts.ahead:
             robot.electing.append((since, frozenset(_ranks(counted))))
+            robot.newest_since = max(robot.newest_since, since) if sure else robot.newest_since
         lying = parcel.sender in facts.liars
         for motion in told.motions:
             step, rank = relay.step - motion.age, motion.rank
@@ -509,9 +511,8 @@ class TellEachOther(Property):
         before = robot.own[-1] if robot.own else (-1, frozenset(range(len(self._ids))))
         if new[0] < before[0]:
             raise self._break(COUNTED, node, f"goes back to those that counted in step {new[0]} from {before[0]}")
-        newest = max((since for since, _ in robot.electing), default=-1)
-        if self._sure_of_all(robot) and new[0] < newest and new[0] < before[0]:
-            raise self._break(COUNTED, node, f"counts as of step {new[0]}, but was told of step {newest}")
+        if new[0] < robot.newest_since:
+            raise self._break(COUNTED, node, f"counts as of step {new[0]}, but was told of step {robot.newest_since}")
         if new != before and new not in robot.electing:
             self._check_elected(node, robot, relay, before, new, may)
         if lasting > self._settled + 2 * facts.age + 6 and new[1] != hears and robot.started and facts.is_sound(node):
@@ -521,9 +522,6 @@ class TellEachOther(Property):
             facts.counted = new[0], frozenset(self._ids[rank] for rank in new[1])
         robot.electing = [new]
         robot.own = [*robot.own[-facts.age - 2 :], new]
-
-    def _sure_of_all(self, robot: _Robot) -> bool:
-        return all(map(self._sure, self._names))
 
     def _check_elected(
         self,
@@ -577,7 +575,7 @@ class TellEachOther(Property):
         assert answer.states is not None
         summed = robot.sums.get(answer.step)
         least = summed.known if summed is not None else robot.held or (-1,) * len(held)
-        left = summed.left if summed is not None else self._left(robot)
+        left = self._left(robot) | (summed.left if summed is not None else frozenset())  # it may sum up a step late
         for rank, known in enumerate(least):
             used, author = answer.states.get(rank), self._ids[rank]
             if used is None:

@@ -545,5 +545,5 @@ def _lies(draw: Random, case: Case, at: float) -> list[Fault]:
     return [Fault(at, LIAR, name, lasting, draw.choice((1, 2, 3)))] if case.sealed else _forged(draw, case, at)
 
 
-_AMONG_ROBOTS = (_split, _split, _orders, _long, _lies)
+_AMONG_ROBOTS = 2 * (_split, _split, _orders, _long, _lies)
 """What else happens among robots without coordinators."""
