@@ -273,7 +273,7 @@ class TellEachOther(Property):
     def _is_expected(self, node: str, robot: _Robot, state: AgentState) -> bool:
         """Return whether a robot must follow with its next decisions."""
         facts, step = self.facts, state.step
-        if self._intruder or facts.moving_from > facts.now or not facts.is_sound(node):
+        if self._intruder or self._late or facts.moving_from > facts.now or not facts.is_sound(node):
             return False
         resets = RESETTING * 1e9 + 4 * facts.period
         if 0 <= robot.most.stop >= robot.orders.reset - self._guard or facts.now - robot.ordered < resets:
@@ -362,7 +362,8 @@ class TellEachOther(Property):
         if relay.step > now + facts.ahead:
             return
         told, sender = self._told(relay), relay.agent_id
-        sure = self._sure(parcel.sender) and node not in facts.wrong
+        long = facts.now - facts.stood_until(node) > 2 * facts.age * facts.period  # it may take senders for second ones
+        sure = self._sure(parcel.sender) and node not in facts.wrong and long
         before = robot.told.get(sender)
         if before is None or before[0] < relay.step or not sure:
             robot.told[sender] = relay.step, told if sure else None

@@ -726,8 +726,9 @@ class KeepsSpeaking(Property):
         """Look for those that are silent."""
         for node, last in self._last.items():
             lasting = self.facts.now - max(last, self.facts.runs_since(node))
-            before_all = self.facts.step_of(node) < SILENT  # its clock shows a time before the first step, or did so
-            if lasting > SILENT * self.facts.period and not before_all:
+            if self.facts.step_of(node) < SILENT:  # its clock shows a time before the first step, or did so
+                self._last[node] = max(last, self.facts.now)
+            elif lasting > SILENT * self.facts.period:
                 raise self.broken(node, f"runs, and says nothing for {lasting / 1e9:.3f} s")
 
 

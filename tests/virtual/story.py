@@ -146,6 +146,7 @@ class Story(Watcher):
         self._holders: set[str] = set()
         self._stopped_at: str | None = None
         self._stopped_since = 0
+        self._told_at = -(2**62)
         self._left: set[str] = set()
         self._ordered = False
         self._calm = not case.each_robot
@@ -408,7 +409,9 @@ class Story(Watcher):
         if command in {"stop", "reset"}:
             self._calm &= all(map(self.facts.is_fine, self.case.names)) and self.facts.late_until < self.facts.now
         if command == "stop":
-            self._holders = {node}
+            # Which of two orders in a period at different robots is newer, robots cannot tell.
+            unclear = self.case.each_robot and self.facts.now - self._told_at < self.facts.period
+            self._holders = set() if unclear else {node}
             self._stopped_at, self._stopped_since, self._ordered = node, self.facts.now, True
             self.facts.moving_from = float("inf")
         elif command == "reset":
@@ -421,6 +424,9 @@ class Story(Watcher):
         elif command == "join" and node in self._left:
             self._left.remove(node)
             self.facts.end((node,), "leave")
+
+        if command in {"stop", "reset"}:
+            self._told_at = self.facts.now
 
     def ends(self, node: str) -> None:
         self._holders.discard(node)
