@@ -168,9 +168,8 @@ class TakesTurns(Property):
             return
         if node in facts.wrong:
             return
-        late = (
-            0 <= one.peer <= one.released
-        )  # what came late from before looks like a peer that speaks and falls silent
+        # What came late from before the release looks like a peer that speaks and falls silent.
+        late = 0 <= one.peer <= one.released
         if step - one.released < self._takeover and not late:
             raise self.broken(node, f"publishes step {message.step}, although it was released in step {one.released}")
         if node in facts.case.pairs[0] and step - one.robots > facts.state_age:
@@ -379,9 +378,9 @@ class SpeaksOfOrders(Property):
     name = "publishes orders"
     statement = (
         "A controller that is told to stop publishes STOP at once, and in every period until a reset, unless its peer "
-        "does; "
-        f"one that is told to reset publishes RESET for {RESET_LASTS:g} s before RUN, and its law begins anew. A fleet "
-        "that starts in STOP does not move before a reset."
+        f"does; one that is told to reset publishes RESET for {RESET_LASTS:g} s before RUN, and its law begins anew. A "
+        "fleet that starts in STOP does not move before a reset; one of a pair is silent until it is told or hears its "
+        "peer."
     )
 
     def __init__(self, facts: Facts) -> None:
@@ -416,7 +415,7 @@ class SpeaksOfOrders(Property):
                 self._restarts[node] = facts.step_of(node)
 
     def _peer(self, node: str, parcel: Parcel) -> None:
-        """Let the law of one that stands by begin anew with a RESET."""
+        """Note what one of a pair knows from the other; the law of one that stands by begins anew with a RESET."""
         if node not in self.facts.case.pairs[1] or not parcel.sender or parcel.message is None:
             return
         self._aware.add(node)
@@ -477,15 +476,13 @@ class SpeaksOfOrders(Property):
                 raise self.broken(node, "is told to stop, and does not publish STOP at once")
             over = command == "reset" and facts.now - since > RESET_LASTS * 1e9 - facts.period
             # Where states of the plane become late, its steps wait for them. Of a pair one is enough that says STOP.
-            alone = not facts.case.paired or (command == "stop" and max(self._reset_at, self._heard(node)) < since)
+            heard = max(self._reset_at, self._heard_stop.get(node, _LONG_AGO))
+            alone = not facts.case.paired or (command == "stop" and heard < since)
             if alone and not over and facts.now - max(said, since) > (facts.age + 2) * facts.period:
                 text = f"was told to {command} {(facts.now - since) / 1e9:.3f} s ago, and no longer says so"
                 raise self.broken(node, text)
         if facts.case.paired and all(map(facts.is_fine, facts.case.coordinators)):
             self._pair_repeats()
-
-    def _heard(self, node: str) -> int:
-        return self._heard_stop.get(node, _LONG_AGO)
 
     def _pair_repeats(self) -> None:
         """Check that one of a pair repeats a STOP."""

@@ -134,7 +134,7 @@ class Facts:
         self.started: dict[str, int] = {}
         self.coasting: set[str] = set()
         self.removed: set[int] = set()
-        self.counted: tuple[int, frozenset[int]] = (-1, frozenset())
+        self.counted = -1, frozenset(range(1, case.robots + 1))
         self.liars: set[str] = set()
         self._sound: dict[str, float] = {}
         self._unsound: dict[str, int] = {}
@@ -226,8 +226,9 @@ class Facts:
         while new:
             new = {other for one in new for other in self.links.of(one)} & fine - near
             near = near | new
-        count = not self.counted[1] or 2 * len(near & self.counted[1]) > len(self.counted[1])
-        return 2 * len(near) > self.case.robots and count and any(map(self.links.senses, near))
+        _, counted = self.counted
+        most = 2 * len(near) > self.case.robots and 2 * len(near & counted) > len(counted)
+        return most and any(map(self.links.senses, near))
 
 
 class Property:
@@ -577,15 +578,11 @@ class SumsUpWhatItHears(Property):
             if step > basis.step + facts.ahead:
                 raise self.broken(node, f"in step {basis.step} it uses a state of robot {robot} of step {step}")
         known, silent = self._standing[node], self._silent[node]
-        for robot in known.keys() ^ used.keys():
-            if robot not in newest and (
-                robot in known or robot not in silent
-            ):  # the memory of the host knows those that stand on the plane
-                what = "has forgotten" if robot in known else "counts"
-                text = (
-                    f"it {what} robot {robot}, which is{'' if robot in known else ' not'} known to stand on the plane"
-                )
-                raise self.broken(node, f"in step {basis.step} {text}")
+        # The memory of the host knows those that stand on the plane.
+        for robot in (known.keys() ^ used.keys()) - newest.keys() - (silent - known.keys()):
+            what = "has forgotten" if robot in known else "counts"
+            text = f"it {what} robot {robot}, which is{'' if robot in known else ' not'} known to stand on the plane"
+            raise self.broken(node, f"in step {basis.step} {text}")
         silent.clear()
         known.clear()
         known.update((robot, step) for robot, (step, stands) in used.items() if stands)

@@ -238,6 +238,14 @@ class Tally:
         )
 
 
+def _results(running: set[Future[Trial] | Future[str]], most: int) -> Iterator[Trial | str]:
+    """Yield what comes, and take it out, until no more than so many are running."""
+    while len(running) > most:
+        done, _ = wait(running, return_when=FIRST_COMPLETED)
+        running.difference_update(done)
+        yield from (one.result() for one in done)
+
+
 def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
     """Run seeds in so many processes until they or the time are over; show what is broken, and return the exit code.
 
@@ -249,20 +257,17 @@ def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
     with ProcessPoolExecutor(jobs, get_context("fork"), signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
 
         def take(most: int) -> None:
-            """Wait until no more than so many are running, and take what has come."""
-            while len(running) > most:
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                running.difference_update(done)
-                for one in (future.result() for future in done):
-                    if isinstance(one, str):
-                        print(one, flush=True)
-                        continue
-                    tally.add(one)
-                    if one.broken and one.kind not in shown and len(shown) < MOST_SHOWN:
-                        shown.add(one.kind)
-                        running.add(pool.submit(_short, one))
-                    elif one.broken:
-                        print(f"seed {one.seed}: {one.text}; replay: {COMMAND} --seeds {one.seed}", flush=True)
+            """Take what comes until no more than so many are running."""
+            for one in _results(running, most):
+                if isinstance(one, str):
+                    print(one, flush=True)
+                    continue
+                tally.add(one)
+                if one.broken and one.kind not in shown and len(shown) < MOST_SHOWN:
+                    shown.add(one.kind)
+                    running.add(pool.submit(_short, one))
+                elif one.broken:
+                    print(f"seed {one.seed}: {one.text}; replay: {COMMAND} --seeds {one.seed}", flush=True)
 
         try:
             for seed in seeds:

@@ -408,10 +408,10 @@ class Story(Watcher):
     def told(self, node: str, command: str) -> None:
         if command in {"stop", "reset"}:
             self._calm &= all(map(self.facts.is_fine, self.case.names)) and self.facts.late_until < self.facts.now
+            soon, self._told_at = self.facts.now - self._told_at < self.facts.period, self.facts.now
         if command == "stop":
             # Which of two orders in a period at different robots is newer, robots cannot tell.
-            unclear = self.case.each_robot and self.facts.now - self._told_at < self.facts.period
-            self._holders = set() if unclear else {node}
+            self._holders = set() if self.case.each_robot and soon else {node}
             self._stopped_at, self._stopped_since, self._ordered = node, self.facts.now, True
             self.facts.moving_from = float("inf")
         elif command == "reset":
@@ -424,9 +424,6 @@ class Story(Watcher):
         elif command == "join" and node in self._left:
             self._left.remove(node)
             self.facts.end((node,), "leave")
-
-        if command in {"stop", "reset"}:
-            self._told_at = self.facts.now
 
     def ends(self, node: str) -> None:
         self._holders.discard(node)

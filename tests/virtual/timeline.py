@@ -102,23 +102,21 @@ class Timeline(Watcher):
 
     def _speaks(self, node: str) -> None:
         assert self._fleet is not None
-        now, period = self._fleet.time, self._fleet.clock.period
-        before = self._spoke.get(node)
-        if before is None:
+        if node not in self._spoke:
             self._now(node, "speaks for the first time")
-        elif now - before > _SILENT * period:
-            self._note(before + period, node, "falls silent")
+        elif silence := [*self._silences(node)]:
+            self._entries += silence
             self._now(node, "speaks again")
-        self._spoke[node] = now
+        self._spoke[node] = self._fleet.time
 
-    def _silences(self) -> Iterator[Entry]:
-        """Yield who is silent at the end."""
+    def _silences(self, *nodes: str) -> Iterator[Entry]:
+        """Yield which nodes that have spoken are silent now."""
         if self._fleet is None:
             return
         period = self._fleet.clock.period
-        for node, last in self._spoke.items():
-            if self._fleet.time - last > _SILENT * period:
-                yield Entry(last + period, len(self._entries), node, "falls silent", done=False)
+        for node in nodes:
+            if self._fleet.time - self._spoke[node] > _SILENT * period:
+                yield Entry(self._spoke[node] + period, len(self._entries), node, "falls silent", done=False)
 
     def _robot(self, node: str, state: AgentState) -> None:
         follows = state.status == Status.ACTIVE and state.broadcast_step != NEVER
@@ -142,7 +140,7 @@ class Timeline(Watcher):
         What was done to nodes is marked.
         """
         lines: list[tuple[Entry, list[str]]] = []
-        for entry in sorted([*self._entries, *self._silences()]):
+        for entry in sorted([*self._entries, *self._silences(*self._spoke)]):
             same = (names for one, names in reversed(lines[-12:]) if _is_same(one, entry))
             names = next(same, None)
             if names is None:

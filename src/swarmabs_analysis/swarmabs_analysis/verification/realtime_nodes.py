@@ -22,7 +22,6 @@ from swarmabs_core.messages import (
     AbstractState,
     AgentState,
     AuxiliaryState,
-    Basis,
     Broadcast,
     DesiredAbstractState,
     Mode,
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
     from swarmabs_analysis.verification.history import History
     from swarmabs_core.controllers import ParentController
     from swarmabs_core.desired_state import DesiredStateGenerator
-    from swarmabs_core.messages import Message, Topic
+    from swarmabs_core.messages import Basis, Message, Topic
     from swarmabs_core.record import Record
 
 Config = TypeVar("Config", RealtimeAgentConfig, RealtimeObserverConfig, RealtimePlaneConfig, RealtimeControllerConfig)
@@ -74,6 +73,11 @@ class _Check(Generic[Config]):
         """Return no difference if a message is one of those that are possible, otherwise that from the first."""
         differences = [judge(stored, expected, self._tolerance) for expected in possible]
         return None if None in differences else differences[0]
+
+    def _besides(self, field: str, stored: Record, *possible: Message) -> Difference | None:
+        """Return what is wrong besides a field, which may come from a message that is not in the bag."""
+        own = {field: getattr(stored.message, field)}
+        return self._judge(stored, *(one._replace(**own) for one in possible))
 
 
 class RobotCheck(_Check[RealtimeAgentConfig]):
@@ -365,14 +369,13 @@ class PlaneCheck(_CoordinatorCheck[RealtimePlaneConfig]):
 
     def _compare(self, stored: Record, problem: Finding, possible: Sequence[Message]) -> Finding:
         """Return the finding; where a plane that has spoken was held, its last state may not be in the bag."""
-        finding, state, spoke = super()._compare(stored, problem, possible), stored.message, self._spoke
+        finding, spoke = super()._compare(stored, problem, possible), self._spoke
         self._spoke = True
-        assert isinstance(state, PlaneState)  # noqa: S101 - by topic
-        provenance = self._history.get(Basis, state.step, Source.PLANE)
-        if problem or not finding or not spoke or provenance is None or provenance.since != NEVER:
+        if problem or not isinstance(finding, Difference) or not spoke:
             return finding
-        elsewhere = (one._replace(angle=state.angle) for one in possible if isinstance(one, PlaneState))
-        return self._judge(stored, *elsewhere) or NO_ANSWER_BEFORE
+        if self._history.provenance(self.source, stored.message.step).since != NEVER:
+            return finding
+        return self._besides("angle", stored, *possible) or NO_ANSWER_BEFORE
 
     def _start(self, since: int, last: tuple[int, float, float] | None, *, held: bool) -> tuple[float, float]:
         """Return the true state from which the plane continued; while held, it keeps its initial state."""
@@ -477,9 +480,8 @@ class ControllerCheck(_CoordinatorCheck[RealtimeControllerConfig]):
         still = DesiredAbstractState(asked.stamp, asked.step, asked.mode, asked.torque, inertia)
         wrong = self._judge(stored, still)
         answered = self._last is not None and self._last.step >= asked.step
-        if wrong and not (repeats or answered) and not self._judge(stored, still._replace(inertia=asked.inertia)):
-            return NO_ANSWER_BEFORE
-        return wrong
+        sure = repeats or answered or self._besides("inertia", stored, still)
+        return wrong if wrong is None or sure else NO_ANSWER_BEFORE
 
     def _division(self, provenance: Basis) -> StandingState | None:
         """Return how the abstract state divides, by the observer or standby that the controller names, if any."""
