@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from random import Random
 from typing import NamedTuple
 
-from tests.swarmabs_core.behaviours.peers_in_time import LATE, SECONDS, World
+from tests.swarmabs_core.behaviours.peers_in_time import LATE, LOOKS, REPEAT, SECONDS, World
 from tests.swarmabs_core.behaviours.test_dropping import LINKS, MORE, STEPS, judged, swarm
 from tests.virtual.properties import BrokenError
 from tests.virtual.schedule import numbered
@@ -20,6 +20,8 @@ from swarmabs_core.cdr import encode
 from swarmabs_core.messages import topic_of
 from swarmabs_core.nodes import agent_name
 
+_STANDS = SECONDS - REPEAT - 2 * LOOKS - LATE
+"""Time, s, for which a robot that has just not repeated itself can stand still without being taken for silent."""
 _UNTIL = 30.0
 """Time, s, after which a run that has not ended hangs."""
 
@@ -79,7 +81,7 @@ def rounds_case(seed: int) -> RoundsCase:
         if draw.random() < 0.7:
             doings.append(Doing("ends", robot, draw.randint(1, 100)))
         else:
-            lasting = draw.uniform(0.0, SECONDS - 3 * LATE)
+            lasting = draw.uniform(0.0, _STANDS)
             doings.append(Doing("stands", robot, round(draw.uniform(0.0, 1.0), 3), round(lasting, 3)))
     if draw.random() < 0.1:  # long enough to be dropped: it finds that out when it goes on
         doings = [Doing("stands", draw.randint(1, robots), round(draw.uniform(0.1, 0.3), 3), 4 * SECONDS)]

@@ -1,6 +1,7 @@
 """What the search has found in the nodes: each case once broke a property."""
 
 import pytest
+from tests.virtual.rounds import Doing, RoundsCase
 from tests.virtual.schedule import Case, Fault
 from tests.virtual.search import run
 
@@ -57,9 +58,22 @@ FOUND = {
         ),
         quiet=7.957,
     ),
+    "robots that nobody connects with the plane any more wait for its state for ever": RoundsCase(
+        80040,
+        robots=9,
+        links="{type: ring, sensing: [1, 2]}",
+        loss=0.0,
+        planned="[]",
+        faults=(
+            Doing("stands", 4, 0.257, 0.436),
+            Doing("ends", 3, 91),
+            Doing("ends", 7, 43),
+            Doing("ends", 1, 68),
+        ),
+    ),
 }
 
 
 @pytest.mark.parametrize("case", FOUND.values(), ids=FOUND)
-def test_what_once_broke_holds(case: Case) -> None:
+def test_what_once_broke_holds(case: Case | RoundsCase) -> None:
     assert str(run(case).broken) == "None"

@@ -8,6 +8,7 @@ to leave out the others. From then on it takes no state from them, and it does n
 reaches have voted alike. The states that they hold between them count in the step; who is left out and whose state
 nobody holds is dropped. If no state is missing, and all of them have waited in vain for the parent, it must lack states
 of some that are left out, and all these are dropped. Who has waited does not complete the step without that decision.
+Where none of them hears the parent, and none has its state of the step before, they wait for that in vain, and stop.
 
 Only a majority of the robots that publish in the step may go on, or half of them with the one of lowest id.
 """
@@ -34,7 +35,8 @@ class Vote(NamedTuple):
     held : int
         Robots whose states of the step it held when `out` became what it is.
     waited : int
-        The set `out` with which it knew all states and waited in vain for the parent; empty if it did not.
+        The set `out` with which it waited in vain for the parent: to answer as it knew all states, or still for its
+        state of the step before, which none that it reaches hears. Empty if it did not.
     """
 
     silent: int = 0
@@ -104,7 +106,7 @@ class Agreement:
         return self.take({self._rank: Vote(silent)}, held)
 
     def wait(self) -> bool:
-        """Tell that this robot holds all states and waits in vain for the parent; return whether that is news."""
+        """Tell that this robot waits in vain for the parent; return whether that is news."""
         return self.take({self._rank: Vote(waited=self.out)}, 0)
 
     def take(self, votes: Mapping[int, Vote], held: int) -> bool:
@@ -130,10 +132,15 @@ class Agreement:
         return all(self.votes.get(rank, NOTHING).out == self.out for rank in ranks(self.inside))
 
     @property
+    def waited(self) -> bool:
+        """Whether all that this robot reaches have waited in vain for the parent, without the same ones."""
+        return bool(self.out) and all(self.votes.get(rank, NOTHING).waited == self.out for rank in ranks(self.inside))
+
+    @property
     def settled(self) -> bool:
         """Whether this robot may complete the step without `dropped`: it leaves nobody out, or all vote alike."""
         free = not self.out or self._kept is not None
-        return free or (self.alike and (not self.own.waited or self._waited()))
+        return free or (self.alike and (not self.own.waited or self.waited))
 
     @property
     def dropped(self) -> int:
@@ -142,7 +149,7 @@ class Agreement:
             return self._publishing & ~self._kept
         if not self.out or not self.alike:
             return 0
-        return self.out if self._waited() else self.out & ~self._held()
+        return self.out if self.waited else self.out & ~self._held()
 
     @property
     def outnumbered(self) -> bool:
@@ -160,9 +167,6 @@ class Agreement:
             new = near & self._present & ~reached
             reached |= new
         return reached
-
-    def _waited(self) -> bool:
-        return all(self.votes.get(rank, NOTHING).waited == self.out for rank in ranks(self.inside))
 
     def _held(self) -> int:
         """Return the robots whose states those inside held as they voted."""

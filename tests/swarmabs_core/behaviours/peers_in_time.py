@@ -20,6 +20,8 @@ LATE = 0.02
 """Longest delay of a message, s."""
 REPEAT = 0.2
 """Time, s, after which a node that has said nothing repeats what it has said last."""
+LOOKS = 0.05
+"""Time, s, after which a node looks again at the clock, or whether it is still frozen."""
 PLANE, RECORDER = 0, -1
 
 
@@ -70,14 +72,14 @@ class World:
             for node, behaviour in ((PLANE, self.plane), *self.peers.items()):
                 self.said[node], self.spoke[node] = [], 0.0
                 self._say(node, behaviour.start())
-                self._at(self.draw.random() * 0.05, node, None)
+                self._at(self.draw.random() * LOOKS, node, None)
         until += self.time
         while self.events and self.events[0][0] <= until:
             self.time, _, node, message = heappop(self.events)
             if node in self.dead or node in self.stopped:
                 continue
             if node in self.frozen:
-                self._at(self.time + 0.05, node, message)
+                self._at(self.time + LOOKS, node, message)
                 continue
             try:
                 self._do(node, message)
@@ -100,7 +102,7 @@ class World:
             for said in self.said[node]:
                 self._send(node, said)
             self.spoke[node] = self.time
-        self._at(self.time + 0.05, node, None)
+        self._at(self.time + LOOKS, node, None)
 
     def _say(self, node: int, messages: Messages) -> None:
         for message in messages:

@@ -157,8 +157,12 @@ class Peer:
                 f"step {step}: robot {apart[0]} is cut off from robot {relaying[0]} by the end of other robots; "
                 "use more links"
             )
-        if not any(self._links.senses(robot) for robot in relaying):
-            raise RunError(f"step {step}: no robot is left that hears the parent; see links.sensing")
+        if not any(map(self._links.senses, relaying)):
+            raise self._no_parent(step)
+
+    @staticmethod
+    def _no_parent(step: int) -> RunError:
+        return RunError(f"step {step}: no robot is left that hears the parent; see links.sensing")
 
     def start(self) -> Messages:
         """Pass on the initial state of the robot."""
@@ -258,7 +262,7 @@ class Peer:
             return ()
         agreement, linked = self._agreement, self._linked()
         news = agreement.tell(self._content.set_of(robot for robot in silent if robot in linked), self._known)
-        if waited and self._given and self._complete and agreement.out:
+        if waited and agreement.out and (self._deaf or (self._given and self._complete)):
             news |= agreement.wait()
         if not news:
             return ()
@@ -329,8 +333,16 @@ class Peer:
             self._hear()
 
     def _drop(self) -> Messages:
-        """Drop the robots on which all have agreed; return what is published."""
+        """Drop the robots on which all have agreed; return what is published.
+
+        Raises
+        ------
+        RunError
+            If the robots that are left do not all hear each other and the parent.
+        """
         membership, content = self._observer.membership, self._content
+        if self._agreement.waited and self._deaf:
+            raise self._no_parent(self._step)
         dropped = [robot for robot in content.robots_in(self._agreement.dropped) if membership.lasts(robot, self._step)]
         if not dropped or not self._committed:
             return ()
@@ -377,6 +389,12 @@ class Peer:
     def _committed(self) -> bool:
         """Whether it has computed what follows from the step before."""
         return self._step == 0 or self._parent is not None
+
+    @property
+    def _deaf(self) -> bool:
+        """Whether neither it nor any that it reaches can get the parent's state of the step before any more."""
+        inside = self._content.robots_in(self._agreement.inside)
+        return not self._committed and not any(map(self._links.senses, inside))
 
     @property
     def _held_back(self) -> bool:
