@@ -552,6 +552,9 @@ class SumsUpWhatItHears(Property):
         if (before is None or state.step > before.step) and state.step <= self.facts.step_of(node) + self.facts.ahead:
             newest[state.agent_id] = state
             self._arrived[node, state.agent_id] = self.facts.now
+            fresh = state.step >= self.facts.step_of(node) - self.facts.state_age
+            if fresh and self._standing[node].pop(state.agent_id, None) is not None:
+                self._silent[node].add(state.agent_id)  # its host need not remember it
 
     def _removal(self, node: str, parcel: Parcel) -> None:
         """Let a robot have left that is silent, and was not heard after it was carried away."""
