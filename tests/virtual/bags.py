@@ -194,15 +194,20 @@ class _Listener(Watcher):
 
 _LENGTH = 4.0
 """Length, s, of a run in real time."""
-_OBSERVER_DIES = ((1.9, 0.9, OBSERVER), (1.0, 1.5, agent_name(2)))
-_LEADER_DIES = ((2.2, 0.8, CONTROLLER), (3.5, 1.0, OBSERVER))
-FLEETS: dict[str, tuple[tuple[float, float, str], ...]] = {
+_OBSERVER_DIES = ((1.9, OBSERVER, 0.9), (1.0, agent_name(2), 1.5))
+_LEADER_DIES = ((2.2, CONTROLLER, 0.8), (3.5, OBSERVER, 1.0))
+_ROBOT_DIES = (0.9, agent_name(3), 1.5)
+_STOPPED = ((1.7, CONTROLLER, "stop"), (2.4, CONTROLLER, "reset"), (3.6, CONTROLLER, "stop"))
+_STOPPED_WITHOUT = ((1.7, agent_name(2), "stop"), (2.4, agent_name(1), "reset"), (3.6, agent_name(2), "stop"))
+FLEETS: dict[str, tuple[tuple[float, str, float | str], ...]] = {
     "a fleet": (),
     "a fleet whose observer and a robot die": _OBSERVER_DIES,
+    "a fleet that is stopped while a robot is dead": (_ROBOT_DIES, *_STOPPED),
     "a fleet with standbys": _LEADER_DIES,
-    "a fleet without coordinators": ((2.0, 0.7, agent_name(3)),),
+    "a fleet without coordinators": ((2.0, agent_name(3), 0.7),),
+    "a fleet without coordinators that is stopped while a robot is dead": (_ROBOT_DIES, *_STOPPED_WITHOUT),
 }
-"""Runs in real time: when, s, and for how long which node is dead."""
+"""Runs in real time: when, s, which node dies and for how long, s, or what it is told."""
 RUNS: dict[str, tuple[str, ...]] = {
     "a run in lockstep": (),
     "a run in which robots join and die": (
@@ -217,13 +222,16 @@ RUNS: dict[str, tuple[str, ...]] = {
 def fleet_of(name: str) -> Fleet:
     """Return what is said in a run in real time."""
     paired = "standbys" in name
-    scenario = scenario_of(3, 20, "wait", "each_robot" if "without" in name else "central")
+    scenario = scenario_of(3, 20, "wait", "each_robot" if "without coordinators" in name else "central")
     fleet = VirtualFleet(scenario, seed=7, paired=paired, identified=True, kept=False)
     listener = _Listener(fleet)
     fleet.watch(listener)
-    for at, lasting, node in FLEETS[name]:
+    for at, node, what in FLEETS[name]:
+        if isinstance(what, str):
+            fleet.later(at, partial(fleet.call, node, what))
+            continue
         fleet.later(at, partial(fleet.kill, node))
-        fleet.later(at + lasting, partial(fleet.revive, node))
+        fleet.later(at + what, partial(fleet.revive, node))
     fleet.run(_LENGTH)
     return Fleet(scenario, fleet.clock, paired, tuple(listener.said))
 

@@ -1,9 +1,13 @@
 """What the search has found in the nodes: each case once broke a property."""
 
 import pytest
+from tests.virtual.bags import BagCase, Harm
 from tests.virtual.rounds import Doing, RoundsCase
 from tests.virtual.schedule import Case, Fault
-from tests.virtual.search import run
+from tests.virtual.search import AnyCase, run
+
+_WITHOUT = "a fleet without coordinators"
+_STOPPED = "a fleet without coordinators that is stopped while a robot is dead"
 
 FOUND = {
     "an observer that is heard and hears nothing leads on": Case(
@@ -71,9 +75,18 @@ FOUND = {
             Doing("ends", 1, 68),
         ),
     ),
+    "what robots compute themselves is taken for wrong where a bag begins, and hears them late": BagCase(
+        0, _WITHOUT, (Harm(1.418, "late", 1, 1.758, 0.3), Harm(2.261, "begins", 1)), recorders=1
+    ),
+    "what robots compute themselves is taken for wrong where the relay of an order is lost": BagCase(
+        2, _STOPPED, (Harm(2.35, "loss", 1, 0.1, 0.3),), recorders=1
+    ),
+    "a STOP of robots without coordinators repeats an answer before the bag, and is taken for wrong": BagCase(
+        0, _STOPPED, (Harm(2.0, "begins", 1),), recorders=1
+    ),
 }
 
 
 @pytest.mark.parametrize("case", FOUND.values(), ids=FOUND)
-def test_what_once_broke_holds(case: Case | RoundsCase) -> None:
+def test_what_once_broke_holds(case: AnyCase) -> None:
     assert str(run(case).broken) == "None"

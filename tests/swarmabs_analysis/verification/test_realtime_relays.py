@@ -262,6 +262,18 @@ def test_a_broadcast_that_no_robot_has_computed_is_found(topic: msg.Topic) -> No
     assert place(verify(quiet().scenario, bag).difference) == (topic.name, 60, None, name)
 
 
+def test_stops_that_no_robots_answer_explains_are_found() -> None:
+    run = ran("pd_het_4", story=lambda fleet: (fleet.call(agent_name(1), "stop"), fleet.run(0.3))[1])
+    bag = list(run.bag)
+    for number, stored in enumerate(bag):
+        asked = stored.message
+        if isinstance(asked, msg.DesiredAbstractState) and asked.mode == msg.Mode.STOP:
+            changed = asked._replace(inertia=asked.inertia * (1.0 + 1e-3 * asked.step))
+            bag[number] = stored._replace(payload=Record.of(changed).payload)
+    found = place(verify(run.scenario, bag).difference)
+    assert (found[0], found[3]) == (msg.DESIRED_ABSTRACT_STATE.name, "inertia")
+
+
 @cache
 def quiet() -> Recorded:
     return ran("arise_het_4")

@@ -99,7 +99,7 @@ class _Own:
 
 @dataclass(slots=True)
 class _Peer:
-    """What is known of a robot: its answers by step, and its orders and completeness by the step of its relays."""
+    """What is known of a robot: its answers by step; and by the step of its relays, its orders and whether all came."""
 
     own: dict[int, _Own] = field(default_factory=dict)
     orders: dict[int, Orders] = field(default_factory=dict)
@@ -217,6 +217,7 @@ class PeerChecks:
         self._states: _Recent[Record] = _Recent()
         self._motions: _Recent[Motion] = _Recent()
         self._removed: set[int] = set()
+        self._not_told: list[float] = []
         self._read = -1
         self.robots = robots
         guard = ModeLatch(schedule, self._law.plane_age_limit, self._law.clock_tolerance).guard
@@ -274,6 +275,7 @@ class PeerChecks:
             peer.lose()
         if self._history.is_ambiguous(stored.topic, relay.step, agent_id):
             peer.lose()
+            peer.told[relay.step] = False
             return AMBIGUOUS
         wrong = wrong_stamp(relay, self._schedule) or judge(stored, relay._replace(complete=0, last=0), 0.0)
         if wrong:
@@ -282,8 +284,11 @@ class PeerChecks:
             told = read(relay, len(self._ids))
         except MalformedMessageError as error:
             return Difference.of(relay, "content", in_hex(relay.content), None, str(error))
+        if relay.step != last[0] and last[0] in peer.told and told.orders != peer.orders.get(last[0]):
+            peer.told[last[0]] = False  # an operator may have told it that, and it told its neighbours at once
+        whole = not relay.round or last == (relay.step, relay.round - 1)
+        peer.told[relay.step] = peer.told.get(relay.step, True) and whole and len(told.answers) < MOST_ANSWERS
         peer.orders[relay.step] = told.orders
-        peer.told[relay.step] = peer.told.get(relay.step, True) and len(told.answers) < MOST_ANSWERS
         findings = [self._passed_on(relay, motion) for motion in told.motions]
         findings += [self._introduced(relay, rank, constants) for rank, constants in told.constants.items()]
         findings.append(self._of_plane(relay, told.plane))
@@ -470,8 +475,10 @@ class PeerChecks:
     def _spoken(self, topic: Topic, stored: Record) -> Finding:
         """Compare a broadcast with what the robot computed that speaks for all; while views differ, with several."""
         message = stored.message
-        if isinstance(message, DesiredAbstractState) and message.mode != Mode.RUN:
-            return judge(stored, self._still(message), self._tolerance)
+        if isinstance(message, DesiredAbstractState):
+            if message.mode != Mode.RUN:
+                return self._still(stored, message)
+            self._not_told.clear()
         step = message.step
         computed = [own for peer in self._peers.values() if (own := peer.own.get(step)) is not None]
         possible = [own.messages[topic] for own in computed if own.speaks and topic in own.messages]
@@ -482,28 +489,39 @@ class PeerChecks:
             return None
         if problem := next((own.problem for own in computed if own.problem), None):
             return problem if isinstance(problem, str) else NO_STATES
-        if any(self._may_have_spoken(agent_id, step) for agent_id in self._ids):
+        if not self._tells_all(step):
             return NO_RELAY
         reason = "no robot that speaks for all has computed that"
         return (
             differences[0]._replace(reason=reason) if differences and differences[0] else surplus(stored, step, reason)
         )
 
-    def _may_have_spoken(self, agent_id: int, step: int) -> bool:
-        """Return whether a robot may have computed a step of which no relay in the bag tells."""
-        peer = self._peers[agent_id]
-        if step in peer.own:
-            return False
-        there = any(k in peer.told or agent_id in self._history.on(AGENT_STATE, k) for k in (step - 1, step, step + 1))
-        return there and not all(peer.told.get(k) for k in range(step - self._ahead, step + self._lag))
+    def _tells_all(self, step: int) -> bool:
+        """Return whether the bag tells what each robot has computed for a step that is in the bag around it."""
+        near = range(step - self._lag, step + self._lag + 1)
+        needed = range(step - self._ahead, step + self._lag)
+        there = [
+            peer
+            for agent_id, peer in self._peers.items()
+            if any(k in peer.told or agent_id in self._history.on(AGENT_STATE, k) for k in near)
+        ]
+        return bool(there) and all(step in peer.own or all(peer.told.get(k) for k in needed) for peer in there)
 
-    def _still(self, asked: DesiredAbstractState) -> DesiredAbstractState:
-        """Return what is published while the swarm holds still: a point of the manifold with zero rates."""
-        inertia = self._law.manifold.inertia(asked.torque)
+    def _still(self, stored: Record, asked: DesiredAbstractState) -> Finding:
+        """Compare what is published while the swarm holds still: the last answer of its author, with zero rates.
+
+        That one is on the curve if no robots stand. It may not be in the bag, but each robot has only one.
+        """
+        known = [self._law.manifold.inertia(asked.torque), *self._not_told]
         for peer in self._peers.values():
-            steps = [step for step in peer.own if step <= asked.step]
-            before = [peer.asked, *(peer.own[step].messages.get(DESIRED_ABSTRACT_STATE) for step in sorted(steps))]
-            for desired in before:
-                if isinstance(desired, DesiredAbstractState) and desired.torque == asked.torque:
-                    inertia = desired.inertia
-        return DesiredAbstractState(asked.stamp, asked.step, asked.mode, asked.torque, inertia)
+            answers = (own.messages.get(DESIRED_ABSTRACT_STATE) for step, own in peer.own.items() if step <= asked.step)
+            answered = (one for one in (peer.asked, *answers) if isinstance(one, DesiredAbstractState))
+            known += [one.inertia for one in answered if one.torque == asked.torque]
+        still = DesiredAbstractState(asked.stamp, asked.step, asked.mode, asked.torque, asked.inertia)
+        differences = [judge(stored, still._replace(inertia=inertia), self._tolerance) for inertia in known]
+        if None in differences:
+            return None
+        if judge(stored, still, self._tolerance) is None and len(self._not_told) < len(self._ids):
+            self._not_told.append(asked.inertia)
+            return NO_ANSWER_BEFORE
+        return differences[0]
