@@ -45,8 +45,9 @@ SETTLED = 1.0
 """Time, s, for which a majority hears the same robots until these are those that count."""
 RESETTING = 1.0
 """Time, s, for which robots stand still after a RESET."""
-APART = 0.5
-"""By how much the integrals of robots may differ soon after a start, relative to 1 + their size."""
+APART, PASSED_APART = 0.2, 0.5
+"""By how much the integrals of robots after the same step may differ soon after a start, relative to 1 + their size: if
+all robots hear the plane, and if some miss what is lost on the way to them."""
 PASSED_ON = "passes on what it hears"
 SUMMED = "sums up what it knows"
 ORDERED = "orders reach all"
@@ -115,6 +116,7 @@ class _Robot:
     expected: int = 0
     started: bool = False
     due: list[int] = field(default_factory=list)
+    laws: dict[tuple[int, int], tuple[float, ...]] = field(default_factory=dict)
 
 
 class TellEachOther(Property):
@@ -422,6 +424,9 @@ class TellEachOther(Property):
         self._check_electing(node, robot, relay, told)
         self._check_sums(node, robot, told, held)
         robot.held = held
+        robot.laws[told.law.begun, told.law.step] = told.law.memory
+        if len(robot.laws) > 2 * self.facts.age:
+            del robot.laws[next(iter(robot.laws))]
 
     def _is_true(self, motion: Motion, step: int) -> bool:
         """Return whether an author has published a state."""
@@ -641,8 +646,14 @@ class TellEachOther(Property):
         return {n: nodes[n].activity.engine.behaviour.law for n in self._names if nodes[n].activity}  # type: ignore[union-attr,attr-defined]
 
     def spread(self) -> float:
-        """Return by how much the memories of the laws differ, relative to 1 + their size; zero if one has none."""
-        columns = zip(*(law.memory for law in self._laws().values()), strict=False)
+        """Return by how much what robots remember of their laws after a step differs, relative to 1 + its size."""
+        told: dict[tuple[int, int], list[tuple[float, ...]]] = {}
+        since = max(robot.last[0] for robot in self._robots.values()) - self.facts.age
+        for robot in self._robots.values():
+            for place, memory in robot.laws.items():
+                if place[1] >= since and memory:
+                    told.setdefault(place, []).append(memory)
+        columns = (column for memories in told.values() for column in zip(*memories, strict=False))
         return max(((max(c) - min(c)) / (1.0 + max(map(abs, c))) for c in columns), default=0.0)
 
     def _laws_agree(self, before: float) -> None:
@@ -654,7 +665,8 @@ class TellEachOther(Property):
                 raise self._break(ALIKE, name, text)
             if len(law.memory) != len(first.memory):
                 raise self._break(ALIKE, name, "remembers nothing of its law")
-        most = max(APART, before)
+        all_hear = all(map(self.facts.links.senses, self._ids))
+        most = max(APART if all_hear else PASSED_APART, before)
         if self.spread() > most:
             text = (
                 f"has integrals that are {self.spread():.3g} apart from those of others; before they were {before:.3g}"

@@ -84,6 +84,18 @@ FOUND = {
     "a STOP of robots without coordinators repeats an answer before the bag, and is taken for wrong": BagCase(
         0, _STOPPED, (Harm(2.0, "begins", 1),), recorders=1
     ),
+    "a merge does not name what is missing of a last step of which there is one relay": BagCase(
+        401218,
+        "a run without coordinators",
+        (
+            Harm(0.404, "full disk", 1, 0.086, 70090.0),
+            Harm(1.149, "late", 2, 1.536, 0.3),
+            Harm(3.369, "full disk", 2, 1.187, 101260.0),
+        ),
+        short=0.3,
+        pace=0.06,
+        gathers=0.2,
+    ),
 }
 
 

@@ -162,7 +162,8 @@ class LockstepCompleteness:
     @property
     def last(self) -> int:
         """The last step of which there is a message, -1 without any."""
-        return max((spans.last for spans in self._found.values()), default=-1)
+        partial = (step for _, step in self._relays)
+        return max((*(spans.last for spans in self._found.values()), *partial), default=-1)
 
     def gaps(self, last: int) -> list[Gap]:
         """Return the messages that are missing up to a step."""
