@@ -209,6 +209,27 @@ def test_a_stop_reaches_a_robot_that_starts_later_and_reset_releases_it() -> Non
     assert active(fleet) == ALL
 
 
+def test_the_law_of_all_begins_anew_with_a_reset_although_nobody_has_stopped_the_swarm() -> None:
+    fleet = peers_of(begun=2.0)
+    fleet.call(agent_name(3), "reset")
+    ordered = round(fleet.time * 100)
+    fleet.run(0.5)
+    assert not active(fleet)
+    fleet.run(1.5)
+    assert active(fleet) == ALL
+    assert min(behaviour(fleet, robot).law.begun for robot in ALL) > ordered
+
+
+def test_a_robot_that_starts_need_not_wait_for_a_reset_of_long_ago() -> None:
+    fleet = peers_of()
+    fleet.kill(agent_name(2))
+    fleet.call(agent_name(3), "reset")
+    fleet.run(2.0)
+    fleet.revive(agent_name(2))
+    fleet.run(0.3)
+    assert active(fleet) == ALL
+
+
 def test_a_robot_that_restarts_continues_the_law_of_the_others() -> None:
     fleet = peers_of("arise_het_4", begun=2.0)
     before = behaviour(fleet, 2).law

@@ -73,8 +73,10 @@ class TakesTurns(Property):
     name = "takes turns"
     statement = (
         "One of a pair of coordinators begins to speak once the other one has been silent for longer than "
-        "takeover_after and it could have spoken itself, two periods later at most; it is silent if it hears no robot, "
-        f"and after a release; a standby yields to a primary that it has heard for {AGREED} periods, and not before."
+        "takeover_after and it could have spoken itself, two steps later at most; it listens first when it starts (the "
+        f"primary for {LISTENS[0]:g} s, the standby for {LISTENS[1]:g} s) and when it has stood still for longer than "
+        "takeover_after (for as long, the standby for twice as long); it is silent after a release, and if it hears no "
+        f"robot; a standby yields to a primary that it has heard for {AGREED} steps, and not before."
     )
 
     def __init__(self, facts: Facts) -> None:
@@ -177,7 +179,8 @@ class TakesTurns(Property):
             raise self.broken(node, f"publishes sums of step {message.step}, but hears no robot: {heard}")
         resumed = facts.clock.step(EPOCH + facts.resumed.get(node, 0))
         if facts.stood.get(node, 0) > (self._takeover + 2) * facts.period and step - resumed < self._takeover:
-            raise self.broken(node, f"publishes step {message.step} at once after it stood still until step {resumed}")
+            text = f"publishes step {message.step}, but has stood still until step {resumed}"
+            raise self.broken(node, f"{text}, and has to listen for {self._takeover} steps")
         if step > one.spoke:
             if step - one.spoke > 1:
                 one.began = step

@@ -64,10 +64,14 @@ STATEMENTS = {
         "does not move while the STOP holds."
     ),
     COUNTED: (
-        "A robot follows only while it hears a majority of those that count, and then it does; those count that a "
-        "majority has heard for a second."
+        "A robot follows only while it hears a majority of the robots that count: more than half of them, or half with "
+        "the lowest id; and then it does. At first all count; only a majority decides, after it has heard the same "
+        "robots for a second, that these count."
     ),
-    ALIKE: "When all is well, all robots know the same orders, count the same robots, and have laws of one time.",
+    ALIKE: (
+        "When all is well, all robots know the same orders, count the same robots, and have laws of one time, which "
+        "began after the newest RESET."
+    ),
 }
 """What each of these properties means, for people."""
 _NO_ORDERS = Orders()
@@ -136,6 +140,7 @@ class TellEachOther(Property):
         self._published: dict[tuple[int, int], list[tuple[int, float, float]]] = {}
         self._planes: dict[int, list[PlaneState]] = {}
         self._read: dict[tuple[int, bytes], Told] = {}
+        self._reset_in: dict[int, int] = {}
         self._guard = min(facts.age + facts.ahead, clock.steps(GUARD_MOST))
         self._late = any(fault.kind in {"slow", "late", "again"} for fault in case.faults)
         self._intruder = any(fault.kind == "impostor" for fault in case.faults)
@@ -181,6 +186,8 @@ class TellEachOther(Property):
             if command == "reset" and known.stop < 0:
                 new = max(known.reset, step)
             setattr(robot, name, known._replace(**{command: new}))
+            if command == "reset" and node not in self.facts.wrong:
+                self._reset_in[new] = step
         robot.ordered = self.facts.now
         robot.ordering = True
 
@@ -236,9 +243,8 @@ class TellEachOther(Property):
         hears, counted = self._hears(robot, used, surely=False), self._electorates(robot, before.step - used)
         if not any(self._majority(hears, of) for of in counted):
             told = " or ".join(map(self._named, dict.fromkeys(counted)))
-            raise self._break(
-                COUNTED, node, f"follows step {used}, in which it hears robots {self._named(hears)} of {told}"
-            )
+            text = f"follows step {used}, in which it hears no majority: {self._named(hears)} of {told}"
+            raise self._break(COUNTED, node, text)
 
     def _electorates(self, robot: _Robot, ago: int = 0) -> list[frozenset[int]]:
         """Return the ranks that may have counted since so many steps ago."""
@@ -514,9 +520,13 @@ class TellEachOther(Property):
         ):
             robot.settled = hears, relay.step
         lasting = relay.step - robot.settled[1]
-        before = robot.own[-1] if robot.own else (-1, frozenset(range(len(self._ids))))
+        everybody = frozenset(range(len(self._ids)))
+        before = robot.own[-1] if robot.own else (-1, everybody)
         if new[0] < before[0]:
             raise self._break(COUNTED, node, f"goes back to those that counted in step {new[0]} from {before[0]}")
+        if new[0] == before[0] and new[1] != before[1] and (new[0] >= 0 or before[1] != everybody):
+            text = f"counts robots {self._named(new[1])} as of step {new[0]}, and before {self._named(before[1])}"
+            raise self._break(COUNTED, node, text)
         if new[0] < robot.newest_since:
             raise self._break(COUNTED, node, f"counts as of step {new[0]}, but was told of step {robot.newest_since}")
         if new != before and new not in robot.electing:
@@ -542,13 +552,13 @@ class TellEachOther(Property):
         since, counted = new
         if since < 0:  # at the start
             return
-        text = f"lets robots {self._named(counted)} count from step {since} on"
+        text = f"decides that from step {since} on these robots count: {self._named(counted)}"
         may |= self._hears(robot, since, surely=False)
         if not counted <= may:
-            raise self._break(COUNTED, node, f"{text}, but hears robots {self._named(may)}")
+            raise self._break(COUNTED, node, f"{text}, but it hears {self._named(may)}")
         of = [known for _, known in (before, *robot.electing) if known]
         if of and not any(self._majority(counted, known) for known in of):
-            raise self._break(COUNTED, node, f"{text}, which are no majority of {self._named(before[1])}")
+            raise self._break(COUNTED, node, f"{text}, but they are no majority of {self._named(before[1])}")
         changed = robot.settled[0] != counted or since - robot.settled[1] < self._settled - 4
         if self._settled > 8 and changed and counted != before[1] and self._was_otherwise(robot, counted, since):
             raise self._break(COUNTED, node, f"{text}, although it has not heard these for long")
@@ -604,6 +614,8 @@ class TellEachOther(Property):
             raise self._break(SUMMED, node, f"in step {answer.step} it takes robots {resting} for silent")
 
     def _named(self, ranks: Collection[int]) -> str:
+        if len(ranks) == len(self._ids) > 2:
+            return f"all {len(self._ids)}"
         return ", ".join(str(self._ids[rank]) for rank in sorted(ranks)) or "none"
 
     # When all is well
@@ -639,7 +651,7 @@ class TellEachOther(Property):
                 raise self._break(ALIKE, name, f"counts robots {values['counted robots']}")
             if values["hears a majority"] != "yes" or values["lacks robots"]:
                 raise self._break(ALIKE, name, f"lacks robots {values['lacks robots']}")
-        self._laws_agree(before)
+        self._laws_agree(before, self._reset_in.get(orders[first].reset, -1))
 
     def _laws(self) -> dict[str, LawView]:
         nodes = self.facts.fleet.nodes
@@ -656,7 +668,7 @@ class TellEachOther(Property):
         columns = (column for memories in told.values() for column in zip(*memories, strict=False))
         return max(((max(c) - min(c)) / (1.0 + max(map(abs, c))) for c in columns), default=0.0)
 
-    def _laws_agree(self, before: float) -> None:
+    def _laws_agree(self, before: float, reset_in: int) -> None:
         laws = self._laws()
         first = laws[self._names[0]]
         for name, law in laws.items():
@@ -665,6 +677,9 @@ class TellEachOther(Property):
                 raise self._break(ALIKE, name, text)
             if len(law.memory) != len(first.memory):
                 raise self._break(ALIKE, name, "remembers nothing of its law")
+            if law.begun <= reset_in:
+                text = f"has a law that began in step {law.begun}, before the RESET that was ordered in step {reset_in}"
+                raise self._break(ALIKE, name, text)
         all_hear = all(map(self.facts.links.senses, self._ids))
         most = max(APART if all_hear else PASSED_APART, before)
         if self.spread() > most:

@@ -509,7 +509,9 @@ class SumsUpWhatItHears(Property):
     name = "sums up what it hears"
     statement = (
         "An observer sums up the newest state of every robot that has reached it; one that is silent for the age limit "
-        "counts as standing, one that has left does not count."
+        "counts as standing, one that has left does not count. Torque, inertia and their rates are sums over all that "
+        "count, S0 to S3 over those that follow the law. It begins once all are there that it has to wait for, unless "
+        "the swarm is under way."
     )
 
     def __init__(self, facts: Facts) -> None:
@@ -522,10 +524,16 @@ class SumsUpWhatItHears(Property):
         self._newest = {name: {} for name in (PLANE, *facts.case.pairs[0])}
         self._standing: dict[str, dict[int, int]] = {name: {} for name in self._newest}
         self._silent: dict[str, set[int]] = {name: set() for name in self._newest}
-        self.published = {BASIS: self._basis, ABSTRACT_STATE: self._sum}
+        self._used: dict[str, tuple[int, list[tuple[AgentState, bool]]]] = {}
+        self.published = {BASIS: self._basis, ABSTRACT_STATE: self._sum, AUXILIARY_STATE: self._moments}
         for topic in variants(AGENT_STATE):
             self.heard[topic] = self._state
         self.heard[REMOVALS] = self._removal
+        self._under_way = False
+        self.published[AGENT_STATE] = self._follows
+
+    def _follows(self, node: str, state: AgentState) -> None:
+        self._under_way |= state.broadcast_step != NEVER
 
     def begins(self, node: str) -> None:
         if node in self._newest:
@@ -574,9 +582,13 @@ class SumsUpWhatItHears(Property):
         facts, newest = self.facts, self._newest[node]
         if basis.source == Source.OBSERVER:
             self._counted[node] = basis.step, len(basis.agent_ids)
+        self._used.pop(node, None)
         if node in facts.wrong:
             return
         used = dict(zip(basis.agent_ids, zip(basis.state_steps, basis.standing, strict=True), strict=True))
+        lacks = facts.case.robots - len(used.keys() | newest.keys())
+        if basis.source == Source.OBSERVER and lacks and facts.case.start == "wait" and not self._under_way:
+            raise self.broken(node, f"in step {basis.step} it begins without waiting for {lacks} robots")
         for robot, (step, _) in used.items():
             if step > basis.step + facts.ahead:
                 raise self.broken(node, f"in step {basis.step} it uses a state of robot {robot} of step {step}")
@@ -610,11 +622,45 @@ class SumsUpWhatItHears(Property):
                 text = f"it takes a state that is {basis.step - step} steps old as {'silent' if stands else 'fresh'}"
                 raise self.broken(node, f"in step {basis.step} of robot {robot}: {text}")
 
+        if basis.source == Source.OBSERVER:
+            states = [(newest.get(robot), *of) for robot, of in used.items()]
+            known = [(state, bool(stands)) for state, step, stands in states if state and state.step == step]
+            if len(known) == len(used):
+                self._used[node] = basis.step, known
+
     def _sum(self, node: str, message: Any) -> None:
         step, count = self._counted.get(node, (-1, 0))
         if step != message.step or count != message.agent_count:
             text = f"it counts {message.agent_count} robots, and says that these sums are of {count}"
             raise self.broken(node, f"in step {message.step} {text}")
+        if (used := self._used.get(node)) is None or used[0] != message.step:
+            return
+        gravity = self.facts.scenario.plane.gravity
+        robots = [(state.mass, state.position, 0.0 if stands else state.velocity) for state, stands in used[1]]
+        self._compare(
+            node,
+            message,
+            torque=gravity * sum(m * p for m, p, _ in robots),
+            inertia=sum(m * p * p for m, p, _ in robots),
+            torque_rate=gravity * sum(m * v for m, _, v in robots),
+            inertia_rate=2.0 * sum(m * p * v for m, p, v in robots),
+        )
+
+    def _moments(self, node: str, message: Any) -> None:
+        if (used := self._used.get(node)) is None or used[0] != message.step:
+            return
+        robots = [
+            (state.mass**2, state.position) for state, stands in used[1] if state.status == Status.ACTIVE and not stands
+        ]
+        s0, s1, s2 = (sum(mm * p**power for mm, p in robots) for power in range(3))
+        self._compare(node, message, s0=s0, s1=s1, s2=s2, s3=s0 * s2 - s1 * s1)
+
+    def _compare(self, node: str, message: Any, **sums: float) -> None:
+        """Compare what a node has summed up with sums that are not computed by its code."""
+        for name, expected in sums.items():
+            if abs(getattr(message, name) - expected) > 1e-9:
+                text = f"in step {message.step} its {name} is {getattr(message, name):g}; the states give {expected:g}"
+                raise self.broken(node, text)
 
 
 class AnswersThePlane(Property):

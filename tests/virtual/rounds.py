@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from random import Random
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from tests.swarmabs_core.behaviours.peers_in_time import LATE, LOOKS, REPEAT, SECONDS, World
 from tests.swarmabs_core.behaviours.test_dropping import LINKS, MORE, STEPS, judged, swarm
@@ -27,14 +28,21 @@ _UNTIL = 30.0
 
 
 class Doing(NamedTuple):
-    """What happens to a robot: it `ends` after so many messages, or `stands` still from a time, s, for a while, s."""
+    """What happens to a robot.
+
+    It `ends` after so many messages; `stands` still from a time, s, for a while, s; or another one is `deaf` to it from
+    a time on.
+    """
 
     kind: str
     robot: int
     when: float
     lasting: float = 0.0
+    other: int = 0
 
     def __str__(self) -> str:
+        if self.kind == "deaf":
+            return f"robot {self.other} does not hear robot {self.robot} any more from {self.when:.3f} s on"
         if self.kind == "ends":
             return f"robot {self.robot} ends after {self.when:g} messages"
         return f"robot {self.robot} stands still from {self.when:.3f} s on for {self.lasting:.3f} s"
@@ -83,6 +91,9 @@ def rounds_case(seed: int) -> RoundsCase:
         else:
             lasting = draw.uniform(0.0, _STANDS)
             doings.append(Doing("stands", robot, round(draw.uniform(0.0, 1.0), 3), round(lasting, 3)))
+    if draw.random() < 0.4:
+        robot, other = draw.sample(range(1, robots + 1), 2)
+        doings.append(Doing("deaf", robot, round(draw.uniform(0.0, 1.0), 3), other=other))
     if draw.random() < 0.1:  # long enough to be dropped: it finds that out when it goes on
         doings = [Doing("stands", draw.randint(1, robots), round(draw.uniform(0.1, 0.3), 3), 4 * SECONDS)]
     return RoundsCase(seed, robots, links, loss, "[]", tuple(doings))
@@ -109,16 +120,21 @@ class RoundsStory:
     def check(self) -> None:
         """Run; raise an error if a property does not hold."""
         world, case = self.world, self.case
-        turns = []
+        turns: list[tuple[float, str, str, Callable[[Any], None], Any]] = []
         for doing in case.faults:
             if doing.kind == "ends":
                 world.end_at(doing.robot, int(doing.when))
+            elif doing.kind == "deaf":
+                link = f"{agent_name(doing.robot)} to {agent_name(doing.other)}"
+                turns.append((doing.when, link, "nothing arrives", world.cut.add, (doing.robot, doing.other)))
             else:
-                turns += [(doing.when, 0, doing.robot), (doing.when + doing.lasting, 1, doing.robot)]
-        for when, over, robot in sorted(turns):
+                name, frozen = agent_name(doing.robot), world.frozen
+                turns.append((doing.when, name, "stands still", frozen.add, doing.robot))
+                turns.append((doing.when + doing.lasting, name, "goes on", frozen.discard, doing.robot))
+        for when, who, what, do, of in sorted(turns, key=itemgetter(0)):
             world.run(max(0.0, when - world.time))
-            (world.frozen.discard if over else world.frozen.add)(robot)
-            self._tell(when, agent_name(robot), "goes on" if over else "stands still")
+            self._tell(when, who, what)
+            do(of)
         world.run(_UNTIL)
         for robot in sorted(world.dead):
             self._tell(world.time, agent_name(robot), "has ended")

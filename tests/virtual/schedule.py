@@ -16,7 +16,6 @@ from random import Random
 from typing import NamedTuple
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, standby_name
-from swarmabs_core.errors import InputError
 from swarmabs_core.nodes import agent_name
 
 AGE, AHEAD, TAKEOVER = 10, 2, 4
@@ -49,23 +48,9 @@ class Fault(NamedTuple):
     value: float = 0.0
 
     def __str__(self) -> str:
-        lasting = f" +{self.lasting:.3f}" if self.lasting else ""
-        value = f" {self.value:g}" if self.value else ""
-        return f"{self.at:.3f}{lasting} {self.kind} {self.who}{value}"
-
-    @classmethod
-    def parse(cls, line: str) -> Fault:
-        """Read a line of a case; raises `InputError`."""
-        try:
-            at, *words = line.split()
-            lasting = float(words.pop(0)) if words[0].startswith("+") else 0.0
-            kind, who, *value = words
-            fault = cls(float(at), kind, who, lasting, float(value[0]) if value else 0.0)
-        except (ValueError, IndexError):
-            raise InputError(f"{line!r} is not a fault", "write such as '2.130 +0.400 crash controller'") from None
-        if kind not in (*LINKS, *NODES, *COMMANDS, REMOVAL, LIAR, *FORGED):
-            raise InputError(f"{line!r}: there is no fault {kind!r}", "see tests/virtual/schedule.py")
-        return fault
+        when = f"at {self.at:.3f} s" if not self.lasting else f"from {self.at:.3f} s to {self.end:.3f} s"
+        who = self.who.replace(ALL, "all").replace(">", " to ")
+        return f"{when}: {self.kind}, {who}{f', {self.value:g}' if self.value else ''}"
 
     @property
     def end(self) -> float:
@@ -163,7 +148,17 @@ class Case:
             f"starts in {'STOP' if self.stopped else 'RUN'}, robots needed: {self.start}",
             f"step n is at n x {1 / self.hertz:g} s",
         ]
-        return "\n".join([f"seed {self.seed}: {'; '.join(words)}", *numbered(self.faults, self.numbers)])
+        head = f"seed {self.seed}: {'; '.join(words)}"
+        return "\n".join([head, f"  limits: {'; '.join(self._limits)}", *numbered(self.faults, self.numbers)])
+
+    @property
+    def _limits(self) -> Iterator[str]:
+        """Yield what the properties count with."""
+        yield f"what is older than {AGE} steps is outdated, and its sender silent (DEAD)"
+        if self.each_robot:
+            yield f"a robot hears those of which it has a state of the last {2 * AGE} steps"
+        if self.paired:
+            yield f"takeover_after is {TAKEOVER} steps"
 
 
 def numbered(faults: Sequence[object], numbers: Sequence[int] | None) -> Iterator[str]:
@@ -397,7 +392,7 @@ def _stay_away(draw: Random, case: Case, at: float) -> list[Fault]:
     Maybe it was silent before, so that hosts of observers have remembered it.
     """
     robot, away = draw.choice(case.robot_names), draw.uniform(12.0, 40.0) / case.hertz + 0.5
-    faults = []
+    faults, observers = [], (case.pairs or (case.robot_names,))[0]
     if draw.random() < 0.4:
         faults.append(Fault(at, "crash", robot, draw.uniform(11.0, 15.0) / case.hertz))
         at = faults[0].end + draw.uniform(22.0, 40.0) / case.hertz  # until it is no second sender any more
@@ -406,10 +401,15 @@ def _stay_away(draw: Random, case: Case, at: float) -> list[Fault]:
     else:
         faults.append(Fault(at, "crash", robot, away))
         if not case.each_robot:
-            faults.append(Fault(at + draw.uniform(draw.choice((0.0, 12.0, 12.0)) / case.hertz, away), REMOVAL, robot))
+            carried = draw.choice((robot, robot, robot, draw.choice(case.robot_names)))
+            faults.append(Fault(at + draw.uniform(draw.choice((0.0, 12.0, 12.0)) / case.hertz, away), REMOVAL, carried))
+            if draw.random() < 0.4:  # it comes back and dies again; who starts then hears of the removal, too
+                at += away + draw.uniform(22.0, 40.0) / case.hertz
+                faults.append(Fault(at, "crash", robot, away))
     if draw.random() < 0.5:
-        begins, lasting, pair = at + draw.uniform(0.0, away), _length(draw), (case.pairs or (case.robot_names,))[0]
-        faults += [Fault(begins, "crash", name, lasting) for name in draw.choice((pair, (draw.choice(pair),)))]
+        begins, lasting = at + draw.uniform(0.0, away), _length(draw)
+        lost = draw.choice((observers, (draw.choice(observers),)))
+        faults += [Fault(begins, "crash", name, lasting) for name in lost]
     return faults
 
 

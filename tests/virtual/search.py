@@ -59,17 +59,18 @@ class Trial(NamedTuple):
     @property
     def kind(self) -> str:
         """What is broken without nodes, numbers and details: failures of one kind have perhaps one reason."""
-        return re.sub(r"agent_\d+|[-+\d.]+(e[-+]\d+)?| or |;.*", "", self.text)
+        return re.sub(r"agent_\d+|(all|,) (?=\d)|[-+\d.]+(e[-+]\d+)?| or |;.*", "", self.text)
 
 
 AnyCase: TypeAlias = "Case | LockstepCase | RoundsCase | BagCase | StartCase"
+_ROUNDS = {8, 14}
 _OTHERS: dict[int, Callable[[int], AnyCase]] = {0: lockstep_case, 2: bag_case, 4: start_case}
 """What is drawn of other kinds than fleets, by the remainder of the seed."""
 
 
 def drawn(seed: int) -> AnyCase:
-    """Return the case of a seed: of sixteen, two are in lockstep, one of them without coordinators; see `_OTHERS`."""
-    return rounds_case(seed) if seed % 16 == 8 else _OTHERS.get(seed % 8, case_of)(seed)
+    """Return the case of a seed: of sixteen, two are in lockstep without coordinators; for others see `_OTHERS`."""
+    return rounds_case(seed) if seed % 16 in _ROUNDS else _OTHERS.get(seed % 8, case_of)(seed)
 
 
 class Told(Protocol):
@@ -171,9 +172,9 @@ def report(case: AnyCase, result: Result, timeline: Timeline, command: str) -> I
     yield f"  must hold: {STATEMENTS[broken.name]}"
     yield f"  instead:   {broken.node} {broken.text}"
     yield f"  replay:    {command}"
-    yield "what was done (number of the fault, time in s, +duration, what, to whom):"
+    yield "what was done, of all that the seed draws:"
     yield str(case)
-    yield "what happened (*: what was done):"
+    yield "what happened (* and a number: what was done):"
     yield from timeline.lines()
     yield f"{result.time:9.4f} s   BROKEN: {broken.node} {broken.text}"
 

@@ -227,8 +227,13 @@ class Story(Watcher):
         peers = self._checks.peers
         return peers is not None and bool(peers.holders)
 
-    def _say(self, who: str, what: str) -> None:
-        self._tell(self.fleet.time, who, what)
+    def _say(self, who: str, what: str, fault: Fault | None = None) -> None:
+        self._tell(self.fleet.time, who, f"{what}{'' if fault is None else f' ({self._number(fault)})'}")
+
+    def _number(self, fault: Fault) -> int:
+        """Return the number of a fault in the case of the seed."""
+        place, numbers = self.case.faults.index(fault), self.case.numbers
+        return place if numbers is None else numbers[place]
 
     def _order(self, command: str) -> None:
         """Give an order to all parent controllers, or to one of the robots, which tell each other."""
@@ -236,8 +241,8 @@ class Story(Watcher):
         for name in (stoppable[self.case.seed % len(stoppable)],) if self.case.each_robot else stoppable:
             self._command(name, command)
 
-    def _command(self, name: str, command: str) -> None:
-        self._say(name, f"is told by an operator: {command}")
+    def _command(self, name: str, command: str, fault: Fault | None = None) -> None:
+        self._say(name, f"is told by an operator: {command}", fault)
         if not self.fleet.call(name, command):
             self._say(name, "is not there to hear it")
 
@@ -250,17 +255,17 @@ class Story(Watcher):
         self.facts.begin(concerned, fault.kind)
         if fault.kind in LINKS:
             self.weather.begin(fault)
-            self._say(*_of_link(fault))
+            self._say(*_of_link(fault), fault)
         elif fault.kind in COMMANDS:
-            self._command(fault.who, fault.kind)
+            self._command(fault.who, fault.kind, fault)
         elif fault.kind == "removal":
-            self._remove(fault.who)
+            self._remove(fault)
         elif fault.kind == LIAR:
-            self._say(fault.who, "passes on what others have not said")
+            self._say(fault.who, "passes on what others have not said", fault)
             self.facts.liars.add(fault.who)
             self.fleet.liars[fault.who] = partial(falsified, round(fault.value), self._robots)
         elif fault.kind in FORGED:
-            self._say(fault.who, f"gets forged messages: {fault.kind}")
+            self._say(fault.who, f"gets forged messages: {fault.kind}", fault)
             self._forge(fault)
         else:
             self._begin_of_node(fault, fault.who)
@@ -270,69 +275,72 @@ class Story(Watcher):
     def _begin_of_node(self, fault: Fault, name: str) -> None:
         fleet, facts = self.fleet, self.facts
         if fault.kind == "crash":
-            self._say(name, "dies" if fleet.nodes[name].activity else "is dead, and will be for longer")
+            self._say(name, "dies" if fleet.nodes[name].activity else "is dead, and will be for longer", fault)
             fleet.kill(name)
             if self.case.stopped and name in self.case.stoppable:
                 self._ordered, facts.moving_from = True, float("inf")
         elif fault.kind == "idle":
             fleet.deactivate(name)
             facts.stands_still(name)
-            self._say(name, "is deactivated")
+            self._say(name, "is deactivated", fault)
             if name in self._robots and not self._drive(name).rests:
                 raise BrokenError("comes to rest", name, "goes on although its node is deactivated")
         elif fault.kind == "pause":
             facts.odd.add(name)
             fleet.pause(name)
             facts.stands_still(name)
-            self._say(name, "stands still")
+            self._say(name, "stands still", fault)
         elif fault.kind == "clock":
             facts.odd.add(name)
             facts.wrong.add(name)
             fleet.set_clock(name, fault.value)
-            self._say(name, f"has a clock that is {abs(fault.value):g} s {'ahead' if fault.value > 0 else 'behind'}")
+            self._say(
+                name, f"has a clock that is {abs(fault.value):g} s {'ahead' if fault.value > 0 else 'behind'}", fault
+            )
         elif fault.kind == "drift":
             facts.odd.add(name)
             facts.wrong.add(name)
             fleet.set_drift(name, round(fault.value))
-            self._say(name, f"has a clock that runs {fault.value:g} millionths too fast")
+            self._say(name, f"has a clock that runs {fault.value:g} millionths too fast", fault)
         else:
             facts.odd.add(name)
             self._drive(name).blind = True
             facts.coasting |= {name} & self.fleet.force_driven
-            self._say(name, "has no measurement of its motion")
+            self._say(name, "has no measurement of its motion", fault)
 
     def _end(self, fault: Fault, concerned: tuple[str, ...]) -> None:
         name, fleet = fault.who, self.fleet
         if fault.kind in LINKS:
             self.weather.end(fault)
-            self._say(_of_link(fault)[0], f"no longer: {fault.kind}")
+            self._say(_of_link(fault)[0], f"no longer: {fault.kind}", fault)
         elif fault.kind == LIAR:
             fleet.liars.pop(name, None)
-            self._say(name, "tells the truth again")
+            self._say(name, "tells the truth again", fault)
         elif fault.kind == "crash":
             if fleet.nodes[name].activity is None:
-                self._say(name, "starts again")
+                self._say(name, "starts again", fault)
             fleet.revive(name)
         elif fault.kind == "idle":
+            self._say(name, "is activated", fault)
             fleet.activate(name)
             self.facts.resumes(name)
-            self._say(name, "is activated")
         elif fault.kind == "pause":
+            self._say(name, "goes on", fault)
             fleet.resume(name)
             self.facts.resumes(name)
-            self._say(name, "goes on")
         elif fault.kind in {"clock", "drift"}:
             fleet.set_clock(name, 0.0)
-            self._say(name, "has a clock that is right again")
+            self._say(name, "has a clock that is right again", fault)
         elif fault.kind == "blind":
             self._drive(name).blind = False
-            self._say(name, "measures its motion again")
+            self._say(name, "measures its motion again", fault)
         self.facts.end(concerned, fault.kind)
 
-    def _remove(self, name: str) -> None:
+    def _remove(self, fault: Fault) -> None:
         """Let an operator say that a robot was carried away; of one that lives nobody believes it."""
-        self._say(name, "is said by an operator to be carried away")
-        fleet, robot = self.fleet, int(name.removeprefix(ROBOT_PREFIX))
+        name, fleet = fault.who, self.fleet
+        self._say(name, "is said by an operator to be carried away", fault)
+        robot = int(name.removeprefix(ROBOT_PREFIX))
         if fleet.nodes[name].activity is None:
             self.facts.removed.add(robot)
         step = fleet.clock.step(fleet.now(name))

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 from tests.virtual.planted import MINUTES, PLANTED, Planted, changed
-from tests.virtual.schedule import Case, Fault, case_of
+from tests.virtual.schedule import Case, Fault
 from tests.virtual.search import drawn, main, replay, run, shortened
 
-from swarmabs_core.errors import InputError
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 
 
@@ -82,15 +81,6 @@ def test_a_case_is_shortened_to_the_faults_that_matter() -> None:
     assert result.broken is not None
     assert "parent_controller: dies" in "\n".join(timeline.lines())
     assert [case.faults[number].kind for number in shortened(case, result.broken.name)] == ["crash"]
-
-
-def test_a_case_is_text_that_can_be_read_again() -> None:
-    for seed in range(50):
-        case = case_of(seed)
-        assert [Fault.parse(str(fault)) for fault in case.faults] == list(case.faults)
-    for line in ("2.0", "2.0 melt agent_001", "now crash agent_001"):
-        with pytest.raises(InputError, match="fault"):
-            Fault.parse(line)
 
 
 @pytest.mark.parametrize("seed", [8, 9])

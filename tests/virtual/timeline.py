@@ -22,6 +22,7 @@ from swarmabs_core.messages import (
     Topic,
     said,
 )
+from swarmabs_core.nodes import ROBOT_PREFIX
 
 _SILENT = 2.5
 """Periods after which a node that speaks in each of them counts as silent."""
@@ -51,6 +52,7 @@ class Timeline(Watcher):
         self._status: dict[str, str] = {}
         self._modes: dict[tuple[str, str], int] = {}
         self._quoted: dict[tuple[str, str], float] = {}
+        self._known: dict[str, tuple[str, str]] = {}
 
     def watch(self, fleet: VirtualFleet) -> None:
         """Set the fleet that is watched."""
@@ -82,6 +84,7 @@ class Timeline(Watcher):
             self._speaks(node)
         if isinstance(message, AgentState):
             self._robot(node, message)
+            self._hears(node)
         elif isinstance(message, DesiredAbstractState):
             self._mode(node, "publishes", message.mode)
         elif isinstance(message, SwarmEvent) and message.kind not in _OWN:
@@ -128,6 +131,20 @@ class Timeline(Watcher):
             self._status[node] = "stops"
             self._now(node, "does not follow" if before == "" else "no longer follows")
 
+    def _hears(self, node: str) -> None:
+        """Note what a robot without coordinators knows of the others."""
+        assert self._fleet is not None
+        if not self._fleet.scenario.decentralised:
+            return
+        values = dict(self._fleet.activity(node).engine.behaviour.health(self._fleet.now(node)).values)
+        words = {"yes": "hears a majority of those that count", "no": "hears no majority of those that count"}
+        known = words[values["hears a majority"]], f"counts robots {values['counted robots']}"
+        before = self._known.get(node, ("", ""))
+        self._known[node] = known
+        for what, other in zip(known, before, strict=True):
+            if what != other:
+                self._now(node, what)
+
     def _mode(self, node: str, how: str, mode: int) -> None:
         key = node, how
         if self._modes.get(key) != mode:
@@ -147,7 +164,13 @@ class Timeline(Watcher):
                 lines.append((entry, [entry.who]))
             elif entry.who not in names:
                 names.append(entry.who)
-        return [f"{e.time:9.4f} s {'*' if e.done else ' '} {', '.join(names)}: {e.what}" for e, names in lines]
+        return [f"{e.time:9.4f} s {'*' if e.done else ' '} {self._named(names)}: {e.what}" for e, names in lines]
+
+    def _named(self, names: list[str]) -> str:
+        robots = set() if self._fleet is None else {name for name in self._fleet.names if name.startswith(ROBOT_PREFIX)}
+        if len(robots) > 2 and robots <= {*names}:
+            names = [f"all {len(robots)} robots", *({*names} - robots)]
+        return ", ".join(sorted(names))
 
 
 def _is_same(one: Entry, other: Entry) -> bool:

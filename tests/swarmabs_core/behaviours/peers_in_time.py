@@ -34,6 +34,8 @@ class World:
         Robots that have ended unplanned.
     frozen : set of int
         Robots that do nothing, but hear later what they have missed.
+    cut : set of (int, int)
+        Pairs of robots of which the second does not hear the first any more.
     stopped : dict
         Robots that have stopped by themselves, and what they said.
     recorded : dict
@@ -52,6 +54,7 @@ class World:
         self.time = 0.0
         self.dead: set[int] = set()
         self.frozen: set[int] = set()
+        self.cut: set[tuple[int, int]] = set()
         self.stopped: dict[int, str] = {}
         self.recorded: dict[str, set[bytes]] = {}
         self.said: dict[int, list[Message]] = {}
@@ -122,7 +125,8 @@ class World:
             self.recorded.setdefault(topic.name, set()).add(encode(message))
         for other, topics in self.hears.items():
             reliable = isinstance(message, SwarmEvent)
-            if topic in topics and (reliable or self.draw.random() >= self.loss):
+            heard = topic in topics and (node, other) not in self.cut
+            if heard and (reliable or self.draw.random() >= self.loss):
                 before = self.arrivals.get((node, other), 0.0)
                 self.arrivals[node, other] = max(before, self.time + self.draw.random() * LATE)
                 self._at(self.arrivals[node, other], other, message)

@@ -61,14 +61,17 @@ def may_go_on(world: World, scenario: Scenario, step: int) -> bool:
     """Return whether a majority of those in a step, or half with the lowest, is in contact and hears the plane."""
     members = configure.members(scenario)
     part = {robot for robot in members if world.drops.get(robot, step) >= step}
-    left = {robot for robot in part if robot not in world.dead}
+    left, links = {robot for robot in part if robot not in world.dead}, configure.links(scenario)
     while left:
-        apart = {*configure.links(scenario).apart(left)}
-        side = left - apart
+        side = new = {min(left)}
+        while new:
+            near = {other for one in new for other in links.of(one) if not {(one, other), (other, one)} & world.cut}
+            new = (near & left) - side
+            side = side | new
         most = 2 * len(side) > len(part) or (2 * len(side) == len(part) and min(part) in side)
         if most and not side.isdisjoint(scenario.links.sensing or side):
             return True
-        left = apart
+        left = left - side
     return False
 
 

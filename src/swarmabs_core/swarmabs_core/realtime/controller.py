@@ -251,7 +251,7 @@ class RealtimeController:
     def obey(self, orders: Orders, now: int) -> Messages:
         """Take over STOP and RESET that were ordered at other robots; law and reference restart with a RESET."""
         step, before = self._config.schedule.step(now), self._mode.now
-        self._mode.obey(orders, step)
+        self._mode.obey(orders, step, self._first_step)
         if self._mode.now is before:
             return ()
         if self._mode.now is Mode.RESET:

@@ -137,15 +137,16 @@ class PublishedMode:
         self.orders = self.orders.stopped(step)
         self.publish_stop(why)
 
-    def obey(self, orders: Orders, step: int) -> None:
-        """Take over in a step what was ordered at other robots."""
+    def obey(self, orders: Orders, step: int, begun: int | None) -> None:
+        """Take over in a step what was ordered at other robots; the law began in a step, if it has."""
         known, self.orders = self.orders, self.orders.joined(orders)
         if self.orders == known:
             return
         self.told = True
+        outlasted = begun is not None and begun <= orders.reset
         if self.orders.stops(self._latch.guard):
             self.publish_stop("stop commanded at another robot")
-        elif self.orders.reset > known.reset and (known != Orders() or self.now is not Mode.RUN):
+        elif self.orders.reset > known.reset and (self.now is not Mode.RUN or known != Orders() or outlasted):
             # One that starts in RUN, among robots that were reset long ago, need not wait.
             self._begin_reset(step, "reset commanded at another robot")
 
