@@ -243,6 +243,7 @@ class TellsWhoCounts(Property):
             return
         self._events: dict[str, set[tuple[int, int]]] = {}
         self._joined: set[int] = set()
+        self._known: dict[str, set[int]] = {}
         # What one of a pair has seen while the other one spoke, that one may not have heard.
         self._all_hear = not any(fault.kind in LINKS for fault in facts.case.faults)
         self._before = dict.fromkeys(facts.case.pairs[0])
@@ -252,6 +253,7 @@ class TellsWhoCounts(Property):
         if node in self._before:
             self._before[node] = None
             self._events[node] = set()
+            self._known[node] = set()
 
     resumes = begins
 
@@ -275,10 +277,12 @@ class TellsWhoCounts(Property):
                 )
         if before is not None and basis.step == before[0] + 1:
             due = set(_changes(before[1], counted))
-            for robot, kind in sorted(due ^ told):
+            unknown = {(robot, EventKind.LEFT) for robot, _ in told if robot not in self._known[node]}
+            for robot, kind in sorted((due ^ told) - unknown):  # that it has left may be the first that is heard of it
                 what = "does not report" if (robot, kind) in due else "reports, although nothing changes,"
                 raise self.broken(node, f"{what} in step {basis.step} of robot {robot}: {EventKind(kind).name}")
         self._before[node] = basis.step, counted
+        self._known[node] |= {*counted, *(robot for robot, _ in told)}
         self._events[node] = set()
 
 
@@ -381,9 +385,9 @@ class SpeaksOfOrders(Property):
     name = "publishes orders"
     statement = (
         "A controller that is told to stop publishes STOP at once, and in every period until a reset, unless its peer "
-        f"does; one that is told to reset publishes RESET for {RESET_LASTS:g} s before RUN, and its law begins anew. A "
-        "fleet that starts in STOP does not move before a reset; one of a pair is silent until it is told or hears its "
-        "peer."
+        f"does; one that is told to reset publishes RESET for {RESET_LASTS:g} s before RUN, and its law begins anew; "
+        "one that takes over from its peer continues the law of the peer. A fleet that starts in STOP does not move "
+        "before a reset; one of a pair is silent until it is told or hears its peer."
     )
 
     def __init__(self, facts: Facts) -> None:
@@ -393,14 +397,18 @@ class SpeaksOfOrders(Property):
         self._restarts: dict[str, int] = {}
         self._heard_stop: dict[str, int] = {}
         self._aware: set[str] = set()
+        self._laws: dict[str, Basis] = {}
+        self._answered: dict[str, int] = {}
         self._reset_told = not facts.case.stopped
         self._reset_at = _LONG_AGO
         if facts.case.each_robot:
             return
         self.published = {DESIRED_ABSTRACT_STATE: self._says, BASIS: self._basis, AGENT_STATE: self._moves}
         self.heard = dict.fromkeys(variants(DESIRED_ABSTRACT_STATE), self._peer)
+        self.heard |= dict.fromkeys(variants(BASIS), self._law)
 
     def begins(self, node: str) -> None:
+        self._laws.pop(node, None)
         self._told.pop(node, None)
         self._restarts.pop(node, None)
         self._aware.discard(node)
@@ -428,6 +436,12 @@ class SpeaksOfOrders(Property):
         if parcel.message.mode == Mode.RESET and stands_by and self.facts.is_fine(node):  # type: ignore[union-attr]
             self._restarts[node] = min(self._restarts.get(node, 2**62), parcel.message.step)
 
+    def _law(self, node: str, parcel: Parcel) -> None:
+        """Note the law of the peer."""
+        basis = parcel.message
+        if parcel.sender and isinstance(basis, Basis) and basis.source == Source.CONTROLLER:
+            self._laws[node] = basis
+
     def _moves(self, node: str, state: AgentState) -> None:
         if not self._reset_told and state.broadcast_step != NEVER:
             raise self.broken(node, f"moves in step {state.step}, but nobody has told the swarm to move")
@@ -435,10 +449,21 @@ class SpeaksOfOrders(Property):
     def _basis(self, node: str, basis: Basis) -> None:
         if basis.source != Source.CONTROLLER or node in self.facts.wrong:
             return
+        peers, before = self._laws.get(node), self._answered.get(node, _LONG_AGO)
+        self._answered[node] = basis.step
+        takes_over = peers is not None and basis.step - before > TAKEOVER and basis.step - peers.step <= 2 * TAKEOVER
+        calm = node not in self.facts.odd and max(self._said_still(), self._reset_at) < self.facts.now - 3e9
+        if peers is not None and takes_over and calm and basis.begun != peers.begun:
+            text = f"takes over in step {basis.step} with a law that began in step {basis.begun}"
+            raise self.broken(node, f"{text}; that of its peer began in step {peers.begun}")
         restart = self._restarts.get(node)
         if restart is not None and basis.begun < restart - 1:
             text = f"continues in step {basis.step} the law that began in step {basis.begun}"
             raise self.broken(node, f"{text}, although it was reset in step {restart}")
+
+    def _said_still(self) -> int:
+        """Return when STOP or RESET was published last."""
+        return max((at for (_, mode), at in self._said.items() if mode != Mode.RUN), default=_LONG_AGO)
 
     def _says(self, node: str, message: Any) -> None:
         facts, mode = self.facts, message.mode
