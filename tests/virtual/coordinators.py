@@ -11,7 +11,7 @@ from typing import Any
 
 from tests.virtual.fleet import EPOCH, Parcel
 from tests.virtual.properties import Facts, Property, variants
-from tests.virtual.schedule import LINKS, TAKEOVER
+from tests.virtual.schedule import LINKS, RESET_LASTS, TAKEOVER
 
 from swarmabs_config.graph import PLANE
 from swarmabs_core.messages import (
@@ -40,8 +40,6 @@ LISTENS = (1.0, 2.0)
 """Time, s, for which a primary and a standby listen when they start."""
 PROMPT = 2
 """Largest age, periods, of a message that is heard without delay."""
-RESET_LASTS = 1.0
-"""Time, s, for which RESET is published."""
 LEAVING = 10
 """Periods for which a robot that leaves says so."""
 BRAKING_TIME = 0.1
@@ -412,6 +410,9 @@ class SpeaksOfOrders(Property):
         self._told.pop(node, None)
         self._restarts.pop(node, None)
         self._aware.discard(node)
+
+    def resumes(self, node: str) -> None:
+        self._laws.pop(node, None)  # with a deactivation its own began anew
 
     def told(self, node: str, command: str) -> None:
         facts = self.facts

@@ -14,6 +14,7 @@ from typing import Any
 
 from tests.virtual.fleet import Parcel
 from tests.virtual.properties import GUARD_MOST, BrokenError, Facts, Property
+from tests.virtual.schedule import RESET_LASTS
 
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_config.graph import PLANE
@@ -43,8 +44,6 @@ OLDEST = 238
 """Age, steps, from which on relays tell of what is held only that it is at least so old."""
 SETTLED = 1.0
 """Time, s, for which a majority hears the same robots until these are those that count."""
-RESETTING = 1.0
-"""Time, s, for which robots stand still after a RESET."""
 APART, PASSED_APART = 0.2, 0.5
 """By how much the integrals of robots after the same step may differ soon after a start, relative to 1 + their size: if
 all robots hear the plane, and if some miss what is lost on the way to them."""
@@ -283,7 +282,7 @@ class TellEachOther(Property):
         facts, step = self.facts, state.step
         if self._intruder or self._late or facts.moving_from > facts.now or not facts.is_sound(node):
             return False
-        resets = RESETTING * 1e9 + 4 * facts.period
+        resets = RESET_LASTS * 1e9 + 4 * facts.period
         if 0 <= robot.most.stop >= robot.orders.reset - self._guard or facts.now - robot.ordered < resets:
             return False
         if robot.orders != robot.most or len(robot.own) < 2 or not robot.started or state.status == Status.LEFT:

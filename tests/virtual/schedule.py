@@ -20,6 +20,8 @@ from swarmabs_core.nodes import agent_name
 
 AGE, AHEAD, TAKEOVER = 10, 2, 4
 """Limits of all fleets, in periods: ages of messages, how far ahead they may be, and the silence before a takeover."""
+RESET_LASTS = 1.0
+"""Time, s, for which RESET is published, and robots stand still."""
 ALL = "*"
 LINKS = ("cut", "loss", "slow", "late", "again")
 """What can happen on a link: nothing passes; some messages are lost; all are late by a time; each by another time up to

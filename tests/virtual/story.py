@@ -13,7 +13,7 @@ from tests.virtual.fleet import EPOCH, Parcel, VirtualFleet, Watcher
 from tests.virtual.lies import VirtualSeals, falsified, forged_relays
 from tests.virtual.properties import BrokenError, Ending, Facts
 from tests.virtual.recorders import FleetBags
-from tests.virtual.schedule import AGE, AHEAD, ALL, COMMANDS, FORGED, LIAR, LINKS, TAKEOVER, Case, Fault
+from tests.virtual.schedule import AGE, AHEAD, ALL, COMMANDS, FORGED, LIAR, LINKS, RESET_LASTS, TAKEOVER, Case, Fault
 from tests.virtual.weather import Weather
 
 from swarmabs_config.graph import OBSERVER, PLANE
@@ -217,6 +217,7 @@ class Story(Watcher):
             self.facts.moving_from == inf
             and self._calm
             and not self._holders
+            and self.facts.now - self._told_at > RESET_LASTS * 1e9
             and len(self._following) == self.case.robots
         ):
             self.facts.moving_from = self.facts.now  # orders that nothing has disturbed have been carried out
