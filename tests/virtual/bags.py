@@ -110,7 +110,7 @@ class BagCase:
 
     def __str__(self) -> str:
         words = [
-            f"{self.recorders} recorders of a run: {self.name}",
+            f"{self.recorders} recorder{'s' * (self.recorders > 1)} of a run: {self.name}",
             f"chunks of {self.chunk_bytes} bytes",
             *([f"files of {self.split} bytes"] if self.split else []),
             *([f"files of {self.lasts:g} s"] if self.lasts else []),

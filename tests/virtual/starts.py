@@ -81,8 +81,9 @@ class Trouble(NamedTuple):
     times: int = 1
 
     def __str__(self) -> str:
-        lasting = "" if not self.lasting else " for ever" if self.lasting >= FOR_EVER else f" +{self.lasting:.3f}"
-        return f"{self.at:.3f}{lasting} {self.kind} {self.who}{f' x{self.times}' if self.times > 1 else ''}"
+        end = "for ever" if self.lasting >= FOR_EVER else f"to {self.at + self.lasting:.3f} s"
+        when = f"from {self.at:.3f} s {end}" if self.lasting else f"at {self.at:.3f} s"
+        return f"{when}: {self.kind}, {self.who}{f', {self.times} times' if self.times > 1 else ''}"
 
 
 @dataclass(frozen=True)

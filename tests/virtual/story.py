@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import cache, partial
 from math import inf, nan
+from pathlib import Path
+from traceback import extract_tb
 from typing import Any, NamedTuple, Protocol
 
 from tests.swarmabs_core.helpers import builtin
@@ -106,10 +108,8 @@ def outcome(story: Happening) -> Result:
     except BrokenError as broken:
         return Result(broken, story.time)
     except Exception as error:  # noqa: BLE001 - no node may fail, whatever happens
-        trace = error.__traceback__
-        while trace is not None and trace.tb_next is not None:
-            trace = trace.tb_next
-        where = "" if trace is None else f" in {trace.tb_frame.f_code.co_name}, line {trace.tb_lineno}"
+        last = extract_tb(error.__traceback__)[-1]
+        where = f" in {Path(last.filename).name}, line {last.lineno}, {last.name}"
         return Result(BrokenError("no node fails", "a node", f"{type(error).__name__}: {error}{where}"), story.time)
     return Result(None, story.time)
 
