@@ -133,7 +133,7 @@ class Agreement:
 
     @property
     def waited(self) -> bool:
-        """Whether all that this robot reaches have waited in vain for the parent, without the same ones."""
+        """Whether all that this robot reaches leave out the same ones, and have waited in vain for the parent."""
         return bool(self.out) and all(self.votes.get(rank, NOTHING).waited == self.out for rank in ranks(self.inside))
 
     @property
