@@ -1,17 +1,17 @@
-"""What happens to a virtual fleet, as text: settings of the fleet, and faults with their times.
+"""What happens to a virtual fleet: settings of the fleet, and faults with their times.
 
-A case is drawn from a seed. Each line of its text is one fault, so a case can be shortened line by line and replayed:
+A case is drawn from a seed, and shortened to some of its faults, which are told as text:
 
-    2.130 +0.400 crash controller
-    2.500 stop standby_controller
-    2.700 +0.300 cut agent_001>observer
-    3.000 +1.000 loss *>* 0.3
+    (0) from 2.130 s to 2.530 s: crash, parent_controller
+    (3) at 2.500 s: stop, parent_controller_standby
+    (4) from 2.700 s to 3.000 s: cut, agent_001 to abstraction_observer
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from random import Random
 from typing import NamedTuple
 
@@ -40,6 +40,13 @@ FORGED = ("stranger", "nonsense", "future", "garbage", "impostor")
 bytes of another layout; or messages in the name of a node that are credible."""
 
 
+def time_of(at: float, end: float) -> str:
+    """Return the words for a time, s, or from one to another, which may be infinite."""
+    if end <= at:
+        return f"at {at:.3f} s"
+    return f"from {at:.3f} s {'for ever' if end == inf else f'to {end:.3f} s'}"
+
+
 class Fault(NamedTuple):
     """What happens to `who` (a node, or a link as ``sender>receiver``) at a time (s) and lasts for a while (s)."""
 
@@ -50,9 +57,8 @@ class Fault(NamedTuple):
     value: float = 0.0
 
     def __str__(self) -> str:
-        when = f"at {self.at:.3f} s" if not self.lasting else f"from {self.at:.3f} s to {self.end:.3f} s"
         who = self.who.replace(ALL, "all").replace(">", " to ")
-        return f"{when}: {self.kind}, {who}{f', {self.value:g}' if self.value else ''}"
+        return f"{time_of(self.at, self.end)}: {self.kind}, {who}{f', {self.value:g}' if self.value else ''}"
 
     @property
     def end(self) -> float:

@@ -34,7 +34,7 @@ from tests.swarmabs_core.helpers import builtin
 from tests.transport.swarm import AGENTS
 from tests.virtual.disk import FOLDER
 from tests.virtual.properties import BrokenError
-from tests.virtual.schedule import numbered
+from tests.virtual.schedule import numbered, time_of
 
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, RECORDER, usual_topic
@@ -81,9 +81,8 @@ class Trouble(NamedTuple):
     times: int = 1
 
     def __str__(self) -> str:
-        end = "for ever" if self.lasting >= FOR_EVER else f"to {self.at + self.lasting:.3f} s"
-        when = f"from {self.at:.3f} s {end}" if self.lasting else f"at {self.at:.3f} s"
-        return f"{when}: {self.kind}, {self.who}{f', {self.times} times' if self.times > 1 else ''}"
+        end = inf if self.lasting >= FOR_EVER else self.at + self.lasting
+        return f"{time_of(self.at, end)}: {self.kind}, {self.who}{f', {self.times} times' if self.times > 1 else ''}"
 
 
 @dataclass(frozen=True)
