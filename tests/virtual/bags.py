@@ -6,7 +6,7 @@ The runs are simulated once in each process, so a case costs no more than its ba
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import groupby
@@ -41,7 +41,7 @@ from tests.virtual.recorders import (
     lacking,
     place_of,
 )
-from tests.virtual.schedule import Fault, numbered
+from tests.virtual.schedule import Fault, Tell, numbered, untold
 from tests.virtual.story import scenario_of
 
 from swarmabs_analysis.verify import BagToVerify
@@ -308,7 +308,7 @@ class LockstepRecorder(Recorder):
 class _Host:
     """The host of a recorder: it has a clock, a disk, and a list of what arrives when."""
 
-    def __init__(self, case: BagCase, number: int, bags: Bags, tell: Callable[[float, str, str], None]) -> None:
+    def __init__(self, case: BagCase, number: int, bags: Bags, tell: Tell) -> None:
         self._case, self._bags, self._tell = case, bags, tell
         self.name = f"recorder {number}"
         self._harms = [harm for harm in case.faults if harm.recorder == number]
@@ -347,16 +347,16 @@ class _Host:
             if not self._recorder.ending:
                 self._hear(said)
                 if self._recorder.ending:
-                    self._tell(self._now, self.name, "has no room on its disk, and completes its bag")
+                    self._tell(self._now, self.name, "has no room on its disk, and completes its bag", done=False)
         if self._recorder is not None and not self._recorder.ending:
             self._recorder.end()
-            self._tell(self._now, self.name, "closes its bag")
+            self._tell(self._now, self.name, "closes its bag", done=False)
 
     def _begin(self) -> None:
         case, disk = self._case, self._disk()
         folder = self._bags.place(disk)
         name = f"{self.name} in {folder.name}"
-        self._tell(self._now, self.name, f"begins {folder.name}")
+        self._tell(self._now, self.name, f"begins {folder.name}", done=False)
         if case.name in FLEETS:
             fleet = fleet_of(case.name)
             self._recorder = RealtimeRecorder(
@@ -434,7 +434,7 @@ def _said_in(case: BagCase) -> Iterable[Said]:
 class BagStory:
     """Lets a case happen; as `tests.virtual.story.Story`."""
 
-    def __init__(self, case: BagCase, tell: Callable[[float, str, str], None] = lambda *_: None) -> None:
+    def __init__(self, case: BagCase, tell: Tell = untold) -> None:
         self.case = case
         self._tell = tell
         self._said: list[str] = []

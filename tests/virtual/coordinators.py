@@ -519,6 +519,9 @@ class SpeaksOfOrders(Property):
         stopped = [at for command, at in self._told.values() if command == "stop"]
         if not stopped or self._reset_at > min(stopped):
             return
+        other, newest = sorted(facts.case.stoppable, key=facts.started.__getitem__)
+        if facts.runs_since(other) > facts.started[newest] > min(stopped):
+            return  # it has started in RUN, while the one that knows the STOP stood still
         said = max(self._said.get((name, Mode.STOP), _LONG_AGO) for name in facts.case.stoppable)
         if facts.now - max(said, *stopped) > (facts.age + 2) * facts.period:
             raise self.broken(" and ".join(facts.case.stoppable), "were told to stop, and neither says so")

@@ -6,7 +6,7 @@ run in which their death was planned.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from random import Random
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from tests.transport.network import LARGEST, Act, script
 from tests.transport.swarm import LONGEST_RUN, Node, Swarm
 from tests.transport.test_lockstep import CASES, assert_planned, cast_of, expected, stored
 from tests.virtual.properties import BrokenError
-from tests.virtual.schedule import numbered
+from tests.virtual.schedule import Tell, numbered, untold
 
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.cdr import step_of
@@ -68,7 +68,7 @@ def lockstep_case(seed: int) -> LockstepCase:
 class _Told(Swarm):
     """A swarm that tells what happens in it."""
 
-    def __init__(self, case: LockstepCase, tell: Callable[[float, str, str], None]) -> None:
+    def __init__(self, case: LockstepCase, tell: Tell) -> None:
         self._tell = tell
         super().__init__(cast_of(case.name), list(case.faults))  # type: ignore[arg-type]
 
@@ -90,15 +90,15 @@ class _Told(Swarm):
     def _go_on(self, node: Node) -> None:
         super()._go_on(node)
         if node.ended:
-            self._tell(self.now, node.name, "has ended")
+            self._tell(self.now, node.name, "has ended", done=False)
         if node.name in self.problems:
-            self._tell(self.now, node.name, f"fails: {self.problems[node.name]}")
+            self._tell(self.now, node.name, f"fails: {self.problems[node.name]}", done=False)
 
 
 class LockstepStory:
     """Lets a case happen; as `tests.virtual.story.Story`."""
 
-    def __init__(self, case: LockstepCase, tell: Callable[[float, str, str], None] = lambda *_: None) -> None:
+    def __init__(self, case: LockstepCase, tell: Tell = untold) -> None:
         self.case = case
         self.swarm = _Told(case, tell)
 

@@ -110,6 +110,8 @@ class Facts:
         For each node the time, ns, of its last start.
     moving_from : float
         Time, ns, from which all robots may be expected to follow; infinity while an order stops them.
+    followed : set
+        Robots that have followed since their last start.
     """
 
     def __init__(self, fleet: VirtualFleet, case: Case) -> None:
@@ -132,6 +134,7 @@ class Facts:
         self.moving_from = inf
         self.settles = (case.settles if case.paired else 1.0 + case.periods(10)) * 1e9
         self.started: dict[str, int] = {}
+        self.followed: set[str] = set()
         self.coasting: set[str] = set()
         self.removed: set[int] = set()
         self.counted = -1, frozenset(range(1, case.robots + 1))
@@ -180,6 +183,7 @@ class Facts:
     def starts(self, node: str) -> None:
         """Note that a node starts."""
         self.started[node] = self.now
+        self.followed.discard(node)
         self._still_since.pop(node, None)
 
     def resumes(self, node: str) -> None:
@@ -220,12 +224,15 @@ class Facts:
 
     def _hears_most(self, robot: str) -> bool:
         """Return whether a robot without coordinators hears most others, and the plane, past liars and faults."""
-        names = enumerate(self.case.robot_names, 1)
-        fine = {number for number, name in names if self.is_fine(name) and name not in self.liars}
-        near = new = {self.case.robot_names.index(robot) + 1}
+        names = self.case.robot_names
+        fine = {number for number, name in enumerate(names, 1) if self.is_fine(name) and name not in self.liars}
+        near = new = {names.index(robot) + 1}
         while new:
             new = {other for one in new for other in self.links.of(one)} & fine - near
             near = near | new
+        starts_anew = self.case.start == "wait" and not any(names[number - 1] in self.followed for number in near)
+        if starts_anew and len(near) < self.case.robots:  # whoever starts waits for all, unless the swarm is under way
+            return False
         _, counted = self.counted
         most = 2 * len(near) > self.case.robots and 2 * len(near & counted) > len(counted)
         return most and any(map(self.links.senses, near))
@@ -461,6 +468,7 @@ class KeepsFollowing(Property):
 
     def _state(self, node: str, state: AgentState) -> None:
         if state.status == Status.ACTIVE and state.broadcast_step != NEVER:
+            self.facts.followed.add(node)
             self._stopped.pop(node, None)
             return
         expected = self.facts.follows(node)

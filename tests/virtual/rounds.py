@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from tests.swarmabs_core.behaviours.peers_in_time import LATE, LOOKS, REPEAT, SECONDS, World
 from tests.swarmabs_core.behaviours.test_dropping import LINKS, MORE, STEPS, judged, swarm
 from tests.virtual.properties import BrokenError
-from tests.virtual.schedule import numbered
+from tests.virtual.schedule import Tell, numbered, untold
 
 from swarmabs_core.cdr import encode
 from swarmabs_core.messages import topic_of
@@ -102,7 +102,7 @@ def rounds_case(seed: int) -> RoundsCase:
 class RoundsStory:
     """Lets a case happen; as `tests.virtual.lockstep.LockstepStory`."""
 
-    def __init__(self, case: RoundsCase, tell: Callable[[float, str, str], None] = lambda *_: None) -> None:
+    def __init__(self, case: RoundsCase, tell: Tell = untold) -> None:
         self.case = case
         self._tell = tell
         scenario = swarm(case.robots, case.links, faults=case.planned)
@@ -137,9 +137,9 @@ class RoundsStory:
             do(of)
         world.run(_UNTIL)
         for robot in sorted(world.dead):
-            self._tell(world.time, agent_name(robot), "has ended")
+            self._tell(world.time, agent_name(robot), "has ended", done=False)
         for robot, why in sorted(world.stopped.items()):
-            self._tell(world.time, agent_name(robot), f"stops: {why}")
+            self._tell(world.time, agent_name(robot), f"stops: {why}", done=False)
         try:
             judged(world, swarm(case.robots, case.links, "central", case.planned))
         except AssertionError as error:

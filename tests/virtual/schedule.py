@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from random import Random
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, standby_name
 from swarmabs_core.nodes import agent_name
@@ -169,10 +169,26 @@ class Case:
             yield f"takeover_after is {TAKEOVER} steps"
 
 
+class Tell(Protocol):
+    """Is told what happens to somebody at a time (s); `done` if it was done to them, and is not what they did."""
+
+    def __call__(self, time: float, who: str, what: str, *, done: bool = True) -> None: ...
+
+
+def untold(time: float, who: str, what: str, *, done: bool = True) -> None:
+    """Ignore what happens."""
+
+
 def numbered(faults: Sequence[object], numbers: Sequence[int] | None) -> Iterator[str]:
     """Yield a line for each fault with its number in the case of the seed."""
-    for number, fault in zip(range(len(faults)) if numbers is None else numbers, faults, strict=True):
-        yield f"  ({number}) {fault}"
+    for fault in faults:
+        yield f"  {number_of(fault, faults, numbers)} {fault}"
+
+
+def number_of(fault: object, faults: Sequence[object], numbers: Sequence[int] | None) -> str:
+    """Return in brackets the number of a fault in the case of the seed."""
+    place = faults.index(fault)
+    return f"({place if numbers is None else numbers[place]})"
 
 
 def case_of(seed: int, robots: int | None = None) -> Case:

@@ -28,7 +28,7 @@ from tests.virtual.bags import BagCase, BagStory, bag_case
 from tests.virtual.checks import STATEMENTS
 from tests.virtual.lockstep import LockstepCase, LockstepStory, lockstep_case
 from tests.virtual.rounds import RoundsCase, RoundsStory, rounds_case
-from tests.virtual.schedule import Case, case_of
+from tests.virtual.schedule import Case, Tell, case_of, untold
 from tests.virtual.starts import StartCase, StartStory, start_case
 from tests.virtual.story import Result, Story, outcome
 from tests.virtual.timeline import Timeline, Trace
@@ -84,7 +84,7 @@ class Told(Protocol):
     def said(self) -> str: ...
 
 
-def story_of(case: AnyCase, tell: Callable[[float, str, str], None]) -> Told:
+def story_of(case: AnyCase, tell: Tell = untold) -> Told:
     """Return what lets a case happen that is not one of a fleet."""
     if isinstance(case, LockstepCase):
         return LockstepStory(case, tell)
@@ -101,7 +101,7 @@ def run(case: AnyCase) -> Result:
     signal.signal(signal.SIGVTALRM, _hangs)
     signal.setitimer(signal.ITIMER_VIRTUAL, LONGEST)
     try:
-        return outcome(Story(case) if isinstance(case, Case) else story_of(case, lambda *_: None))
+        return outcome(Story(case) if isinstance(case, Case) else story_of(case))
     finally:
         signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
 

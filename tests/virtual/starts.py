@@ -34,7 +34,7 @@ from tests.swarmabs_core.helpers import builtin
 from tests.transport.swarm import AGENTS
 from tests.virtual.disk import FOLDER
 from tests.virtual.properties import BrokenError
-from tests.virtual.schedule import numbered, time_of
+from tests.virtual.schedule import Tell, number_of, numbered, time_of, untold
 
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config.graph import CONTROLLER, LOCKSTEP, OBSERVER, OFFERED, PLANE, RECORDER, usual_topic
@@ -218,7 +218,7 @@ class Process:
 class Host:
     """The machine: clock, processes, pipes and the network between the nodes."""
 
-    def __init__(self, case: StartCase, plan: Iterable[ProcessPlan], tell: Callable[[float, str, str], None]) -> None:
+    def __init__(self, case: StartCase, plan: Iterable[ProcessPlan], tell: Tell) -> None:
         self.case, self.plan, self.tell = case, {process.name: process for process in plan}, tell
         self.draw = Random(f"virtual starts:{case.seed}:host")
         self.now = 0.0
@@ -280,6 +280,7 @@ class Host:
         """Make the process of the next order."""
         name = self._next["name"]
         self._spawns[name] += 1
+        self.tell(self.now, name, "is started" if self._spawns[name] == 1 else "is started again", done=False)
         pid = FIRST_PID + len(self.processes)
         plan = self.plan[name]
         given = next((word for word in self._next["arguments"] if word.startswith("match:=")), "match:=[]")
@@ -296,7 +297,7 @@ class Host:
         if pid in self.reaped:
             raise ProcessLookupError(errno.ESRCH, "No such process")
         self.signals.append((self.now, process.name, number))
-        self.tell(self.now, process.name, f"gets {Signals(number).name}")
+        self.tell(self.now, process.name, f"gets {Signals(number).name}", done=False)
         if number == SIGKILL:
             self._die(process, number)
         elif number == SIGSTOP:
@@ -384,6 +385,7 @@ class Host:
         self.open.remove(name)
         if name == "start" and self.code is None:
             self.began = self.now
+            self.tell(self.now, "the orchestrator", "lets all run", done=False)
             for process in self.processes.values():
                 self.after(self.draw.uniform(1e-3, 0.1), partial(self._started, process))
 
@@ -403,7 +405,7 @@ class Host:
         if not process.alive:
             return
         process.alive, process.status, process.ended = False, status, self.now
-        self.tell(self.now, process.name, f"ends: {os.waitstatus_to_exitcode(status)}")
+        self.tell(self.now, process.name, _ending(status), done=False)
         lease = self.draw.choice((0.01, 3.0, LONGEST))
         self.after(1e-3, self._child_ended)
         for other in self.processes.values():
@@ -424,7 +426,7 @@ class Host:
             if process.number <= trouble.times:
                 self.after(0.05 + trouble.at, partial(self._fails, process))
         if any(process.number <= trouble.times for trouble in self._of(process, "hangs")):
-            self.tell(self.now, process.name, "begins, and never comes up")
+            self.tell(self.now, process.name, "begins, and never comes up", done=False)
             return
         late = max((t.lasting for t in self._of(process, "late") if process.number in {1, t.times}), default=0.0)
         self.after(self.draw.uniform(0.1, 0.5) + late, partial(self._up, process))
@@ -436,7 +438,7 @@ class Host:
     def _up(self, process: Process) -> None:
         if not process.alive:
             return
-        self.tell(self.now, process.name, "is up")
+        self.tell(self.now, process.name, "is up", done=False)
         process.up = True
         for other in self.processes.values():
             if other is not process and other.up and other.alive and self._announces(process, other):
@@ -476,6 +478,8 @@ class Host:
 
     def _ready(self, process: Process) -> None:
         process.ready = True
+        met = "" if self.case.realtime else " has met its counterparts, and"
+        self.tell(self.now, process.name, f"{met} is ready".strip(), done=False)
         for _ in range(2 if self._of(process, "twice") else 1):
             self._say(process, "ready")
         if self.began is not None:
@@ -495,6 +499,7 @@ class Host:
                 return
             self.step_zero = (int(record) - EPOCH) / 1e9
         process.running = True
+        self.tell(self.now, process.name, "runs", done=False)
 
     def _end(self, process: Process, number: int) -> None:
         """Let a node end because of a signal."""
@@ -564,7 +569,8 @@ class Host:
                 self._say(process, "stalled", step=int(self.step), missing=missing, silence=STALLED)
 
     def _happen(self, trouble: Trouble) -> None:
-        self.tell(self.now, trouble.who, trouble.kind)
+        number = number_of(trouble, self.case.faults, self.case.numbers)
+        self.tell(self.now, trouble.who, f"{trouble.kind} {number}")
         if trouble.kind == "interrupt":
             self.asked = True
         elif trouble.kind == "launcher dies":
@@ -639,7 +645,7 @@ def simulated(host: Host) -> Iterator[None]:
 class StartStory:
     """Lets a case happen; as `tests.virtual.story.Story`."""
 
-    def __init__(self, case: StartCase, tell: Callable[[float, str, str], None] = lambda *_: None) -> None:
+    def __init__(self, case: StartCase, tell: Tell = untold) -> None:
         self.case = case
         self._folder = Path(tempfile.mkdtemp(prefix="virtual-start-", dir=FOLDER))
         self._run = _run_of(case, self._folder)
@@ -668,7 +674,7 @@ class StartStory:
                 at_start = machine.start_all
                 machine.start_all = partial(self._starting, at_start)  # type: ignore[method-assign]
                 outcome = self._run.drive(machine, lambda: host.asked, 5, 0.0)
-                self._tell(host.now, "the orchestrator", f"{outcome.status}: {outcome.reason or ''}".splitlines()[0])
+                self._tell(host.now, "the orchestrator", _told(outcome), done=False)
                 decided = host.now
                 machine.close()
             self._is_clean()
@@ -706,7 +712,7 @@ class StartStory:
         """Raise an error if an outcome is not what has happened."""
         host = self.host
         whole = any(report["event"] == "done" and report["complete"] for _, report in host.reports)
-        text = f"{outcome.status}: {(outcome.reason or '').partition(chr(10))[0]}"
+        text = _told(outcome)
         if outcome.status == "ok" and not (whole and outcome.start_seconds is not None and outcome.reason is None):
             raise _wrong(f"says {text}, but the recording is not complete")
         if outcome.status != "ok" and not outcome.reason:
@@ -789,6 +795,18 @@ class StartStory:
 
 _NEWS = {"spawned", "ready", "exited"}
 """Reports by which a start makes progress."""
+
+
+def _told(outcome: Outcome) -> str:
+    """Return the status of a run, and the first line of its reason."""
+    reason, _, _ = (outcome.reason or "").partition("\n")
+    return f"{outcome.status}: {reason}" if reason else outcome.status
+
+
+def _ending(status: int) -> str:
+    """Return the words for how a process has ended."""
+    code = os.waitstatus_to_exitcode(status)
+    return f"ends with exit code {code}" if code >= 0 else f"ends by {Signals(-code).name}"
 
 
 def _wrong(text: str) -> BrokenError:

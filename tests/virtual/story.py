@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import cache, partial
 from math import inf, nan
 from pathlib import Path
@@ -15,7 +15,22 @@ from tests.virtual.fleet import EPOCH, Parcel, VirtualFleet, Watcher
 from tests.virtual.lies import VirtualSeals, falsified, forged_relays
 from tests.virtual.properties import BrokenError, Ending, Facts
 from tests.virtual.recorders import FleetBags
-from tests.virtual.schedule import AGE, AHEAD, ALL, COMMANDS, FORGED, LIAR, LINKS, RESET_LASTS, TAKEOVER, Case, Fault
+from tests.virtual.schedule import (
+    AGE,
+    AHEAD,
+    ALL,
+    COMMANDS,
+    FORGED,
+    LIAR,
+    LINKS,
+    RESET_LASTS,
+    TAKEOVER,
+    Case,
+    Fault,
+    Tell,
+    number_of,
+    untold,
+)
 from tests.virtual.weather import Weather
 
 from swarmabs_config.graph import OBSERVER, PLANE
@@ -117,9 +132,7 @@ def outcome(story: Happening) -> Result:
 class Story(Watcher):
     """Lets a case happen. `watchers` see everything, too; `tell` is told what is done to whom."""
 
-    def __init__(
-        self, case: Case, watchers: Iterable[Watcher] = (), tell: Callable[[float, str, str], None] = lambda *_: None
-    ) -> None:
+    def __init__(self, case: Case, watchers: Iterable[Watcher] = (), tell: Tell = untold) -> None:
         self.case = case
         coordination = "each_robot" if case.each_robot else "central"
         scenario = scenario_of(case.robots, case.hertz, case.start, coordination, case.links, case.law)
@@ -229,12 +242,8 @@ class Story(Watcher):
         return peers is not None and bool(peers.holders)
 
     def _say(self, who: str, what: str, fault: Fault | None = None) -> None:
-        self._tell(self.fleet.time, who, f"{what}{'' if fault is None else f' ({self._number(fault)})'}")
-
-    def _number(self, fault: Fault) -> int:
-        """Return the number of a fault in the case of the seed."""
-        place, numbers = self.case.faults.index(fault), self.case.numbers
-        return place if numbers is None else numbers[place]
+        number = "" if fault is None else f" {number_of(fault, self.case.faults, self.case.numbers)}"
+        self._tell(self.fleet.time, who, f"{what}{number}")
 
     def _order(self, command: str) -> None:
         """Give an order to all parent controllers, or to one of the robots, which tell each other."""

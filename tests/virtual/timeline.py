@@ -58,16 +58,13 @@ class Timeline(Watcher):
         """Set the fleet that is watched."""
         self._fleet = fleet
 
-    def tell(self, time: float, who: str, what: str) -> None:
-        """Note something that was done to somebody at a time, s."""
-        self._note(time, who, what, done=True)
-
-    def _note(self, time: float, who: str, what: str, *, done: bool = False) -> None:
+    def tell(self, time: float, who: str, what: str, *, done: bool = True) -> None:
+        """Note what happens to somebody; see `Tell`."""
         self._entries.append(Entry(time, len(self._entries), who, what, done))
 
     def _now(self, who: str, what: str) -> None:
         if self._fleet is not None:
-            self._note(self._fleet.time, who, what)
+            self.tell(self._fleet.time, who, what, done=False)
 
     def _reports(self, who: str, what: str) -> None:
         assert self._fleet is not None
