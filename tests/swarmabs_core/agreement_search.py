@@ -77,7 +77,8 @@ class Search:
     silences : collection of pairs of int
         Which robot may tell of which other one that it is silent.
     timely : bool
-        Whether the parent, and robots that are alive, answer before others have waited in vain.
+        Whether the parent, and robots that are alive, answer before others have waited in vain, and so have given
+        their states.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class Search:
     ) -> None:
         self._links, self._silences, self._timely = links, silences, timely
         self._first = State(((),) * ROBOTS, tuple(held), (0,) * ROBOTS, (0,) * ROBOTS)
-        self._known: dict[tuple[int, Votes, int, int], Outcome] = {}
+        self._known: dict[tuple[int, Votes, int, int, bool], Outcome] = {}
         self.seen: set[State] = {self._first}
         self.ends: set[tuple[int, tuple[int, ...], bool]] = set()
 
@@ -148,11 +149,19 @@ class Search:
         chains = [
             chain[-1:] or (None,) if other == robot else (None, *chain) for other, chain in enumerate(state.chains)
         ]
-        return {self._outcome(robot, votes, state.held[robot]) for votes in product(*chains)}
+        answers = (False, True) if state.moved and state.given >> robot & 1 else (False,)
+        return {
+            self._outcome(robot, votes, state.held[robot], answered=answered)
+            for votes in product(*chains)
+            for answered in answers
+        }
 
-    def _outcome(self, robot: int, votes: Votes, held: int, told: int = 0) -> Outcome:
-        """Return what follows from votes, if the robot also tells of others that they are silent."""
-        key = robot, votes, held, told
+    def _outcome(self, robot: int, votes: Votes, held: int, told: int = 0, *, answered: bool = False) -> Outcome:
+        """Return what follows from votes, if the robot also tells of others that they are silent.
+
+        It may have the parent's answer.
+        """
+        key = robot, votes, held, told, answered
         if (known := self._known.get(key)) is not None:
             return known
         agreement = Agreement(robot, self._links, ALL, ALL)
@@ -161,6 +170,8 @@ class Search:
                 agreement.take({rank: vote}, held)
         if told:
             agreement.tell(told, held)
+        if answered:
+            agreement.answer()
         found = Outcome(
             tuple(agreement.votes.get(rank) for rank in range(ROBOTS)),
             agreement.own,
@@ -207,7 +218,8 @@ class Search:
                 if state.done[other] >> robot & 1:
                     yield self._with(told, "done", robot, state.done[other])
         left = ALL & ~state.ended
-        in_vain = not state.moved and state.there & bit and state.there & left != left
+        lacks = left & ~state.there if not ALL & ~own.out & ~state.given else 0  # not while one inside is late
+        in_vain = not state.moved and state.there & bit and lacks
         if own.out and (in_vain or not self._timely) and own.waited != own.out:
             quiet = state.quiet | own.out if self._timely else state.quiet
             yield self._voting(told, robot, own.joined(Vote(waited=own.out)))._replace(quiet=quiet)

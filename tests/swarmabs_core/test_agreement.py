@@ -87,3 +87,17 @@ def test_votes_only_grow_in_any_order() -> None:
     assert len(found) == 1
     assert agreement.out == 0, "robot 4 is still heard by robot 3"
     assert agreement.tell(0b1000, 15) and agreement.out == 0b1000
+
+
+def test_an_answer_shows_what_one_that_is_not_reached_any_more_has_decided() -> None:
+    """Robot 4 ends; all wait in vain, robot 1 as the last, which decides, tells the plane, and ends."""
+    last, both = 0b1000, 0b1001
+    votes = {rank: Vote(last, both if rank else last, ALL, last if rank else 0) for rank in range(3)}
+    agreement = Agreement(1, EACH_OTHER, ALL, ALL)
+    agreement.take(votes | {2: Vote(both, both, ALL, last)}, ALL)
+    assert not agreement.settled, "the plane may lack the state of robot 1, too"
+    agreement.answer()
+    assert agreement.settled
+    assert agreement.dropped == last
+    agreement.take({2: Vote(waited=both)}, ALL)
+    assert not agreement.settled, "robot 3 has waited longer, so the answer may be that to robots 2 and 3"

@@ -12,14 +12,18 @@ from operator import itemgetter
 from random import Random
 from typing import Any, NamedTuple
 
-from tests.swarmabs_core.behaviours.peers_in_time import LATE, LOOKS, REPEAT, SECONDS, World
+from tests.swarmabs_core.behaviours.peers_in_time import LATE, LOOKS, PLANE, REPEAT, SECONDS, World
 from tests.swarmabs_core.behaviours.test_dropping import LINKS, MORE, STEPS, judged, swarm
 from tests.virtual.properties import BrokenError
 from tests.virtual.schedule import Tell, numbered, untold
 
+from swarmabs_config.graph import PLANE as PLANE_NODE
+from swarmabs_core.agreement import NOTHING, Vote
 from swarmabs_core.cdr import encode
-from swarmabs_core.messages import topic_of
+from swarmabs_core.errors import RunError
+from swarmabs_core.messages import EventKind, Message, Messages, SwarmEvent, said, topic_of
 from swarmabs_core.nodes import agent_name
+from swarmabs_core.rank_sets import ranks
 
 _STANDS = SECONDS - REPEAT - 2 * LOOKS - LATE
 """Time, s, for which a robot that has just not repeated itself can stand still without being taken for silent."""
@@ -99,14 +103,57 @@ def rounds_case(seed: int) -> RoundsCase:
     return RoundsCase(seed, robots, links, loss, "[]", tuple(doings))
 
 
+class _Told(World):
+    """A swarm that tells what happens in it."""
+
+    def __init__(self, case: RoundsCase, tell: Tell) -> None:
+        super().__init__(swarm(case.robots, case.links, faults=case.planned), Random(case.seed), loss=case.loss)
+        self._tell = tell
+        self._votes: dict[int, Vote] = {}
+
+    def _do(self, node: int, message: Message | None) -> None:
+        try:
+            super()._do(node, message)
+        except RunError as error:
+            self._now(PLANE_NODE if node == PLANE else agent_name(node), f"stops: {error}")
+            raise
+
+    def _say(self, node: int, messages: Messages) -> None:
+        before, lived = len(self.log), node not in self.dead
+        super()._say(node, messages)
+        name = PLANE_NODE if node == PLANE else agent_name(node)
+        for _, message in self.log[before:]:
+            if isinstance(message, SwarmEvent):
+                what = f"robot {message.agent_id} {said(EventKind(message.kind))}, {message.detail}"
+                self._now(name, f"tells all, of step {message.step}: {what}")
+            elif node == PLANE:
+                self._now(name, f"moves with the states of step {message.step}")
+        if node != PLANE:
+            self._vote(node, name)
+        if lived and node in self.dead:
+            self._tell(self.time, name, "ends")
+
+    def _vote(self, robot: int, name: str) -> None:
+        """Tell what a robot votes now, if that is news."""
+        agreement = self.peers[robot]._agreement  # noqa: SLF001 - before others hear of it
+        own, before = agreement.own, self._votes.get(robot, NOTHING)
+        self._votes[robot] = own
+        names = ("takes for silent", "leaves out", "", "waits in vain for the plane without")
+        for what, bits, known in zip(names, own, before, strict=True):
+            if what and bits and bits != known:
+                self._now(name, f"{what} {', '.join(f'robot {rank + 1}' for rank in ranks(bits))}")
+
+    def _now(self, name: str, what: str) -> None:
+        self._tell(self.time, name, what, done=False)
+
+
 class RoundsStory:
     """Lets a case happen; as `tests.virtual.lockstep.LockstepStory`."""
 
     def __init__(self, case: RoundsCase, tell: Tell = untold) -> None:
         self.case = case
         self._tell = tell
-        scenario = swarm(case.robots, case.links, faults=case.planned)
-        self.world = World(scenario, Random(case.seed), loss=case.loss)
+        self.world = _Told(case, tell)
 
     @property
     def time(self) -> float:
@@ -136,10 +183,6 @@ class RoundsStory:
             self._tell(when, who, what)
             do(of)
         world.run(_UNTIL)
-        for robot in sorted(world.dead):
-            self._tell(world.time, agent_name(robot), "has ended", done=False)
-        for robot, why in sorted(world.stopped.items()):
-            self._tell(world.time, agent_name(robot), f"stops: {why}", done=False)
         try:
             judged(world, swarm(case.robots, case.links, "central", case.planned))
         except AssertionError as error:

@@ -75,6 +75,14 @@ FOUND = {
             Doing("ends", 1, 68),
         ),
     ),
+    "who decides with a vote that nobody knows, and ends, is left out of a step that has its state": RoundsCase(
+        601144,
+        robots=8,
+        links="{type: ring, loss: 0.3}",
+        loss=0.0,
+        planned="[]",
+        faults=(Doing("ends", 8, 22), Doing("ends", 1, 75)),
+    ),
     "what robots compute themselves is taken for wrong where a bag begins, and hears them late": BagCase(
         0, _WITHOUT, (Harm(1.418, "late", 1, 1.758, 0.3), Harm(2.261, "begins", 1)), recorders=1
     ),

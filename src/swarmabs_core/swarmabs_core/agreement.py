@@ -7,7 +7,8 @@ A robot tells which neighbours are silent. From what all have told it follows wh
 to leave out the others. From then on it takes no state from them, and it does not complete the step unless all that it
 reaches have voted alike. The states that they hold between them count in the step; who is left out and whose state
 nobody holds is dropped. If no state is missing, and all of them have waited in vain for the parent, it must lack states
-of some that are left out, and all these are dropped. Who has waited does not complete the step without that decision.
+of some that are left out, and all these are dropped. Who has waited does not complete the step without that decision,
+unless the parent answers: then one that they do not reach any more has made it, with a vote that nobody else knows.
 Where none of them hears the parent, and none has its state of the step before, they wait for that in vain, and stop.
 
 Only a majority of the robots that publish in the step may go on, or half of them with the one of lowest id.
@@ -76,6 +77,7 @@ class Agreement:
         self._rank, self._links = rank, links
         self._present, self._publishing = present, publishing
         self._kept: int | None = None
+        self._answered = False
         self.votes: dict[int, Vote] = {}
 
     @property
@@ -124,22 +126,37 @@ class Agreement:
         """Go on as others have, with whom this robot is in contact: they have completed the step with these states."""
         self._kept = kept
 
+    def answer(self) -> None:
+        """Note that the parent has answered in the step."""
+        self._answered = True
+
     @property
     def alike(self) -> bool:
         """Whether this robot leaves nobody out, or all that it reaches have voted to leave out the same ones."""
-        if not self.out or self._kept is not None:
+        if not self.out or self._kept is not None or self._made_by_another:
             return True
         return all(self.votes.get(rank, NOTHING).out == self.out for rank in ranks(self.inside))
 
     @property
     def waited(self) -> bool:
         """Whether all that this robot reaches leave out the same ones, and have waited in vain for the parent."""
-        return bool(self.out) and all(self.votes.get(rank, NOTHING).waited == self.out for rank in ranks(self.inside))
+        return bool(self.out) and self.out == self._all_waited
+
+    @property
+    def _all_waited(self) -> int:
+        """The set with which all that this robot reaches have waited in vain for the parent; empty if there is none."""
+        waited = {self.votes.get(rank, NOTHING).waited for rank in ranks(self.inside)}
+        return waited.pop() if len(waited) == 1 else 0
+
+    @property
+    def _made_by_another(self) -> bool:
+        """Whether only one that this robot does not reach any more can have made the decision that was waited for."""
+        return self._answered and bool(self._all_waited)
 
     @property
     def settled(self) -> bool:
-        """Whether this robot may complete the step without `dropped`: it leaves nobody out, or all vote alike."""
-        free = not self.out or self._kept is not None
+        """Whether this robot may complete the step without `dropped`: it leaves nobody out, or that is decided."""
+        free = not self.out or self._kept is not None or self._made_by_another
         return free or (self.alike and (not self.own.waited or self.waited))
 
     @property
@@ -149,7 +166,7 @@ class Agreement:
             return self._publishing & ~self._kept
         if not self.out or not self.alike:
             return 0
-        return self.out if self.waited else self.out & ~self._held()
+        return self._all_waited if self.waited or self._made_by_another else self.out & ~self._held()
 
     @property
     def outnumbered(self) -> bool:

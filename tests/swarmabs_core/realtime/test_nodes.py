@@ -253,6 +253,16 @@ def test_the_plane_is_held_until_a_robot_follows_and_then_makes_up_for_being_lat
     assert late.tick(nodes.at(20.5))[1] == expected
 
 
+def test_the_plane_takes_states_of_earlier_steps_after_its_clock_was_set_back() -> None:
+    node = RealtimePlane(configure.plane_config(nodes.scenario(), nodes.CLOCK))
+    for step in (1000, 5):
+        node.tick(nodes.at(step - 0.5))
+        for answer in (nodes.hear(node, nodes.states(step), step), nodes.hear(node, nodes.states(step - 1), step + 1)):
+            provenance, _ = answer
+            assert isinstance(provenance, Basis)
+            assert provenance.state_steps == (step,) * 4
+
+
 def test_the_plane_makes_up_for_at_most_a_thousand_periods() -> None:
     """After a longer pause it is where it was after a thousand periods, and not one period further."""
     slow = nodes.scenario("plane.friction=[0, 0, 0, 0, 0, 50]")

@@ -187,6 +187,8 @@ class Peer:
         elif isinstance(message, PARENT_STATES):
             if message.step >= self._step:
                 refuse_conflict(self._parents.setdefault(message.step, message), message, self._family.parent.name)
+            if message.step == self._step:
+                self._agreement.answer()
         elif isinstance(message, Relay):
             self._take(message)
         else:
@@ -209,7 +211,7 @@ class Peer:
             if votes and self._agreement.take(votes, self._known):
                 self._note_votes()
             if not relay.complete and relay.round > self._complete_near.get(robot, relay.round):
-                self._wake(robot, alike=votes == self._agreement.votes)
+                self._wake(robot)
         if turn >= (self._step, self._round):
             refuse_conflict(self._inbox.setdefault(turn, {}).setdefault(robot, relay), relay, f"robot {robot}")
 
@@ -262,7 +264,8 @@ class Peer:
             return ()
         agreement, linked = self._agreement, self._linked()
         news = agreement.tell(self._content.set_of(robot for robot in silent if robot in linked), self._known)
-        if waited and agreement.out and (self._deaf or (self._given and self._complete)):
+        in_vain = waited and self._step not in self._parents
+        if in_vain and agreement.out and (self._deaf or (self._given and self._complete)):
             news |= agreement.wait()
         if not news:
             return ()
@@ -317,14 +320,12 @@ class Peer:
         self._ended_near.clear()
         self._alike_near.clear()
 
-    def _wake(self, robot: int, *, alike: bool) -> None:
-        """Take note that a neighbour that knew all has new votes, which may be `alike` those of this robot."""
+    def _wake(self, robot: int) -> None:
+        """Take note that a neighbour that knew all has new votes; it goes on until it has read them here."""
         if self._resting:
             self._go_on_relaying()
         self._complete_near.pop(robot, None)
         self._ended_near.discard(robot)
-        if not alike:
-            self._alike_near.discard(robot)
 
     def _go_on_relaying(self) -> None:
         """Go on to the next round without waiting for neighbours, which may have stopped."""
@@ -518,22 +519,24 @@ class Peer:
         for robot, relay in sorted(self._inbox.pop((self._step, self._round), {}).items()):
             if robot not in self._near or self._is_out(robot):
                 continue
-            if relay.complete:  # so it knew that this robot knew the same votes
+            if relay.complete:
                 self._complete_near[robot] = relay.round
-                self._alike_near.add(robot)
-            if relay.last:
+            if not self._links.loses(self._step, self._round, robot, self.agent_id):
+                self._read(relay)
+            if relay.last and (not self._agreement.votes or robot in self._alike_near):
                 self._ended_near.add(robot)
-            if self._links.loses(self._step, self._round, robot, self.agent_id):
-                continue
-            told = self._content.read(relay, self._before, self._known)
-            if told.votes == self._agreement.votes:
-                self._alike_near.add(robot)
-            self._theirs[robot] |= told.held
-            for state in told.states:
-                self._learn(state)
-            if told.parent is not None:
-                self._measure(told.parent)
         self._round, self._sent = self._round + 1, False
+
+    def _read(self, relay: Relay) -> None:
+        """Take what a neighbour passes on."""
+        robot, told = relay.agent_id, self._content.read(relay, self._before, self._known)
+        if told.votes == self._agreement.votes:
+            self._alike_near.add(robot)
+        self._theirs[robot] |= told.held
+        for state in told.states:
+            self._learn(state)
+        if told.parent is not None:
+            self._measure(told.parent)
 
     def _learn(self, state: AnyRobotState) -> None:
         """Take a robot's state of the step."""
