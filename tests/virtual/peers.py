@@ -371,9 +371,9 @@ class TellEachOther(Property):
         told, sender = self._told(relay), relay.agent_id
         long = facts.now - facts.stood_until(node) > 2 * facts.age * facts.period  # it may take senders for second ones
         sure = self._sure(parcel.sender) and node not in facts.wrong and long
-        before = robot.told.get(sender)
-        if before is None or before[0] < relay.step or not sure:
-            robot.told[sender] = relay.step, told if sure else None
+        newest = robot.told.get(sender, (-1, None))[0]
+        if newest < relay.step or not sure:
+            robot.told[sender] = max(newest, relay.step), told if sure else None
         self._obey(robot, told, now, sure=sure)
         since, counted = told.electing
         if since <= now + facts.ahead:
@@ -549,7 +549,7 @@ class TellEachOther(Property):
     ) -> None:
         """Check that a robot may have decided by itself who counts."""
         since, counted = new
-        if since < 0:  # at the start
+        if since <= 0:  # at the start
             return
         text = f"decides that from step {since} on these robots count: {self._named(counted)}"
         may |= self._hears(robot, since, surely=False)

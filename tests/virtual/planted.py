@@ -45,6 +45,13 @@ PLANTED = (
         "if not leading or (commanded is Mode.RESET and step <= since):",
     ),
     Planted(
+        "a_restart_makes_a_majority",
+        "A robot that restarts among a minority lets just those count that it hears.",
+        "swarmabs_core.realtime.electorate",
+        "        if self.since < 0:\n",
+        "        if self.since <= 0:\n",
+    ),
+    Planted(
         "mixed_sets",
         "A robot combines the sums of one observer with the other's abstract state.",
         "swarmabs_core.realtime.broadcasts",

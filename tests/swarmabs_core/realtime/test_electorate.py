@@ -37,6 +37,26 @@ def test_a_minority_adopts_what_a_majority_has_decided_and_comes_back_only_with_
     assert minority.hears_majority({2, 3, 4, 5}, 11)
 
 
+def test_one_that_restarts_among_a_minority_does_not_make_it_a_majority() -> None:
+    whole = Electorate(range(1, 6), SETTLING)
+    whole.begin(range(1, 6))
+    anew = Electorate(range(1, 6), SETTLING)
+    anew.learn(whole.since, whole.counted)
+    anew.begin({4, 5})
+    assert not anew.hears_majority({4, 5}, 100)
+
+
+def test_one_that_restarts_hears_others_for_long_before_it_makes_them_count() -> None:
+    anew = Electorate(range(1, 6), SETTLING)
+    anew.learn(50, {1, 2, 3})
+    anew.begin(range(1, 6))
+    for step in range(100, 100 + SETTLING):
+        assert anew.hears_majority(range(1, 6), step)
+        assert anew.since == 50
+    assert anew.hears_majority(range(1, 6), 100 + SETTLING)
+    assert anew.since == 100 + SETTLING
+
+
 @pytest.mark.parametrize("seed", range(40))
 def test_no_two_sides_ever_count_as_a_majority(seed: int) -> None:
     """Robots split and meet again at random, each time for longer than it takes to settle and to tell each other."""

@@ -20,12 +20,12 @@ class Electorate:
     A majority is more than half of those that count, or half with the lowest id of them. Only a majority that has heard
     the same robots for `settling` steps makes these the ones that count, with the step as a version; everybody adopts
     the newest version. So a swarm of which more and more robots die goes on, but no side of a partition that has ever
-    been a minority counts by itself.
+    been a minority counts by itself. Those heard at the start are version 0, which one that restarts adopts.
 
     Attributes
     ----------
     since : int
-        The version: the step since which these count; -1 at the start.
+        The version: the step since which these count; 0 for those heard at the start, -1 before that.
     counted : frozenset of int
         The ids of the robots that count.
     """
@@ -34,13 +34,15 @@ class Electorate:
         self.since = -1
         self.counted = frozenset(members)
         self._settling = settling
-        self._heard = self.counted
+        self._heard: frozenset[int] = frozenset()
         self._heard_since = 0
 
     def begin(self, heard: Collection[int]) -> None:
-        """Let those count that are heard at the start, unless they are too few, or the others have told better."""
-        if self.since < 0 and len(heard) >= FEWEST:
-            self.counted = frozenset(heard)
+        """Let those count that are heard at the start, all if they are too few, unless others have begun before."""
+        if self.since < 0:
+            self.since = 0
+            if len(heard) >= FEWEST:
+                self.counted = frozenset(heard)
 
     def learn(self, since: int, counted: Iterable[int]) -> None:
         """Adopt a newer version; those who count are looked up for such a one only."""
