@@ -627,6 +627,15 @@ class TellEachOther(Property):
         known = {name: (self._robots[name].orders.stop, self._robots[name].most.reset) for name in alive}
         return [name for name, (stop, reset) in known.items() if 0 <= stop >= reset - self._guard]
 
+    @property
+    def stopped(self) -> bool:
+        """Whether a robot says that a STOP holds, or no robot of a fleet that started in STOP knows of a RESET."""
+        nodes = self.facts.fleet.nodes
+        alive = [nodes[name].activity.engine.behaviour for name in self._names if nodes[name].activity]  # type: ignore[union-attr]
+        orders: list[Orders] = [one.orders for one in alive]  # type: ignore[attr-defined]
+        waits = self.facts.case.stopped and all(known.reset < 0 for known in orders)
+        return waits or any(known.stops(self._guard) for known in orders)
+
     def agree(self, before: float) -> None:
         """Raise an error unless all robots know the same orders and electorate, and their laws agree.
 

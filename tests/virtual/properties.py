@@ -547,7 +547,8 @@ class SumsUpWhatItHears(Property):
         if node in self._newest:
             # One that has stood by may have seen them fall silent before it died, and its host remembers that.
             oldest = self.facts.step_of(node) - self.facts.state_age
-            self._silent[node] |= {robot for robot, state in self._newest[node].items() if state.step < oldest}
+            on_plane = {robot: state for robot, state in self._newest[node].items() if state.status != Status.LEFT}
+            self._silent[node] |= {robot for robot, state in on_plane.items() if state.step < oldest}
             self._newest[node] = {}
 
     def resumes(self, node: str) -> None:
@@ -580,8 +581,10 @@ class SumsUpWhatItHears(Property):
         state, silent_before = newest.get(robot), self.facts.step_of(node) - self.facts.state_age
         if state is None and removal.step >= self._standing[node].get(robot, 0):
             self._standing[node].pop(robot, None)
+            self._silent[node].discard(robot)
         elif state is not None and state.step < silent_before and state.step <= removal.step:
             newest[robot] = state._replace(status=Status.LEFT)
+            self._silent[node].discard(robot)
             self._arrived[node, robot] = self.facts.now
 
     def _basis(self, node: str, basis: Basis) -> None:
@@ -891,9 +894,9 @@ class Ending(Watcher):
             lossy = case.each_robot and facts.scenario.links.loss  # who speaks may not hear each state of the plane
             if len(spoke) < (SPEAKERS // 4 if lossy else SPEAKERS - 2):
                 raise self._broken(speakers[0], f"speaks in {len(spoke)} of {SPEAKERS} periods")
-        counts = {message.agent_count for message in self._newest(AbstractState).values()}
-        if counts != {case.robots}:
-            raise self._broken(pairs[0][0], f"counts {' or '.join(map(str, counts)) or 'none'} of {case.robots} robots")
+        told = next(said for said in reversed(self._recent) if isinstance(said.message, AbstractState))
+        if told.message.agent_count != case.robots:
+            raise self._broken(told.node, f"counts {told.message.agent_count} of {case.robots} robots")
         squares = sum(agent.mass * agent.mass for agent in facts.scenario.agents)
         for node, sums in self._newest(AuxiliaryState).items():
             if abs(sums.s0 - squares) > 1e-9:

@@ -537,7 +537,12 @@ def _split(draw: Random, case: Case, at: float) -> list[Fault]:
     sides = ",".join(names[:first]), ",".join(names[first:])
     lasting = draw.choice((case.periods(25) + 1.0, case.periods(draw.randint(10, 60))))
     cuts = [Fault(at, "cut", f"{one}>{other}", lasting) for one, other in (sides, sides[::-1])]
-    return cuts + (_orders(draw, case, at + draw.uniform(0.0, lasting)) if draw.random() < 0.5 else [])
+    how = draw.random()
+    if how < 0.4:
+        return cuts + _orders(draw, case, at + draw.uniform(0.0, lasting))
+    if how < 0.6:  # the other side continues its law meanwhile
+        return [*cuts, Fault(at + draw.uniform(0.0, 0.5), "reset", draw.choice(case.robot_names))]
+    return cuts
 
 
 def _orders(draw: Random, case: Case, at: float) -> list[Fault]:
@@ -563,11 +568,31 @@ def _long(draw: Random, case: Case, at: float) -> list[Fault]:
     return faults
 
 
+def _return(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let robots die until they do not count any more, and part those that count as they come back."""
+    names = draw.sample(case.robot_names, case.robots)
+    dead = names[: draw.randint(1, max(1, (case.robots - 1) // 2))]
+    stay = names[len(dead) :]
+    away = case.periods(25) + draw.uniform(1.2, 2.0)
+    split, number = at + away - draw.uniform(0.0, 0.3), draw.randint(1, len(stay) - 1)
+    sides = ",".join(stay[:number]), ",".join([*stay[number:], *dead])
+    lasting = case.periods(draw.randint(15, 60))
+    cuts = [Fault(split, "cut", f"{one}>{other}", lasting) for one, other in (sides, sides[::-1])]
+    return [*(Fault(at, "crash", name, away) for name in dead), *cuts]
+
+
+def _long_dead(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let a robot be dead for longer than relays tell ages, and another one start that has to hear of it."""
+    robot, other = draw.sample(case.robot_names, 2)
+    away = case.periods(draw.randint(256, 290))
+    return [Fault(at, "crash", robot, away), Fault(at + away - case.periods(draw.randint(5, 30)), "crash", other, 0.1)]
+
+
 def _lies(draw: Random, case: Case, at: float) -> list[Fault]:
     """Let a robot lie about others, where these sign what they say."""
     name, lasting = draw.choice(case.robot_names), draw.uniform(0.1, 2.0)
     return [Fault(at, LIAR, name, lasting, draw.choice((1, 2, 3)))] if case.sealed else _forged(draw, case, at)
 
 
-_AMONG_ROBOTS = 2 * (_split, _split, _orders, _long, _lies)
+_AMONG_ROBOTS = (*2 * (_split, _split, _orders, _long, _return, _lies), _long_dead)
 """What else happens among robots without coordinators."""

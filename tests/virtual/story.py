@@ -209,14 +209,15 @@ class Story(Watcher):
             fleet.run(holds)
             why = f"an operator stopped the swarm at {self._stopped_at} and nobody has reset it"
             self.ending.nobody_moves(self._stopped_since, why)
-        elif not self._ordered:
+        peers = self._checks.peers
+        stopped = self._ordered and (peers is None or peers.stopped)
+        if not stopped:
             self.ending.all_is_well()
-        if self._ordered:
+        else:
             self._order("reset")
             fleet.run(resets)
             self.ending.all_is_well()
         facts.moving_from = facts.now
-        peers = self._checks.peers
         spread = 0.0 if peers is None else peers.spread()
         fleet.run(holds)
         self.ending.all_is_well()
