@@ -124,12 +124,17 @@ def bag_case(seed: int) -> BagCase:
     draw = Random(f"virtual bags:{seed}")
     name = draw.choice((*FLEETS, *RUNS, *RUNS))
     recorders = draw.choice((1, 2, 2, 3)) if name in FLEETS else draw.choice((1, 1, 2))
-    harms = []
+    pace, harms = draw.choice((0.005, 0.02, 0.06)), []
+    length = _LENGTH if name in FLEETS else pace * run_of(name).scenario.steps
+    all_end = name in RUNS and recorders > 1 and draw.random() < 0.3
     for number in range(1, recorders + 1):
         lossy = ("loss", "loss", "pause", "late", "again", "clock", "begins") if name in FLEETS else ("late", "again")
         kinds = [draw.choice(lossy) for _ in range(draw.choice((0, 1, 1, 3)))]
-        kinds += draw.choice(((), (), (KILLED,), (POWER,), (POWER,), (FULL,), (STOPPED,)))
-        harms += [_harm(draw, kind, number) for kind in kinds]
+        ends = draw.choice((KILLED, POWER))
+        kinds += [ends] if all_end else draw.choice(((), (), (KILLED,), (POWER,), (POWER,), (FULL,), (STOPPED,)))
+        harms += [_harm(draw, kind, number, length) for kind in kinds]
+        if all_end:  # for good
+            harms[-1] = harms[-1]._replace(lasting=0.0)
     split, lasts = draw.choice(((0, 0.0), (0, 0.0), (24_000, 0.0), (50_000, 0.0), (0, 1.0), (40_000, 0.7)))
     return BagCase(
         seed,
@@ -140,13 +145,13 @@ def bag_case(seed: int) -> BagCase:
         lasts * draw.choice((1.0, 1.6)) if name in FLEETS else lasts * draw.choice((0.1, 0.3)),
         draw.choice((2**20, 2**20, 2500, 8000)),
         draw.choice((0.0, 0.3)),
-        draw.choice((0.005, 0.02, 0.06)),
+        pace,
         draw.choice((0.0, 0.2, 0.2)),
     )
 
 
-def _harm(draw: Random, kind: str, number: int) -> Harm:
-    at, lasting = draw.uniform(0.0, 3.5), draw.choice((draw.uniform(0.01, 0.3), draw.uniform(0.3, 2.5)))
+def _harm(draw: Random, kind: str, number: int, length: float) -> Harm:
+    at, lasting = draw.uniform(0.0, 0.9 * length), draw.choice((draw.uniform(0.01, 0.3), draw.uniform(0.3, 2.5)))
     value = {
         "loss": draw.choice((0.02, 0.3, 1.0)),
         "late": draw.choice((0.02, 0.3)),
@@ -205,6 +210,7 @@ FLEETS: dict[str, tuple[tuple[float, str, float | str], ...]] = {
     "a fleet that is stopped while a robot is dead": (_ROBOT_DIES, *_STOPPED),
     "a fleet with standbys": _LEADER_DIES,
     "a fleet without coordinators": ((2.0, agent_name(3), 0.7),),
+    "a fleet without coordinators whose speaker dies": ((1.3, agent_name(1), 1.4),),
     "a fleet without coordinators that is stopped while a robot is dead": (_ROBOT_DIES, *_STOPPED_WITHOUT),
 }
 """Runs in real time: when, s, which node dies and for how long, s, or what it is told."""
@@ -467,7 +473,7 @@ class BagStory:
                 if case.name in FLEETS:
                     names_losses(missing, stored, fleet_of(case.name))
                 else:
-                    names_steps(missing, stored, run_of(case.name))
+                    names_steps(missing, stored, run_of(case.name), cut=bags.cut)
                     if not missing:
                         is_explained(merged[0], MERGED)
                 if case.seed % 3 == 0:
@@ -503,10 +509,11 @@ Missing = tuple["str | None", int, int]
 """A message that is missing: topic (None: all), robot (0: none), step."""
 
 
-def names_steps(named: set[Missing], merged: list[Stored], run: Run) -> None:
+def names_steps(named: set[Missing], merged: list[Stored], run: Run, *, cut: bool) -> None:
     """Raise an error unless what merged bags of a run in lockstep lack up to their last step is named.
 
-    Of events, and of how the abstract state divides, no number per step is known.
+    So is what comes after it, if the bags are `cut` off. Of events, and of how the abstract state divides, no number of
+    a step is known.
     """
     optional = {EVENTS.name, STANDING.name}
     there = {place_of(stored.topic, stored.payload) for stored in merged}
@@ -514,6 +521,9 @@ def names_steps(named: set[Missing], merged: list[Stored], run: Run) -> None:
     places = {place_of(stored.topic, stored.payload) for stored in run.stored}
     wanted = {_missing(place) for place in places - there if place.topic not in optional and place.step <= last}
     is_named({name for name in named if name[2] <= last and name[0] not in optional}, wanted)
+    if cut:
+        never: set[Missing] = {(None, 0, step) for step in range(last + 1, run.scenario.steps + 1)}
+        is_named({(None, 0, step) for _, _, step in named if step > last}, never)
 
 
 def names_losses(named: set[Missing], merged: list[Stored], fleet: Fleet) -> None:

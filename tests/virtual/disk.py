@@ -94,6 +94,9 @@ class Disk:
             if not file.synced and draw.random() < 0.1:
                 file.path.unlink()
                 continue
+            if not file.synced and draw.random() < 0.2:  # its length is written after its name
+                file.path.write_bytes(b"")
+                continue
             data = bytearray(file.path.read_bytes())
             for offset, size in file.unsynced:
                 for page in range(offset // PAGE, (offset + size - 1) // PAGE + 1):

@@ -645,7 +645,7 @@ class VirtualFleet:
             self._pass(node)
 
     def _taken(self, node: Node, parcel: Parcel) -> None:
-        if node.activity is None or not node.activity.active:  # what is outdated at the start is thrown away
-            return
+        if node.activity is None or not (node.activity.active or isinstance(parcel.message, SwarmEvent)):
+            return  # what is outdated at the start is thrown away, but events are not
         for heard in self._told_heard:
             heard(node.name, parcel)

@@ -19,6 +19,8 @@ from tests.virtual.schedule import Tell, numbered, untold
 
 from swarmabs_config.graph import OBSERVER
 from swarmabs_core.cdr import step_of
+from swarmabs_core.membership import SILENT
+from swarmabs_core.nodes import agent_name
 
 DROPPED = "agent_002"
 _LENGTH = 30
@@ -66,14 +68,16 @@ def lockstep_case(seed: int) -> LockstepCase:
 
 
 class _Told(Swarm):
-    """A swarm that tells what happens in it."""
+    """A swarm that tells what happens in it; `stood` are the nodes that have stood still."""
 
     def __init__(self, case: LockstepCase, tell: Tell) -> None:
         self._tell = tell
+        self.stood: set[str] = set()
         super().__init__(cast_of(case.name), list(case.faults))  # type: ignore[arg-type]
 
     def freeze(self, name: str, seconds: float) -> None:
         self._tell(self.now, name, f"stands still for {seconds:g} s")
+        self.stood.add(name)
         super().freeze(name, seconds)
 
     def kill(self, name: str) -> None:
@@ -139,6 +143,10 @@ class LockstepStory:
                 assert_planned(swarm, cast_of(case.name))
             except AssertionError as error:
                 raise BrokenError("equal digests", "the recorder", f"differs from a planned death: {error}") from None
+            events = (event for step in swarm.recorded for event in step.events if event.detail == SILENT)
+            dropped = {agent_name(event.agent_id) for event in events}
+            if wrong := sorted(dropped - {DROPPED} - swarm.stood):
+                raise BrokenError("lockstep goes on", OBSERVER, f"drops {wrong[0]}, which has never been silent")
         elif cast_of(case.name).packed:  # all but the observer know of the death from the observer
             raise BrokenError("lockstep goes on", "the swarm", f"does not end: {swarm.problems or swarm.stalls()}")
 

@@ -52,6 +52,69 @@ PLANTED = (
         "        if self.since <= 0:\n",
     ),
     Planted(
+        "strangers_make_a_majority",
+        "Robots that are heard and do not count help to a majority.",
+        "swarmabs_core.rank_sets",
+        "    return 2 * len(inside) > len(counted) or (",
+        "    return 2 * len(there) > len(counted) or (",
+    ),
+    Planted(
+        "age_of_old_states_saturates",
+        "The age of a state that is passed on saturates, so that its step is a wrong one.",
+        "swarmabs_core.realtime.relayed",
+        "    return Motion(rank, status, step - state.step, tag, state.position, state.velocity, signature)",
+        "    age = min(step - state.step, _OLDEST)\n"
+        "    return Motion(rank, status, age, tag, state.position, state.velocity, signature)",
+    ),
+    Planted(
+        "law_from_before_the_reset",
+        "Robots join the law of one that has not heard of the newest RESET.",
+        "swarmabs_core.realtime.peer",
+        "        if told.orders.reset == self._controller.orders.reset:\n            self._views.append(told.law)\n",
+        "        self._views.append(told.law)\n",
+    ),
+    Planted(
+        "carried_away_robot_is_back_after_a_restart",
+        "The memory of an observer keeps a robot that was carried away.",
+        "swarmabs_core.realtime.observer",
+        "        if role is Role.SILENT:\n"
+        "            self._memory[agent_id] = self._states[agent_id]._replace(step=self._steps[agent_id])\n"
+        "        else:\n"
+        "            self._memory.pop(agent_id, None)\n",
+        "        if role is Role.SILENT:\n"
+        "            self._memory[agent_id] = self._states[agent_id]._replace(step=self._steps[agent_id])\n"
+        "        elif role is Role.ACTIVE:\n"
+        "            self._memory.pop(agent_id, None)\n",
+    ),
+    Planted(
+        "removal_is_thrown_away_at_activation",
+        "A removal that arrives while an observer is inactive is thrown away.",
+        "swarmabs_ros.realtime",
+        "        passing = {t: n for t, n in engine.depths.items() if not issubclass(t.message, SwarmEvent)}\n",
+        "        passing = {t: n for t, n in engine.depths.items() if t.message is not SwarmEvent}\n",
+    ),
+    Planted(
+        "one_counterpart_too_many_is_none",
+        "A node does not find its counterparts if somebody else listens, too.",
+        "swarmabs_ros.runner",
+        "else inbox.publisher_count(topic)) >= number\n",
+        "else inbox.publisher_count(topic)) == number\n",
+    ),
+    Planted(
+        "file_that_was_never_begun_is_no_cut",
+        "A repaired bag whose last file is empty does not say that it is cut off.",
+        "swarmabs_bag.repair.bag",
+        "    if last is not parts[-1] or (last.rebuilt is not None and last.rebuilt.end is None):\n",
+        "    if last.rebuilt is not None and last.rebuilt.end is None:\n",
+    ),
+    Planted(
+        "merge_of_cut_bags_lacks_nothing",
+        "A merge of bags that were cut off does not name what comes after them.",
+        "swarmabs_bag.merge",
+        "        continued = ended_early in {None, CUT_OFF}\n",
+        "        continued = ended_early is None\n",
+    ),
+    Planted(
         "mixed_sets",
         "A robot combines the sums of one observer with the other's abstract state.",
         "swarmabs_core.realtime.broadcasts",

@@ -307,6 +307,11 @@ class Bags:
                 bags[recorder] = bag
         return bags
 
+    @property
+    def cut(self) -> bool:
+        """Whether all recorders were killed or have lost their power."""
+        return {recorder.ending for recorder in self.recorders} <= {KILLED, POWER}
+
     def merged(self, bags: Iterable[Path], *, explained: bool) -> tuple[Path, MergeReport] | None:
         """Merge bags, check the result and return it, with the report; None if there are not several bags."""
         bags, merged = tuple(bags), self.folder / "merged"

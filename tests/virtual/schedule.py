@@ -432,8 +432,10 @@ def _stay_away(draw: Random, case: Case, at: float) -> list[Fault]:
                 faults.append(Fault(at, "crash", robot, away))
     if draw.random() < 0.5:
         begins, lasting = at + draw.uniform(0.0, away), _length(draw)
-        lost = draw.choice((observers, (draw.choice(observers),)))
-        faults += [Fault(begins, "crash", name, lasting) for name in lost]
+        kind, lost = draw.choice(("crash", "crash", "idle")), draw.choice((observers, (draw.choice(observers),)))
+        if kind == "idle" and faults[-1].kind == REMOVAL:  # they hear of it only afterwards
+            begins = max(0.0, faults[-1].at - draw.uniform(0.0, lasting))
+        faults += [Fault(begins, kind, name, lasting) for name in lost]
     return faults
 
 

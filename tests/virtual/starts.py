@@ -71,7 +71,7 @@ class Trouble(NamedTuple):
 
     A node is late, dies while it starts, never comes up, says everything twice or does not end when told to; one does
     not hear of another one (``who>whom``); later a process is killed or stopped. The launcher dies; a user interrupts;
-    the recorder gives up.
+    the recorder gives up; somebody else subscribes to all topics.
     """
 
     at: float
@@ -136,8 +136,8 @@ def start_case(seed: int) -> StartCase:
 
 
 _OF_NODES = ("late", "late", "dies", "dies", "hangs", "deaf", "deaf", "twice", "ignores", "killed", "stopped")
-_KINDS = (*_OF_NODES, "launcher dies", "interrupt", "gives up")
-_NOBODY = {"launcher dies": "the launcher", "interrupt": "the user", "gives up": RECORDER}
+_KINDS = (*_OF_NODES, "launcher dies", "interrupt", "gives up", "viewer")
+_NOBODY = {"launcher dies": "the launcher", "interrupt": "the user", "gives up": RECORDER, "viewer": "a stranger"}
 
 
 def _trouble(draw: Random, kind: str, names: list[str]) -> Trouble:
@@ -175,7 +175,10 @@ def _run_of(case: StartCase, folder: Path) -> ProcessRun:
 
 @dataclass(eq=False)
 class Process:
-    """A process of the simulated machine; `number` counts those of its name, `known` are those that it knows."""
+    """A process of the simulated machine; `number` counts those of its name, `known` are those that it knows.
+
+    `viewers` are not of the run, and subscribe to everything.
+    """
 
     pid: int
     plan: ProcessPlan
@@ -189,6 +192,7 @@ class Process:
     alive: bool = True
     ended: float = inf
     status: int | None = None
+    viewers: list[str] = field(default_factory=list)
     told: bool = False
     done: bool = False
     stalled: bool = False
@@ -200,7 +204,7 @@ class Process:
 
     def get_subscription_count(self, topic: Topic) -> int:
         """Return how many readers of a topic it knows."""
-        return sum(topic in other.plan.subscriptions for other in self.known)
+        return sum(topic in other.plan.subscriptions for other in self.known) + len(self.viewers)
 
     def publisher_count(self, topic: Topic) -> int:
         """Return how many writers of a topic it knows, as a receiver does."""
@@ -242,9 +246,10 @@ class Host:
         self._sequence = 0
         self._blocked: float | None = None
         self._dropped: set[str] = set()
+        self.viewers: list[str] = []
         self._announced = announced_to([*self.plan.values()])
         for trouble in case.faults:
-            if trouble.kind in {"killed", "stopped", "launcher dies", "interrupt", "gives up"}:
+            if trouble.kind in {"killed", "stopped", "launcher dies", "interrupt", "gives up", "viewer"}:
                 self.after(trouble.at, partial(self._happen, trouble))
         self.after(0.02, self._go_on)
 
@@ -286,7 +291,7 @@ class Host:
         given = next((word for word in self._next["arguments"] if word.startswith("match:=")), "match:=[]")
         used = (*plan.publications, *plan.subscriptions)
         wants = expected_counterparts(ast.literal_eval(given.partition(":=")[2]), used)
-        process = self.processes[pid] = Process(pid, plan, self._spawns[name], wants)
+        process = self.processes[pid] = Process(pid, plan, self._spawns[name], wants, viewers=self.viewers)
         process.known.add(process)
         self._begin(process)
         return pid
@@ -573,6 +578,8 @@ class Host:
         self.tell(self.now, trouble.who, f"{trouble.kind} {number}")
         if trouble.kind == "interrupt":
             self.asked = True
+        elif trouble.kind == "viewer":
+            self.viewers.append(trouble.who)
         elif trouble.kind == "launcher dies":
             self.launcher_killed()
         elif (process := self.current().get(trouble.who)) is None or not process.alive:
@@ -687,7 +694,8 @@ class StartStory:
         host = self.host
         if "stdin" in host.open:
             current = host.current()
-            restarted = len(host.processes) > len(current)  # a dead process still counts as a counterpart for a while
+            # A dead process still counts as a counterpart for a while, and so does somebody else who listens.
+            restarted = len(host.processes) > len(current) or bool(host.viewers)
             for name in host.plan:
                 process = current.get(name)
                 if process is None or not process.ready or process.ended < host.now - SLACK:
@@ -790,7 +798,8 @@ class StartStory:
             )
         if trouble.kind == "ignores":
             return not case.realtime or robot or trouble.who == RECORDER or trouble.lasting < ENDING_SECONDS - 1.0
-        return trouble.kind == "twice" or (trouble.kind == "killed" and case.realtime and robot and not others)
+        killed = trouble.kind == "killed" and case.realtime and robot and not others
+        return killed or trouble.kind in {"twice", "viewer"}
 
 
 _NEWS = {"spawned", "ready", "exited"}
