@@ -563,6 +563,7 @@ class ReportsItsHealth(Property):
 
     def told(self, node: str, command: str) -> None:
         self._well.pop(node, None)
+        self._spoke.pop(node, None)
 
     def resumes(self, node: str) -> None:
         self._well.pop(node, None)
