@@ -537,6 +537,7 @@ class SumsUpWhatItHears(Property):
         for topic in variants(AGENT_STATE):
             self.heard[topic] = self._state
         self.heard[REMOVALS] = self._removal
+        self._begun: set[str] = set()
         self._under_way = False
         self.published[AGENT_STATE] = self._follows
 
@@ -549,6 +550,7 @@ class SumsUpWhatItHears(Property):
             oldest = self.facts.step_of(node) - self.facts.state_age
             on_plane = {robot: state for robot, state in self._newest[node].items() if state.status != Status.LEFT}
             self._silent[node] |= {robot for robot, state in on_plane.items() if state.step < oldest}
+            self._begun.discard(node)
             self._newest[node] = {}
 
     def resumes(self, node: str) -> None:
@@ -598,8 +600,10 @@ class SumsUpWhatItHears(Property):
             return
         used = dict(zip(basis.agent_ids, zip(basis.state_steps, basis.standing, strict=True), strict=True))
         lacks = facts.case.robots - len(used.keys() | newest.keys())
-        if basis.source == Source.OBSERVER and lacks and facts.case.start == "wait" and not self._under_way:
+        begins = basis.source == Source.OBSERVER and node not in self._begun
+        if begins and lacks and facts.case.start == "wait" and not self._under_way:
             raise self.broken(node, f"in step {basis.step} it begins without waiting for {lacks} robots")
+        self._begun.add(node)
         for robot, (step, _) in used.items():
             if step > basis.step + facts.ahead:
                 raise self.broken(node, f"in step {basis.step} it uses a state of robot {robot} of step {step}")
