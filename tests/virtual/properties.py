@@ -558,10 +558,10 @@ class SumsUpWhatItHears(Property):
         if node == PLANE or node not in self._newest:  # the plane takes robots for where they were
             return
         newest = self._newest[node]
-        for robot, state in newest.items():
+        for robot, state in [*newest.items()]:
             if state.status != Status.LEFT:
                 self._standing[node][robot] = state.step
-        newest.clear()
+                del newest[robot]
 
     def _state(self, node: str, parcel: Parcel) -> None:
         newest, state = self._newest.get(node), parcel.message
