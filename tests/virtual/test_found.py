@@ -83,6 +83,14 @@ FOUND = {
         planned="[]",
         faults=(Doing("ends", 8, 22), Doing("ends", 1, 75)),
     ),
+    "neighbours are taken for done that have not heard of the last vote, and all wait for ever": RoundsCase(
+        601678,
+        robots=8,
+        links="{type: ring, loss: 0.3}",
+        loss=0.0,
+        planned="[]",
+        faults=(Doing("ends", 6, 11), Doing("stands", 4, 0.645, 0.311), Doing("deaf", 5, 0.585, other=4)),
+    ),
     "what robots compute themselves is taken for wrong where a bag begins, and hears them late": BagCase(
         0, _WITHOUT, (Harm(1.418, "late", 1, 1.758, 0.3), Harm(2.261, "begins", 1)), recorders=1
     ),
