@@ -130,7 +130,7 @@ class Told:
     law : LawView
         Its instance of the law.
     electing : tuple
-        Since when which robots count for a majority: a step, and a set as bits by rank.
+        Since when which robots count for a majority: a step (0: the start, -1: before it), and a set as bits by rank.
     plane_step : int
         Step of the newest state of the plane that it holds; -1: none.
     plane : PlaneState or None
