@@ -458,11 +458,12 @@ class SpeaksOfOrders(Property):
             text = f"takes over in step {basis.step} with a law that began in step {basis.begun}"
             raise self.broken(node, f"{text}; that of its peer began in step {peers.begun}")
         restart = self._restarts.get(node)
-        # Its peer may have led meanwhile, and not have heard of the RESET.
-        adopted = restart is not None and peers is not None and peers.step > restart and peers.begun == basis.begun
-        if restart is not None and basis.begun < restart - 1 and not adopted:
-            text = f"continues in step {basis.step} the law that began in step {basis.begun}"
-            raise self.broken(node, f"{text}, although it was reset in step {restart}")
+        if restart is None or basis.begun >= restart - 1:
+            return
+        if peers is not None and peers.step > restart and peers.begun == basis.begun:
+            return  # its peer has led meanwhile, and not heard of the RESET
+        text = f"continues in step {basis.step} the law that began in step {basis.begun}"
+        raise self.broken(node, f"{text}, although it was reset in step {restart}")
 
     def _said_still(self) -> int:
         """Return when STOP or RESET was published last."""

@@ -629,13 +629,11 @@ class TellEachOther(Property):
 
     @property
     def stopped(self) -> bool:
-        """Whether a robot says that a STOP holds, or no robot of a fleet that started in STOP knows of a RESET.
+        """Whether robots need a RESET: one says that a STOP holds, or has missed a RESET while its clock was wrong.
 
-        So may be one whose clock was wrong while a RESET lasted.
+        Or the fleet started in STOP, and none knows of a RESET.
         """
-        nodes = self.facts.fleet.nodes
-        alive = [nodes[name].activity.engine.behaviour for name in self._names if nodes[name].activity]  # type: ignore[union-attr]
-        orders: list[Orders] = [one.orders for one in alive]  # type: ignore[attr-defined]
+        orders: list[Orders] = [one.orders for one in self._alive().values()]
         waits = self.facts.case.stopped and all(known.reset < 0 for known in orders)
         return waits or bool(self.facts.wrong) or any(known.stops(self._guard) for known in orders)
 
@@ -644,11 +642,7 @@ class TellEachOther(Property):
 
         `before` is the `spread` a while ago.
         """
-        behaviours: dict[str, Any] = {
-            name: activity.engine.behaviour
-            for name in self._names
-            if (activity := self.facts.fleet.nodes[name].activity) is not None
-        }
+        behaviours = self._alive()
         first = self._names[0]
         orders = {name: one.orders for name, one in behaviours.items()}
         for name, known in orders.items():
@@ -665,9 +659,10 @@ class TellEachOther(Property):
                 raise self._break(ALIKE, name, f"lacks robots {values['lacks robots']}")
         self._laws_agree(before, self._reset_in.get(orders[first].reset, -1))
 
-    def _laws(self) -> dict[str, LawView]:
-        nodes = self.facts.fleet.nodes
-        return {n: nodes[n].activity.engine.behaviour.law for n in self._names if nodes[n].activity}  # type: ignore[union-attr,attr-defined]
+    def _alive(self) -> dict[str, Any]:
+        """Return the behaviours of the robots that live."""
+        activities = ((name, self.facts.fleet.nodes[name].activity) for name in self._names)
+        return {name: activity.engine.behaviour for name, activity in activities if activity is not None}
 
     def spread(self) -> float:
         """Return by how much what robots remember of their laws after a step differs, relative to 1 + its size."""
@@ -681,7 +676,7 @@ class TellEachOther(Property):
         return max(((max(c) - min(c)) / (1.0 + max(map(abs, c))) for c in columns), default=0.0)
 
     def _laws_agree(self, before: float, reset_in: int) -> None:
-        laws = self._laws()
+        laws: dict[str, LawView] = {name: one.law for name, one in self._alive().items()}
         first = laws[self._names[0]]
         for name, law in laws.items():
             if law.begun != first.begun or abs(law.step - first.step) > self.facts.age:

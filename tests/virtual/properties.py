@@ -548,8 +548,11 @@ class SumsUpWhatItHears(Property):
         if node in self._newest:
             # One that has stood by may have seen them fall silent before it died, and its host remembers that.
             oldest = self.facts.step_of(node) - self.facts.state_age
-            on_plane = {robot: state for robot, state in self._newest[node].items() if state.status != Status.LEFT}
-            self._silent[node] |= {robot for robot, state in on_plane.items() if state.step < oldest}
+            self._silent[node] |= {
+                robot
+                for robot, state in self._newest[node].items()
+                if state.step < oldest and state.status != Status.LEFT
+            }
             self._begun.discard(node)
             self._newest[node] = {}
 

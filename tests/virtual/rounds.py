@@ -115,25 +115,24 @@ class _Told(World):
         try:
             super()._do(node, message)
         except RunError as error:
-            self._now(PLANE_NODE if node == PLANE else agent_name(node), f"stops: {error}")
+            self._now(node, f"stops: {error}")
             raise
 
     def _say(self, node: int, messages: Messages) -> None:
         before, lived = len(self.log), node not in self.dead
         super()._say(node, messages)
-        name = PLANE_NODE if node == PLANE else agent_name(node)
         for _, message in self.log[before:]:
             if isinstance(message, SwarmEvent):
                 what = f"robot {message.agent_id} {said(EventKind(message.kind))}, {message.detail}"
-                self._now(name, f"tells all, of step {message.step}: {what}")
+                self._now(node, f"tells all, of step {message.step}: {what}")
             elif node == PLANE:
-                self._now(name, f"moves with the states of step {message.step}")
+                self._now(node, f"moves with the states of step {message.step}")
         if node != PLANE:
-            self._vote(node, name)
+            self._vote(node)
         if lived and node in self.dead:
-            self._tell(self.time, name, "ends")
+            self._tell(self.time, agent_name(node), "ends")
 
-    def _vote(self, robot: int, name: str) -> None:
+    def _vote(self, robot: int) -> None:
         """Tell what a robot votes now, if that is news."""
         agreement = self.peers[robot]._agreement  # noqa: SLF001 - before others hear of it
         own, before = agreement.own, self._votes.get(robot, NOTHING)
@@ -141,10 +140,10 @@ class _Told(World):
         names = ("takes for silent", "leaves out", "", "waits in vain for the plane without")
         for what, bits, known in zip(names, own, before, strict=True):
             if what and bits and bits != known:
-                self._now(name, f"{what} {', '.join(f'robot {rank + 1}' for rank in ranks(bits))}")
+                self._now(robot, f"{what} {', '.join(f'robot {rank + 1}' for rank in ranks(bits))}")
 
-    def _now(self, name: str, what: str) -> None:
-        self._tell(self.time, name, what, done=False)
+    def _now(self, node: int, what: str) -> None:
+        self._tell(self.time, PLANE_NODE if node == PLANE else agent_name(node), what, done=False)
 
 
 class RoundsStory:

@@ -181,14 +181,17 @@ def untold(time: float, who: str, what: str, *, done: bool = True) -> None:
 
 def numbered(faults: Sequence[object], numbers: Sequence[int] | None) -> Iterator[str]:
     """Yield a line for each fault with its number in the case of the seed."""
-    for fault in faults:
-        yield f"  {number_of(fault, faults, numbers)} {fault}"
+    for number, fault in zip(_numbers(faults, numbers), faults, strict=True):
+        yield f"  ({number}) {fault}"
 
 
 def number_of(fault: object, faults: Sequence[object], numbers: Sequence[int] | None) -> str:
     """Return in brackets the number of a fault in the case of the seed."""
-    place = faults.index(fault)
-    return f"({place if numbers is None else numbers[place]})"
+    return f"({_numbers(faults, numbers)[faults.index(fault)]})"
+
+
+def _numbers(faults: Sequence[object], numbers: Sequence[int] | None) -> Sequence[int]:
+    return range(len(faults)) if numbers is None else numbers
 
 
 def case_of(seed: int, robots: int | None = None) -> Case:
@@ -304,13 +307,18 @@ def _host(draw: Random, case: Case, at: float) -> list[Fault]:
     return [Fault(at, kind, pair[standby], lasting) for pair in case.pairs]
 
 
+def _parted(at: float, one: str, other: str, lasting: float) -> list[Fault]:
+    """Let nothing pass between two groups of nodes, either way."""
+    return [Fault(at, "cut", f"{one}>{other}", lasting), Fault(at, "cut", f"{other}>{one}", lasting)]
+
+
 def _cut(draw: Random, case: Case, at: float) -> list[Fault]:
     """Cut a node off, or one link, or one way of it, or make a partition."""
     name, lasting = _some(draw, case), _length(draw)
     other = draw.choice([o for o in case.names if o != name])
     how = draw.randrange(5)
     if how == 0:
-        return [Fault(at, "cut", f"{name}>{ALL}", lasting), Fault(at, "cut", f"{ALL}>{name}", lasting)]
+        return _parted(at, name, ALL, lasting)
     if how == 1:
         return [Fault(at, "cut", f"{name}>{ALL}", lasting)]
     if how == 2:
@@ -538,7 +546,7 @@ def _split(draw: Random, case: Case, at: float) -> list[Fault]:
     first = draw.choice((case.robots // 2, draw.randint(1, case.robots - 1)))
     sides = ",".join(names[:first]), ",".join(names[first:])
     lasting = draw.choice((case.periods(25) + 1.0, case.periods(draw.randint(10, 60))))
-    cuts = [Fault(at, "cut", f"{one}>{other}", lasting) for one, other in (sides, sides[::-1])]
+    cuts = _parted(at, *sides, lasting)
     how = draw.random()
     if how < 0.4:
         return cuts + _orders(draw, case, at + draw.uniform(0.0, lasting))
@@ -561,11 +569,8 @@ def _long(draw: Random, case: Case, at: float) -> list[Fault]:
     faults = []
     for name in draw.sample(case.robot_names, draw.randint(1, case.robots - 2)):
         lasting = case.periods(25) + draw.uniform(1.0, 3.0)
-        ways = [f"{name}>{ALL}", f"{ALL}>{name}"]
-        away = (
-            [Fault(at, "crash", name, lasting)] if draw.random() < 0.6 else [Fault(at, "cut", w, lasting) for w in ways]
-        )
-        faults += away
+        crash = Fault(at, "crash", name, lasting)
+        faults += [crash] if draw.random() < 0.6 else _parted(at, name, ALL, lasting)
         at += draw.choice((0.0, case.periods(25) + 1.2))
     return faults
 
@@ -579,8 +584,7 @@ def _return(draw: Random, case: Case, at: float) -> list[Fault]:
     split, number = at + away - draw.uniform(0.0, 0.3), draw.randint(1, len(stay) - 1)
     sides = ",".join(stay[:number]), ",".join([*stay[number:], *dead])
     lasting = case.periods(draw.randint(15, 60))
-    cuts = [Fault(split, "cut", f"{one}>{other}", lasting) for one, other in (sides, sides[::-1])]
-    return [*(Fault(at, "crash", name, away) for name in dead), *cuts]
+    return [*(Fault(at, "crash", name, away) for name in dead), *_parted(split, *sides, lasting)]
 
 
 def _long_dead(draw: Random, case: Case, at: float) -> list[Fault]:

@@ -483,8 +483,8 @@ class Host:
 
     def _ready(self, process: Process) -> None:
         process.ready = True
-        met = "" if self.case.realtime else " has met its counterparts, and"
-        self.tell(self.now, process.name, f"{met} is ready".strip(), done=False)
+        what = "is ready" if self.case.realtime else "has met its counterparts, and is ready"
+        self.tell(self.now, process.name, what, done=False)
         for _ in range(2 if self._of(process, "twice") else 1):
             self._say(process, "ready")
         if self.began is not None:

@@ -211,12 +211,10 @@ class Story(Watcher):
             self.ending.nobody_moves(self._stopped_since, why)
         peers = self._checks.peers
         stopped = self._ordered and (peers is None or peers.stopped)
-        if not stopped:
-            self.ending.all_is_well()
-        else:
+        if stopped:
             self._order("reset")
             fleet.run(resets)
-            self.ending.all_is_well()
+        self.ending.all_is_well()
         facts.moving_from = facts.now
         spread = 0.0 if peers is None else peers.spread()
         fleet.run(holds)

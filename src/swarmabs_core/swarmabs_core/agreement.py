@@ -108,8 +108,8 @@ class Agreement:
         return self.take({self._rank: Vote(silent)}, held)
 
     def wait(self) -> bool:
-        """Tell that this robot waits in vain for the parent; return whether that is news."""
-        return self.take({self._rank: Vote(waited=self.out)}, 0)
+        """Tell that this robot waits in vain for the parent, unless that has answered; return whether that is news."""
+        return not self._answered and self.take({self._rank: Vote(waited=self.out)}, 0)
 
     def take(self, votes: Mapping[int, Vote], held: int) -> bool:
         """Take votes, given the states that this robot holds; return whether they are news."""
@@ -133,9 +133,7 @@ class Agreement:
     @property
     def alike(self) -> bool:
         """Whether this robot leaves nobody out, or all that it reaches have voted to leave out the same ones."""
-        if not self.out or self._kept is not None or self._made_by_another:
-            return True
-        return all(self.votes.get(rank, NOTHING).out == self.out for rank in ranks(self.inside))
+        return self._free or all(self.votes.get(rank, NOTHING).out == self.out for rank in ranks(self.inside))
 
     @property
     def waited(self) -> bool:
@@ -154,10 +152,14 @@ class Agreement:
         return self._answered and bool(self._all_waited)
 
     @property
+    def _free(self) -> bool:
+        """Whether this robot needs no votes of others: it leaves nobody out, or others have decided."""
+        return not self.out or self._kept is not None or self._made_by_another
+
+    @property
     def settled(self) -> bool:
         """Whether this robot may complete the step without `dropped`: it leaves nobody out, or that is decided."""
-        free = not self.out or self._kept is not None or self._made_by_another
-        return free or (self.alike and (not self.own.waited or self.waited))
+        return self._free or (self.alike and (not self.own.waited or self.waited))
 
     @property
     def dropped(self) -> int:

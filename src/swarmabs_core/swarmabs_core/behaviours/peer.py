@@ -147,7 +147,10 @@ class Peer:
         """Return an agreement of the step without votes."""
         membership, content = self._observer.membership, self._content
         present = content.set_of(membership.lasting(self._step))
-        return Agreement(content.rank(self.agent_id), self._graph, present, content.set_of(self._due()))
+        agreement = Agreement(content.rank(self.agent_id), self._graph, present, content.set_of(self._due()))
+        if self._step in self._parents:
+            agreement.answer()
+        return agreement
 
     def _refuse_gaps(self, step: int) -> None:
         """Raise `RunError` if the robots that are left in a step do not all hear each other and the parent."""
@@ -264,8 +267,7 @@ class Peer:
             return ()
         agreement, linked = self._agreement, self._linked()
         news = agreement.tell(self._content.set_of(robot for robot in silent if robot in linked), self._known)
-        in_vain = waited and self._step not in self._parents
-        if in_vain and agreement.out and (self._deaf or (self._given and self._complete)):
+        if waited and agreement.out and (self._deaf or (self._given and self._complete)):
             news |= agreement.wait()
         if not news:
             return ()
