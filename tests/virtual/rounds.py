@@ -123,7 +123,8 @@ class _Told(World):
         super()._say(node, messages)
         for _, message in self.log[before:]:
             if isinstance(message, SwarmEvent):
-                what = f"robot {message.agent_id} {said(EventKind(message.kind))}, {message.detail}"
+                why = f", {message.detail}" if message.detail else ""
+                what = f"robot {message.agent_id} {said(EventKind(message.kind))}{why}"
                 self._now(node, f"tells all, of step {message.step}: {what}")
             elif node == PLANE:
                 self._now(node, f"moves with the states of step {message.step}")

@@ -301,9 +301,12 @@ def _short(one: Trial) -> str:
 def _seeds(text: str) -> int | range:
     first, dash, last = text.partition("-")
     try:
-        return range(int(first), int(last) + 1) if dash else int(first)
+        seeds = range(int(first), int(last) + 1) if dash else int(first)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is neither a seed nor seeds A-B") from None
+    if seeds == range(0):
+        raise argparse.ArgumentTypeError(f"{text!r} has no seeds; name the lower one first")
+    return seeds
 
 
 def _faults(text: str) -> tuple[int, ...]:
@@ -323,6 +326,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--trace", type=Path, help="file of all that is published and heard in the seed shown")
     options = parser.parse_args(arguments)
     if isinstance(options.seeds, int):
+        faults = len(drawn(options.seeds).faults)
+        if wrong := [number for number in options.only or () if not 0 <= number < faults]:
+            parser.error(f"--only: seed {options.seeds} has no fault {wrong[0]}; it has {faults}, from 0 on")
         return show(options.seeds, options.only, options.trace)
     if options.seeds is not None:
         return search(options.seeds, options.minutes, options.jobs)
