@@ -422,8 +422,7 @@ class SpeaksOfOrders(Property):
         self._aware.add(node)
         if command == "reset":
             self._reset_told, self._reset_at = True, facts.now
-            led = facts.now - max(self._said.get((node, mode), _LONG_AGO) for mode in Mode) <= 2 * facts.period
-            if not facts.case.paired or led:
+            if not facts.case.paired or self._speaks(node):
                 self._restarts[node] = facts.step_of(node)
 
     def _peer(self, node: str, parcel: Parcel) -> None:
@@ -438,10 +437,15 @@ class SpeaksOfOrders(Property):
             self._restarts[node] = min(self._restarts.get(node, 2**62), parcel.message.step)
 
     def _law(self, node: str, parcel: Parcel) -> None:
-        """Note the law of the peer."""
+        """Note the law of the peer, which one that leads does not take over."""
         basis = parcel.message
-        if parcel.sender and isinstance(basis, Basis) and basis.source == Source.CONTROLLER:
+        if parcel.sender and isinstance(basis, Basis) and basis.source == Source.CONTROLLER and not self._speaks(node):
             self._laws[node] = basis
+
+    def _speaks(self, node: str) -> bool:
+        """Return whether a controller has spoken just now."""
+        said = max(self._said.get((node, mode), _LONG_AGO) for mode in Mode)
+        return self.facts.now - said <= 2 * self.facts.period
 
     def _moves(self, node: str, state: AgentState) -> None:
         if not self._reset_told and state.broadcast_step != NEVER:

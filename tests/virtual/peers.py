@@ -428,7 +428,8 @@ class TellEachOther(Property):
         self._check_orders(node, robot, told)
         self._check_electing(node, robot, relay, told)
         self._check_sums(node, robot, told, held)
-        robot.held = held
+        oldest = relay.step - OLDEST
+        robot.held = tuple(step if step > oldest else known for step, known in zip(held, robot.known, strict=True))
         robot.laws[told.law.begun, told.law.step] = told.law.memory
         if len(robot.laws) > 2 * self.facts.age:
             del robot.laws[next(iter(robot.laws))]
