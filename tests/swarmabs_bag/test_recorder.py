@@ -143,7 +143,7 @@ def test_a_lockstep_run_is_recorded_and_reported(told: Told, tmp_path: Path, mon
     assert run.hear(told) == [msg.RecordingProgress(step * PERIOD, step, step) for step in written]
     assert run.recorder.awaits() == ()
     assert run.spec.on_idle is not None
-    run.spec.on_idle()
+    run.spec.on_idle(0.0)
     run.spec.on_exit(None)
     progress = told.of("progress")
     assert [each["step"] for each in progress] == [0, 3, 6, 9, 12, 15, 17, 20, 23, 26, 29, 30]

@@ -165,7 +165,7 @@ class Bench:
 
 def test_a_node_to_which_nothing_comes_may_use_the_time_and_foreign_bytes_end_it() -> None:
     times: list[float] = []
-    bench = Bench(Follower(), [], on_idle=lambda: times.append(bench.now))
+    bench = Bench(Follower(), [], on_idle=times.append)
     bench.run(2.0)
     assert len(times) > 10
     assert max(later - earlier for earlier, later in pairwise(times)) <= SLICE + 1e-9
@@ -209,7 +209,7 @@ def test_stalls_and_recoveries_are_reported(
 
 @pytest.mark.parametrize(("until", "events"), [(93.0, []), (96.0, ["stalled"])])
 def test_nobody_is_silent_while_the_whole_run_is_stopped(until: float, events: list[str]) -> None:
-    def stop_once() -> None:
+    def stop_once(_: float) -> None:
         bench.now += 90.0 if 2.0 < bench.now < 3.0 else 0.0
 
     bench = Bench(Follower(), [0.01], on_idle=stop_once)

@@ -265,7 +265,7 @@ def test_who_waits_for_others_may_be_told_to_stop(match: str, told: Told, monkey
     words = [*COMMAND_LINE, *given(match=match)]
     assert LockstepProgram(PLANE, (), lambda *_: NodeSpec(Stepping(), lingers=False))(words) == 0
     assert len(waits) == 1
-    spec = NodeSpec(Stepping(), lingers=False, on_idle=terminate)
+    spec = NodeSpec(Stepping(), lingers=False, on_idle=lambda _: terminate())
     assert LockstepProgram(PLANE, (), lambda *_: spec)(COMMAND_LINE) == 0, "nor does it wait for messages then"
 
 

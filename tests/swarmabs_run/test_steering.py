@@ -48,7 +48,7 @@ class SteeredRun:
 
     def be_idle(self) -> None:
         assert self.spec.on_idle is not None
-        self._publish(self.spec.on_idle() or ())
+        self._publish(self.spec.on_idle(0.0) or ())
 
     def _publish(self, messages: Messages) -> None:
         """Publish orders; the plane answers the order of a step by its state of this step."""

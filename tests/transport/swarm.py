@@ -12,11 +12,12 @@ from typing import Any, NamedTuple, cast
 from tests.swarmabs_ros.nodes import settings_from
 from tests.transport.network import Act, Inbox, Outbox, Reports, Script, turns
 
+from agent_node.group import peers
 from swarmabs_bag.recorder.node import Recorder
 from swarmabs_bag.run.step import Step
 from swarmabs_bag.run_folder import RunFolder
 from swarmabs_config import configure
-from swarmabs_config.graph import LOCKSTEP, OFFERED, RECORDER, ROBOT, Endpoints
+from swarmabs_config.graph import LOCKSTEP, OFFERED, RECORDER, ROBOT, Endpoints, usual_topic
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.behaviours import SteeringController
 from swarmabs_core.messages import Topic
@@ -45,12 +46,13 @@ LONGEST_RUN = 120.0
 
 
 class Role(NamedTuple):
-    """A node before it is made: its name, and what its process is told."""
+    """A node before it is made: its name, what its process is told, and the robots in it."""
 
     name: str
     make: Callable[[Reports], NodeSpec]
     endpoints: Endpoints
     settings: Settings
+    agents: tuple[int, ...]
 
 
 class Cast:
@@ -71,10 +73,14 @@ class Cast:
         module = importlib.import_module(process.module)
         given = {name: value for name, value in (process.parameters | dict(changed)).items() if value != []}
         settings = settings_from(module.PARAMETERS, **cast("Any", given))
-        name = ROBOT if process.agents else process.name
-        also = configure.options_for(self.scenario)
-        ends = settings.endpoints(name, LOCKSTEP, *also, robots=len(self.scenario.agents))
-        return Role(process.name, partial(module.make, settings), ends, settings)
+        scenario, robots = self.scenario, tuple(process.agents)
+        if robots and scenario.decentralised:
+            ends = configure.peer_endpoints(scenario, robots, steered=self.steered)
+        else:
+            name, also = ROBOT if robots else process.name, configure.options_for(scenario)
+            relaying = configure.relaying(scenario)
+            ends = settings.endpoints(name, LOCKSTEP, *also, robots=len(scenario.agents), neighbours=relaying)
+        return Role(process.name, partial(module.make, settings), ends, settings, robots)
 
 
 @dataclass(slots=True)
@@ -148,7 +154,9 @@ class Swarm:
                 compares=True,
             )
         elif role.name == STEERER:
-            spec = NodeSpec(self.steerer, on_idle=self.steerer.release)
+            spec = NodeSpec(self.steerer, on_idle=lambda _: self.steerer.release())
+        elif cast_.scenario.decentralised and role.agents:
+            spec = peers(cast_.scenario, role.agents, steered=cast_.steered)
         else:
             spec = role.make(reports)
         inbox, common = Inbox(role.endpoints.subscriptions), role.settings.declared(LockstepSettings)
@@ -290,7 +298,7 @@ class Swarm:
         for receiver, reliable in self._readers.get(topic, ()):
             if receiver.begun and receiver.alive:
                 self._under_way.append(Parcel(sender, receiver, topic, data, reliable))
-        if OFFERED[LOCKSTEP][topic].durability == "transient_local":
+        if OFFERED[LOCKSTEP][usual_topic(topic)].durability == "transient_local":
             self._history.append((sender, topic, data))
 
     def intrude(self, topic: Topic, data: bytes) -> None:

@@ -45,6 +45,8 @@ class Case(NamedTuple):
 
 
 PACKED = RunOptions(packed=True)
+_EACH_ROBOT = Case(("coordination=each_robot",))
+_RING = (*_EACH_ROBOT.overrides, "links={type: ring, loss: 0.3, sensing: [1, 2]}")
 
 
 def _faults(*faults: str) -> Case:
@@ -75,6 +77,10 @@ CASES = {
     "join": _faults("kind: join, agent: 3, at: 0.03"),
     "reference": _faults("kind: reference, offset: 0.1, at: 0.02, until: 0.04"),
     "disturbance": _faults("kind: disturbance, torque: 0.2, at: 0.02"),
+    "each robot": _EACH_ROBOT,
+    "each robot, in a ring that loses messages, with a join and a kill": Case(
+        (*_RING, "faults=[{kind: join, agent: 3, at: 0.02}, {kind: kill, agent: 2, at: 0.03}]")
+    ),
     "several, packed": _faults(
         "kind: lie, agent: 2, position_offset: 0.1",
         "kind: kill, agent: 2, at: 0.03",
@@ -86,9 +92,12 @@ CASES = {
 
 STEERED = _faults("kind: join, agent: 3, at: null", "kind: reference, offset: 0.05, at: 0.02")
 STEERED = STEERED._replace(overrides=(*STEERED.overrides, "lockstep.on_stall=drop"))
-OTHERS = {
+DROPPING = {
     "drop": Case(("lockstep.on_stall=drop",)),
     "drop, packed": Case(("lockstep.on_stall=drop",), PACKED),
+    "drop, each robot": Case((*_EACH_ROBOT.overrides, "lockstep.on_stall=drop")),
+}
+OTHERS = DROPPING | {
     "steered": STEERED._replace(options=RunOptions(steered=True)),
     "steered, packed": STEERED._replace(options=RunOptions(steered=True, packed=True)),
 }

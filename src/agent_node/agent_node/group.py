@@ -12,7 +12,7 @@ from swarmabs_core.behaviours import Agent, AgentGroup, Patience, PeerGroup, Ste
 from swarmabs_core.declaration import setting
 from swarmabs_core.errors import InputError
 from swarmabs_core.messages import PLANE_STATE, Message, Messages
-from swarmabs_ros.lockstep import NodeSpec, RunningClock, silence_limit
+from swarmabs_ros.lockstep import NodeSpec, silence_limit
 from swarmabs_ros.runner import LockstepProgram, Settings
 from swarmabs_ros.scenario_file import ScenarioFile
 from swarmabs_ros.settings import Variant
@@ -37,7 +37,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
         raise InputError(f"parameter agent_ids: the scenario has no robot {strangers[0]}")
     also = configure.options_for(scenario)
     if scenario.decentralised:
-        return _peers(scenario, hosted.agent_ids, steered=variant.steered)
+        return peers(scenario, hosted.agent_ids, steered=variant.steered)
     group = AgentGroup(
         [
             Agent(config, packed=variant.packed, steered=variant.steered)
@@ -49,7 +49,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:  # noqa: ARG001
     return NodeSpec(group, settings.endpoints(ROBOT, LOCKSTEP, *feeling, *also))
 
 
-def _peers(scenario: Scenario, ids: tuple[int, ...], *, steered: bool) -> NodeSpec:
+def peers(scenario: Scenario, ids: tuple[int, ...], *, steered: bool) -> NodeSpec:
     """Return robots that coordinate the swarm by themselves, and, if they may, drop silent ones."""
     robots, ends = (
         configure.peers(scenario, ids, steered=steered),
@@ -59,11 +59,11 @@ def _peers(scenario: Scenario, ids: tuple[int, ...], *, steered: bool) -> NodeSp
     gate = Steered(group) if steered else None
     if scenario.lockstep.on_stall != "drop":
         return NodeSpec(gate or group, ends)
-    clock, limit = RunningClock(), silence_limit(scenario.lockstep.stall_timeout)
+    limit = silence_limit(scenario.lockstep.stall_timeout)
     watches = [Patience(robot, limit) for robot in robots]
 
-    def look() -> Messages:
-        now, published = clock(), list[Message]()
+    def look(now: float) -> Messages:
+        published: list[Message] = []
         for watch in watches:
             if gate is not None and not gate.open:  # the node waits for an order, and listens to no robot
                 watch.start_over(now)

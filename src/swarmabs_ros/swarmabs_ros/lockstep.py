@@ -71,7 +71,8 @@ class NodeSpec:
         Returns the time, s, for which messages are collected before they are handled, for a node that no other node
         waits for.
     on_idle : callable, optional
-        Called when no more messages have arrived, at least every `SLICE` s; it may return messages to publish.
+        Called with the time, s, by the loop's clock when no more messages have arrived, at least every `SLICE` s; it
+        may return messages to publish.
     hear : callable, optional
         Takes topic and bytes of a message, for a node that needs the bytes; by default the behaviour takes the message.
     hear_all : callable, optional
@@ -86,7 +87,7 @@ class NodeSpec:
     on_exit: Callable[[str | None], None] = field(default=lambda _: None)
     lingers: bool = True
     gather: Callable[[], float] | None = None
-    on_idle: Callable[[], Messages | None] | None = None
+    on_idle: Callable[[float], Messages | None] | None = None
     hear: Callable[[Topic, bytes], Messages] | None = None
     hear_all: Callable[[Topic, list[bytes]], Messages] | None = None
     compares: bool = False
@@ -236,7 +237,7 @@ class Lockstep:
                     return
             if self._drain(topics):
                 continue
-            answer = None if spec.on_idle is None else spec.on_idle()
+            answer = None if spec.on_idle is None else spec.on_idle(clock())
             if answer:
                 self._progress(answer, clock())
             heard = yield topics, min(SLICE, repeater.wait(clock()))

@@ -310,7 +310,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
         gather=recorder.gathering,
         hear_all=recorder.hear_all,
         compares=True,
-        on_idle=recording.poll,  # otherwise the last messages of a stalled run would not reach the disk
+        on_idle=lambda _: recording.poll(),  # otherwise the last messages of a stalled run would not reach the disk
     )
 
 

@@ -146,7 +146,7 @@ def make(settings: Settings, status: StatusChannel) -> NodeSpec:
     SteeringServer(Path(own.folder), requests).start()
     hear = Pace(controller, own.step_seconds).hear if own.step_seconds else None
     ends = settings.endpoints(STEERER, LOCKSTEP, *configure.options_for(scenario))
-    return NodeSpec(controller, ends, on_idle=requests.work, hear=hear)
+    return NodeSpec(controller, ends, on_idle=lambda _: requests.work(), hear=hear)
 
 
 main = LockstepProgram(STEERER, PARAMETERS, make)
