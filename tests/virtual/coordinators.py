@@ -188,7 +188,8 @@ class TakesTurns(Property):
             one.most_prompt = one.prompt
             one.spoke = step
         pair = facts.case.pairs[int(node in facts.case.pairs[1])]
-        if node == pair[1] and one.prompt > AGREED + 2:
+        known = step - one.changed > facts.age + AGREED + 2  # one that restarts is refused while it was heard before
+        if node == pair[1] and one.prompt > AGREED + 2 and known:
             text = f"publishes step {message.step}, but has heard {pair[0]} without delay for {one.prompt} periods"
             raise self.broken(node, text)
 
