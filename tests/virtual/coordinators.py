@@ -5,7 +5,7 @@ As in properties.py, the rules follow from docs/explanation/safety.md and standb
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import inf
 from typing import Any
 
@@ -423,7 +423,7 @@ class SpeaksOfOrders(Property):
         self._aware.add(node)
         if command == "reset":
             self._reset_told, self._reset_at = True, facts.now
-            if not facts.case.paired or self._speaks(node):
+            if not facts.case.paired or self._speaks(node, Mode):
                 self._restarts[node] = facts.step_of(node)
 
     def _peer(self, node: str, parcel: Parcel) -> None:
@@ -438,14 +438,16 @@ class SpeaksOfOrders(Property):
             self._restarts[node] = min(self._restarts.get(node, 2**62), parcel.message.step)
 
     def _law(self, node: str, parcel: Parcel) -> None:
-        """Note the law of the peer, which one that leads does not take over."""
+        """Note the law of the peer, which one that leads in RUN does not take over."""
         basis = parcel.message
-        if parcel.sender and isinstance(basis, Basis) and basis.source == Source.CONTROLLER and not self._speaks(node):
+        if not parcel.sender or not isinstance(basis, Basis) or basis.source != Source.CONTROLLER:
+            return
+        if not self._speaks(node, [Mode.RUN]):
             self._laws[node] = basis
 
-    def _speaks(self, node: str) -> bool:
-        """Return whether a controller has spoken just now."""
-        said = max(self._said.get((node, mode), _LONG_AGO) for mode in Mode)
+    def _speaks(self, node: str, modes: Iterable[Mode]) -> bool:
+        """Return whether a controller has published one of these modes just now."""
+        said = max(self._said.get((node, mode), _LONG_AGO) for mode in modes)
         return self.facts.now - said <= 2 * self.facts.period
 
     def _moves(self, node: str, state: AgentState) -> None:
@@ -465,7 +467,7 @@ class SpeaksOfOrders(Property):
         restart = self._restarts.get(node)
         if restart is None or basis.begun >= restart - 1:
             return
-        if peers is not None and peers.step > restart and peers.begun == basis.begun:
+        if peers is not None and peers.step >= restart and peers.begun == basis.begun:
             return  # its peer has led meanwhile, and not heard of the RESET
         text = f"continues in step {basis.step} the law that began in step {basis.begun}"
         raise self.broken(node, f"{text}, although it was reset in step {restart}")
