@@ -71,9 +71,9 @@ _DEPTH = 10
 class Harm(NamedTuple):
     """What happens to a recorder at a time (s) and lasts for a while (s).
 
-    It loses messages with a probability; stands still; hears messages late by up to a time, or twice; has a wrong
-    clock; is killed, or its power is cut, and it starts again with another bag; its disk has so many bytes; it is
-    stopped; or it begins late.
+    It loses messages with a probability; stands still; hears messages late by up to a time, or twice, or also some that
+    are cut off; has a wrong clock; is killed, or its power is cut, and it starts again with another bag; its disk has
+    so many bytes; it is stopped; or it begins late.
     """
 
     at: float
@@ -131,7 +131,11 @@ def bag_case(seed: int) -> BagCase:
     length = _LENGTH if name in FLEETS else pace * run_of(name).scenario.steps
     all_end = name in RUNS and recorders > 1 and draw.random() < 0.3
     for number in range(1, recorders + 1):
-        lossy = ("loss", "loss", "pause", "late", "again", "clock", "begins") if name in FLEETS else ("late", "again")
+        lossy = (
+            ("loss", "loss", "pause", "late", "again", "garbage", "clock", "begins")
+            if name in FLEETS
+            else ("late", "again")
+        )
         kinds = [draw.choice(lossy) for _ in range(draw.choice((0, 1, 1, 3)))]
         ends = draw.choice((KILLED, POWER))
         kinds += [ends] if all_end else draw.choice(((), (), (KILLED,), (POWER,), (POWER,), (FULL,), (STOPPED,)))
@@ -159,6 +163,7 @@ def _harm(draw: Random, kind: str, number: int, length: float) -> Harm:
         "loss": draw.choice((0.02, 0.3, 1.0)),
         "late": draw.choice((0.02, 0.3)),
         "again": draw.choice((0.02, 0.3)),
+        "garbage": draw.choice((0.02, 0.3)),
         "clock": draw.choice((-0.3, -0.02, 0.05, 0.4)),
         FULL: float(draw.choice((draw.randint(4_000, 60_000), draw.randint(60_000, 150_000)))),
     }.get(kind, 0.0)
@@ -453,6 +458,8 @@ class _Host:
             arrivals.append((said.time + after, said))
             if any(harm.kind == "again" and draw.random() < harm.value for harm in harms):
                 arrivals.append((said.time + after + draw.uniform(0.0, 0.3), said))
+            if any(harm.kind == "garbage" and draw.random() < harm.value for harm in harms):
+                arrivals.append((said.time + after, said._replace(data=said.data[:-9])))
         arrivals += [(harm.at + harm.lasting, said) for (harm, _), queue in waiting.items() for said in queue]
         return sorted(arrivals, key=itemgetter(0))
 
@@ -535,9 +542,11 @@ def is_run(recorder: LockstepRecorder, bag: Path, found: list[Stored], run: Run)
     missing = [step_of(stored.payload) for stored in lacks if stored.topic != EVENTS.name]
     last = min(missing, default=run.steps[-1].step + 1) - 1
     steps = complete_steps(bag)
-    # Whoever does not hear of an end misses what the robot has not said any more.
-    untold = any(place_of(stored.topic, stored.payload).step == last for stored in run.optional)
-    if steps is None or (steps.first == 0 and last >= 0 and steps.last_complete not in {last, last - untold}):
+    # Before a bag tells that a robot is dropped, it is not known that its relays are not missing.
+    dropped = {stored for stored in run.stored if stored.topic == EVENTS.name and SILENT.encode() in stored.payload}
+    unknown = () if dropped & {*found} else run.optional - {*found}
+    least = min([last, *(step_of(stored.payload) - 1 for stored in unknown)])
+    if steps is None or (steps.first == 0 and last >= 0 and not least <= steps.last_complete <= last):
         raise BrokenError("losses are counted", name, f"has the steps up to {last}, but a repair finds {steps}")
 
 

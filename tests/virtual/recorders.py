@@ -37,7 +37,7 @@ from swarmabs_bag.run_folder import ONE_FILE, Split
 from swarmabs_config.graph import STANDBY_SUFFIX, STANDBY_TOPICS, standby_topic
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import agent_id_of, step_of
-from swarmabs_core.errors import InputError
+from swarmabs_core.errors import InputError, MalformedMessageError
 from swarmabs_core.messages import (
     MAIN_TOPICS,
     TOPICS,
@@ -200,7 +200,7 @@ class Recorder:
 
 
 class RealtimeRecorder(Recorder):
-    """A recorder in real time; it counts what it has `heard`."""
+    """A recorder in real time; it counts what it has `heard`, and what of it nobody can read (`garbage`)."""
 
     recording: RealtimeRecording
 
@@ -219,15 +219,20 @@ class RealtimeRecorder(Recorder):
         world = RealtimeWorld(schedule, (), plane=True)
         self.recording = RealtimeRecording(cast("Any", scenario), folder, world, paired=paired, split=split)
         self.heard: Counter[tuple[str, bytes]] = Counter()
+        self.garbage = 0
         self.central = not scenario.decentralised
         self._watch("write")
 
     def hear(self, topic: Topic, data: bytes, now: int, writer: bytes) -> None:
         """Record a message that arrives at a time, ns since 1970."""
-        record = Record.heard(topic, data)
-        self.heard[recorded_topic(record), record.payload] += 1
         try:
-            self.recording.add(record, now, writer)
+            record = Record.heard(topic, data)
+        except MalformedMessageError:
+            self.garbage += 1
+        else:
+            self.heard[recorded_topic(record), record.payload] += 1
+        try:
+            self.recording.hear(topic, data, now, writer)
         except BagWriteError as error:
             self.fail(error)
 
@@ -439,6 +444,9 @@ def are_counted(recorder: RealtimeRecorder, name: str) -> None:
         raise BrokenError(
             "bags survive", name, f"has recorded {len(doubles)} messages twice, the first on {doubles[0][0]}"
         )
+    if recorder.recording.malformed != recorder.garbage:
+        text = f"counts {recorder.recording.malformed} messages that nobody can read; there were {recorder.garbage}"
+        raise BrokenError("losses are counted", name, text)
     dropped = sum(realtime["dropped"].values())
     if recorder.ending in {CLOSED, STOPPED} and heard != len(recorder.written) - own + dropped:
         text = f"has heard {heard} messages, recorded {len(recorder.written) - own} and dropped {dropped}"

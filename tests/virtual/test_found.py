@@ -100,6 +100,14 @@ FOUND = {
     "a STOP of robots without coordinators repeats an answer before the bag, and is taken for wrong": BagCase(
         0, _STOPPED, (Harm(2.0, "begins", 1),), recorders=1
     ),
+    "a bag that ends before a robot is dropped lacks relays of that robot, and is taken for wrong": BagCase(
+        1450,
+        "a run without coordinators in which a robot is dropped",
+        (Harm(0.059, "late", 1, 0.669, 0.02), Harm(0.188, "late", 1, 0.25, 0.3), Harm(0.64, "killed", 1)),
+        recorders=1,
+        chunk_bytes=2500,
+        short=0.3,
+    ),
     "a merge does not name what is missing of a last step of which there is one relay": BagCase(
         401218,
         "a run without coordinators",

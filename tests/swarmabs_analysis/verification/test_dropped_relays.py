@@ -102,4 +102,5 @@ def test_a_relay_that_repeats_another_state_is_found_in_any_step() -> None:
         assert (found.step, found.agent, found.field) == (step, other, f"robot_{other}.position")
     for step in (end - 2, end + 1):
         missing = difference(scenario, run, (step, other, 0), None)
-        assert (missing.step, missing.agent, missing.reason) == (step, other, "round 0")
+        assert (missing.topic, missing.step, missing.agent) == (f"agent_00{other}/relay", step, other)
+        assert missing.reason == "not all of its relays are there, and it is not dropped"

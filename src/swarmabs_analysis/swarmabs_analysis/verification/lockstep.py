@@ -35,6 +35,7 @@ from swarmabs_core.messages import (
     Relay,
     SwarmEvent,
     Topic,
+    relay_topic,
 )
 from swarmabs_core.nodes import CONTROLLER, OBSERVER, PARENT, NodeKind, NodeName
 from swarmabs_core.record import Record
@@ -207,6 +208,7 @@ class LockstepVerification(Verification):
         self._expected: dict[Topic, dict[int, Message]] = {}
         self._told: dict[int, dict[bytes, SwarmEvent]] = {}
         self._late: dict[bytes, SwarmEvent] = {}
+        self._lacking: dict[int, int] = {}  # robots without all of their relays, and since which step
         self._beyond: tuple[int, Record | Difference] | None = None
         self._failure = ""  # why the run could not continue, if the bag shows it
         self._ended = False
@@ -314,12 +316,20 @@ class LockstepVerification(Verification):
             result.difference = _unasked(beyond, step, "it is not a step of the run")
         late = [event for event in self._late.values() if whole or event.step < self.step - WINDOW]
         if late:
-            first, difference = min(late, key=lambda event: event.step), result.difference
-            if difference is None or difference.step is None or first.step < difference.step:
-                result.difference = missing(first)
+            self._differs_before(missing(min(late, key=lambda event: event.step)))
+        if whole and (lacking := sorted((at, i) for i, at in self._lacking.items() if i not in self._window.dropped)):
+            step, robot = lacking[0]
+            topic, reason = relay_topic(robot).name, "not all of its relays are there, and it is not dropped"
+            self._differs_before(Difference(topic, step, robot, MESSAGE, None, None, reason))
         result.digest = self._digest.hexdigest()
         if self._trial is not None:
             self._trial.report(result)
+
+    def _differs_before(self, first: Difference) -> None:
+        """Report a difference that is known only at the end, unless there is an earlier one."""
+        known = self.result.difference
+        if known is None or known.step is None or (first.step is not None and first.step < known.step):
+            self.result.difference = first
 
     def _ready(self, newest: int) -> bool:
         """Return whether all messages of the step are present, or can no longer follow those of a newest step."""
@@ -428,12 +438,16 @@ class LockstepVerification(Verification):
         """Return whether it depended on time which relays robots sent in a step, because one of them was silent.
 
         That is so if they tell votes, or if a robot that is dropped in this step or later has ended before its last
-        relay.
+        relay. Whether it is dropped may be known only at the end of the bag, or never if that is cut off.
         """
         if self._scenario.lockstep.on_stall != "drop":
             return False
+        if slot.relays.voted or dropped:
+            return True
         lacking = slot.relays.lacking(self._membership.lasting(self.step))
-        return slot.relays.voted or bool(dropped) or not self._window.dropped.isdisjoint(lacking)
+        for robot in lacking:
+            self._lacking.setdefault(robot, self.step)
+        return bool(lacking)
 
     def _drop_silent(self, slot: Slot) -> list[int]:
         """Drop the robots that are declared dead in this step because they did not answer, and return them.

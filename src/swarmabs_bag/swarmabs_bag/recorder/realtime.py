@@ -19,12 +19,11 @@ from swarmabs_config import configure
 from swarmabs_config.graph import DIAGNOSTICS, REALTIME, RECORDER
 from swarmabs_config.scenario import on_plane
 from swarmabs_core.declaration import part, same, setting
-from swarmabs_core.errors import InputError, MalformedMessageError, RunError
+from swarmabs_core.errors import InputError, RunError
 from swarmabs_core.messages import NEVER
 from swarmabs_core.pair_role import RECORDS, role_values
 from swarmabs_core.realtime.base import Health, Realtime, Schedule
 from swarmabs_core.realtime.leadership import SINGLE, Pair
-from swarmabs_core.record import Record
 from swarmabs_core.settings import Run
 from swarmabs_ros.endpoints import Receiver
 from swarmabs_ros.lockstep import INTERRUPTED
@@ -101,7 +100,6 @@ class RealtimeRecorder:
         self._heart = Heartbeat()
         self._stopped = False
         self.interrupted = False
-        self.malformed = 0
 
     def stop(self, number: int, *_: object) -> None:
         """End the loop because of a signal."""
@@ -136,12 +134,7 @@ class RealtimeRecorder:
 
     def _drain(self, recording: RealtimeRecording) -> None:
         for topic, payload, writer in arrived(self._receiver, self._depths):
-            try:
-                record = Record.heard(topic, payload)
-            except MalformedMessageError:
-                self.malformed += 1
-            else:
-                recording.add(record, time.time_ns(), writer)
+            recording.hear(topic, payload, time.time_ns(), writer)
 
 
 def _folder(bag: str, bags: str, scenario: Scenario) -> Path | None:
@@ -196,8 +189,8 @@ def _record(node: Node, settings: Settings, status: StatusChannel) -> None:
         raise
     finally:
         reporter.done(problem, complete=over or last is None)
-        if recorder.malformed:
-            node.get_logger().warning(f"{recorder.malformed} malformed messages were not recorded")
+        if recording.malformed:
+            node.get_logger().warning(f"{recording.malformed} malformed messages were not recorded")
 
 
 def main(args: list[str] | None = None) -> int:

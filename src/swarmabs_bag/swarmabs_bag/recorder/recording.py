@@ -17,8 +17,10 @@ from swarmabs_config import configure
 from swarmabs_config.graph import LOCKSTEP, OFFERED, REALTIME
 from swarmabs_config.realtime import bounds
 from swarmabs_config.scenario import PlaneScenario
+from swarmabs_core.errors import MalformedMessageError
 from swarmabs_core.messages import EVENTS, STANDING, relay_topic
 from swarmabs_core.realtime.base import Health, Level
+from swarmabs_core.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -29,7 +31,6 @@ if TYPE_CHECKING:
     from swarmabs_config.graph import Qos
     from swarmabs_config.scenario import Scenario
     from swarmabs_core.messages import Topic
-    from swarmabs_core.record import Record
 
 F = TypeVar("F", RunFigures, RealtimeFigures)
 
@@ -148,6 +149,11 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
         The last step to record, if the nodes continue beyond it.
     paired : bool
         Whether any coordinator has a standby, which publishes on topics of its own.
+
+    Attributes
+    ----------
+    malformed : int
+        Number of messages that could not be read, and are not recorded.
     """
 
     def __init__(
@@ -168,6 +174,7 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
             scenario.realtime,
             each_robot=scenario.decentralised,
         )
+        self.malformed = 0
         self._received = 0
         self._heard = self._heard_before = 0
         self._last_step = last_step
@@ -183,6 +190,15 @@ class RealtimeRecording(_Recording[RealtimeFigures]):
             namespace=namespace,
             split=split,
         )
+
+    def hear(self, topic: Topic, payload: bytes, now: int, writer: bytes = b"") -> None:
+        """Record a serialized message, as `add`; one that cannot be read is only counted."""
+        try:
+            record = Record.heard(topic, payload)
+        except MalformedMessageError:
+            self.malformed += 1
+        else:
+            self.add(record, now, writer)
 
     def add(self, record: Record, now: int, writer: bytes = b"") -> None:
         """Record a message received at a time (ns since 1970) from a writer; errors as for `Recording.add`."""
