@@ -801,7 +801,8 @@ class StaysInItsLane(Property):
 
     name = "stays in its lane"
     statement = (
-        "A robot that can brake, and whose base stops when commands cease, stays in its lane; no number is infinite."
+        "A robot that can brake, which one whose clock is set back cannot for a period, and whose base stops when "
+        "commands cease, stays in its lane; no number is infinite."
     )
 
     def __init__(self, facts: Facts) -> None:
@@ -813,7 +814,8 @@ class StaysInItsLane(Property):
     def _state(self, node: str, state: AgentState) -> None:
         if not isfinite(state.position) or not isfinite(state.command):
             raise self.broken(node, f"is at {state.position} m with command {state.command}")
-        if abs(state.position) > self._lane and node not in self.facts.coasting:
+        facts = self.facts
+        if abs(state.position) > self._lane and node not in facts.coasting | (facts.wrong & facts.fleet.force_driven):
             raise self.broken(node, f"is at {state.position:.6f} m; its lane ends at {self._lane:.6f} m")
 
 
