@@ -187,6 +187,16 @@ def test_an_observer_forgets_what_was_heard_when_its_clock_is_set_back_and_only_
         assert set(node.roles.values()) == {Role.ACTIVE}
 
 
+def test_a_robot_that_left_counts_again_after_all_clocks_were_set_back() -> None:
+    node = nodes.observer()
+    *others, last = nodes.states(1000)
+    nodes.hear(node, [*others, last._replace(status=Status.LEFT)], 1000)
+    assert node.roles[4] is Role.LEFT
+    node.tick(nodes.at(4.5))
+    nodes.hear(node, nodes.states(5), 5)
+    assert node.roles[4] is Role.ACTIVE
+
+
 def test_missed_states_of_the_plane_are_caught_up() -> None:
     """The plane stands still here, so that it makes no difference whether its states were heard."""
     whole, gaps = nodes.controller(), nodes.controller()

@@ -189,8 +189,7 @@ class RealtimeObserver:
         problem = self._problem(message, step, sender)
         if problem:
             return self._refusals.add(problem, step, now)
-        newest = self._states.get(message.agent_id)
-        if newest is None or message.step > newest.step:
+        if self._heard.replaces(message, self._states.get(message.agent_id), step):
             self._states[message.agent_id] = message
             self._steps[message.agent_id] = message.step
         return ()

@@ -170,7 +170,6 @@ class RealtimePlane:
         self._angle, self._angular_velocity = config.plane.angle, config.plane.angular_velocity
         self._newest: dict[int, AgentState] = {}
         self._before: dict[int, AgentState] = {}
-        self._of_old_clock: set[int] = set()
         ahead = config.schedule.ahead(config.clock_tolerance)
         self._heard = HeardStates(config.schedule.steps(DOUBT), ahead)
         self._members = frozenset(config.members)
@@ -190,11 +189,9 @@ class RealtimePlane:
         problem = self._heard.problem(message, step, self._bounds.problem(message), sender.writer)
         if problem:
             return self._refusals.add(problem, step, now)
-        newest = self._newest.get(message.agent_id)
-        if newest is not None and message.step <= newest.step and message.agent_id not in self._of_old_clock:
+        if not self._heard.replaces(message, self._newest.get(message.agent_id), step):
             return ()
         self._newest[message.agent_id] = message
-        self._of_old_clock.discard(message.agent_id)
         if self._released is None and message.broadcast_step != NEVER:
             self._released = step
         return ()
@@ -206,7 +203,6 @@ class RealtimePlane:
             if self._counter.last is None:
                 self._last_step = None
                 self._heard.forget()
-                self._of_old_clock = set(self._newest)
             return ()
         self._heard.writers.advance(step)
         since, robots = self._last_step, self._robots()

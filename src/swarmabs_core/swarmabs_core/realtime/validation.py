@@ -442,6 +442,13 @@ class HeardStates(Heard[int]):
             problem = Problem("two different states of a step") if self.doubts(state.agent_id, step) else None
         return problem and problem.of(origin)
 
+    def replaces(self, state: AgentState, known: AgentState | None, step: int) -> bool:
+        """Return whether a valid state that arrives in a step is newer than the known one, if there is one.
+
+        A known one that has not come yet was heard before the clock was set back: it is older than any other.
+        """
+        return known is None or state.step > known.step or self.from_future(known, step)
+
 
 class Refusals:
     """Counts the messages that a node, of a robot or of none (0), has rejected.
