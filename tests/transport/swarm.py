@@ -23,7 +23,7 @@ from swarmabs_core.behaviours import SteeringController
 from swarmabs_core.messages import Topic
 from swarmabs_core.steering import STEERER
 from swarmabs_ros.announcements import send_events
-from swarmabs_ros.lockstep import Lockstep, NodeSpec, Wait
+from swarmabs_ros.lockstep import Lockstep, NodeSpec, RunningClock, Wait
 from swarmabs_ros.runner import Settings
 from swarmabs_ros.settings import LockstepSettings
 from swarmabs_run.orchestration.plan import ProcessPlan, plan
@@ -173,7 +173,7 @@ class Swarm:
             stall_timeout=common.stall_timeout,
             repeat_after=common.repeat_after,
             repeat_steps=common.repeat_steps,
-            clock=lambda: self.now,
+            clock=RunningClock(lambda: self.now),
         )
         node = Node(role.name, role, reports, loop, spec, inbox, loop.activity())
         for topic, qos in role.endpoints.subscriptions.items():

@@ -17,12 +17,14 @@ from tests.transport.test_lockstep import CASES, DROPPING, assert_planned, cast_
 from tests.virtual.properties import BrokenError
 from tests.virtual.schedule import Tell, numbered, untold
 
-from swarmabs_config.graph import OBSERVER, PLANE, RECORDER
+from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER
 from swarmabs_core.cdr import step_of
 from swarmabs_core.membership import SILENT
 from swarmabs_core.nodes import ROBOT_PREFIX, agent_name
 
 _LENGTH = 30
+_LONG = 8.0
+"""Time, s, for which a node stands still, longer than silent robots are waited for."""
 _ALL = (*CASES, *DROPPING)
 
 
@@ -41,13 +43,17 @@ class Doing(NamedTuple):
 
 @dataclass(frozen=True)
 class LockstepCase:
-    """A run, its deviations, and, if silent robots are dropped, which one dies, and after how many turns."""
+    """A run, its deviations, and, if silent robots are dropped, who dies, and after how many turns.
+
+    Or a node that is no robot only `stands` still for longer than robots may be silent.
+    """
 
     seed: int
     name: str
     faults: tuple[Doing, ...]
-    dies: str
-    dies_after: int
+    who: str = ""
+    after: int = 0
+    stands: bool = False
     robots: int = 3
     numbers: tuple[int, ...] | None = None
 
@@ -56,16 +62,22 @@ class LockstepCase:
         return replace(self, faults=tuple(self.faults[number] for number in numbers), numbers=tuple(numbers))
 
     def __str__(self) -> str:
-        death = f"; {self.dies} dies after {self.dies_after} turns" if self.name in DROPPING else ""
-        return "\n".join([f"seed {self.seed}: lockstep, {self.name}{death}", *numbered(self.faults, self.numbers)])
+        does = f"stands still for {_LONG:g} s" if self.stands else "dies"
+        what = f"; {self.who} {does} after {self.after} turns" if self.who else ""
+        return "\n".join([f"seed {self.seed}: lockstep, {self.name}{what}", *numbered(self.faults, self.numbers)])
 
 
 def lockstep_case(seed: int) -> LockstepCase:
     """Draw a case."""
     draw = Random(f"virtual lockstep:{seed}")
     doings = tuple(Doing(*deviation) for deviation in script(draw.randint(0, 2**40), _LENGTH))
-    name, dies = draw.choice(_ALL), agent_name(draw.randint(1, len(AGENTS)))
-    return LockstepCase(seed, name, doings, dies, draw.randint(0, LARGEST) % 120)
+    name, after = draw.choice(_ALL), draw.randint(0, LARGEST) % 120
+    if name not in DROPPING:
+        return LockstepCase(seed, name, doings)
+    if draw.random() < 0.3:
+        others = (PLANE, RECORDER) if cast_of(name).scenario.decentralised else (PLANE, RECORDER, OBSERVER, CONTROLLER)
+        return LockstepCase(seed, name, doings, draw.choice(others), after, stands=True)
+    return LockstepCase(seed, name, doings, agent_name(draw.randint(1, len(AGENTS))), after)
 
 
 class _Told(Swarm):
@@ -122,7 +134,9 @@ class LockstepStory:
     def check(self) -> None:
         """Run; raise an error if a property does not hold."""
         swarm, case = self.swarm, self.case
-        if case.name in DROPPING:
+        if case.who:
+            self._begin()
+        if case.who and not case.stands:
             self._drop()
             return
         if not swarm.run():
@@ -133,13 +147,20 @@ class LockstepStory:
         if stored(swarm.recorded) != wanted:
             raise BrokenError("equal digests", "the recorder", _first_difference(stored(swarm.recorded), wanted))
 
-    def _drop(self) -> None:
+    def _begin(self) -> None:
+        """Run until something happens to a node."""
         swarm, case = self.swarm, self.case
         first = swarm.nodes[OBSERVER if OBSERVER in swarm.nodes else PLANE].spec.behaviour
         while first.missing()[0] == 0 and not swarm.problems:
             swarm.step()
-        swarm.run_turns(case.dies_after)
-        swarm.kill(case.dies)
+        swarm.run_turns(case.after)
+        if case.stands:
+            swarm.freeze(case.who, _LONG)
+        else:
+            swarm.kill(case.who)
+
+    def _drop(self) -> None:
+        swarm, case = self.swarm, self.case
         if swarm.run(30.0):
             try:
                 assert_planned(swarm, cast_of(case.name))
@@ -147,7 +168,7 @@ class LockstepStory:
                 raise BrokenError("equal digests", "the recorder", f"differs from a planned death: {error}") from None
             events = (event for step in swarm.recorded for event in step.events if event.detail == SILENT)
             dropped = {agent_name(event.agent_id) for event in events}
-            if wrong := sorted(dropped - {case.dies} - swarm.stood):
+            if wrong := sorted(dropped - {case.who} - swarm.stood):
                 raise BrokenError("lockstep goes on", OBSERVER, f"drops {wrong[0]}, which has never been silent")
         elif cast_of(case.name).packed or not self._lacks_last_words():
             raise BrokenError("lockstep goes on", "the swarm", f"does not end: {swarm.problems or swarm.stalls()}")
@@ -158,7 +179,7 @@ class LockstepStory:
         If all but the observer know of the death from the observer, this cannot be; of robots without coordinators only
         the recorder may lack it, and nothing else.
         """
-        swarm, dead = self.swarm, f"agent {int(self.case.dies.removeprefix(ROBOT_PREFIX))}"
+        swarm, dead = self.swarm, f"agent {int(self.case.who.removeprefix(ROBOT_PREFIX))}"
         if OBSERVER in swarm.nodes:
             return True
         waiting = [node.name for node in swarm.nodes.values() if node.alive and node.spec.behaviour.awaits()]

@@ -135,7 +135,7 @@ class Case:
         """Time, s, in which all settle after a fault: a standby that starts listens for two seconds."""
         return 2.2 + self.periods(20)
 
-    def periods(self, number: int) -> float:
+    def periods(self, number: float) -> float:
         """Return the time, s, of so many periods, or at a high rate of those at 20 Hz."""
         return number / min(self.hertz, 20)
 
@@ -374,6 +374,8 @@ def _operator(draw: Random, case: Case, at: float) -> list[Fault]:
     if case.paired and draw.random() < 0.3:  # the other one of the pair does not hear of it
         (other,) = (name for name in controllers if name != told)
         faults.append(Fault(max(0.0, at - 0.1), "cut", f"{told}>{other}", draw.uniform(0.2, 2.0)))
+    elif case.pairs and draw.random() < 0.5:  # all have known of that order for long
+        faults.append(Fault(at + case.periods(draw.uniform(21.0, 40.0)), "reset", draw.choice(controllers)))
     return faults
 
 

@@ -160,6 +160,8 @@ class Story(Watcher):
         self._stopped_at: str | None = None
         self._stopped_since = 0
         self._told_at = -(2**62)
+        self._led: str | None = None  # who has published RUN last, unless it was to hand over
+        self._follow_by = float("inf")
         self._left: set[str] = set()
         self._ordered = False
         self._calm = not case.each_robot
@@ -199,7 +201,7 @@ class Story(Watcher):
             self._ordered = early
         if not early:
             facts.moving_from = case.begins * 1e9
-        heals, resets, holds = case.settles + 0.2, 1.4 + case.periods(20), case.periods(10)
+        heals, resets, holds = case.settles + 0.2, self._resets, case.periods(10)
         fleet.run(case.quiet - fleet.time)
         for name in sorted(self._left):
             self._command(name, "join")
@@ -225,6 +227,9 @@ class Story(Watcher):
 
     def _period(self) -> None:
         self._checks.period()
+        if self.facts.now > self._follow_by and self.facts.moving_from == inf and self._calm and not self._left:
+            text = f"do not all follow, although {self._led} was told to reset, and nothing has happened since"
+            raise BrokenError("recovers", "the robots", text)
         if (
             self.facts.moving_from == inf
             and self._calm
@@ -234,6 +239,11 @@ class Story(Watcher):
         ):
             self.facts.moving_from = self.facts.now  # orders that nothing has disturbed have been carried out
         self.fleet.later(self.fleet.clock.period, self._period)
+
+    @property
+    def _resets(self) -> float:
+        """Time, s, after which all robots follow when nothing else happens but a reset."""
+        return RESET_LASTS + 0.4 + self.case.periods(20)
 
     def _stops(self) -> bool:
         """Return whether robots without coordinators know of a STOP that holds."""
@@ -261,7 +271,8 @@ class Story(Watcher):
         if fault.kind not in COMMANDS and (self.facts.moving_from == inf or fault.kind in self._starting()):
             self._calm = False
         concerned = self._concerned(fault)
-        self.facts.begin(concerned, fault.kind)
+        if fault.kind not in COMMANDS:
+            self.facts.begin(concerned, fault.kind)
         if fault.kind in LINKS:
             self.weather.begin(fault)
             self._say(*_of_link(fault), fault)
@@ -425,16 +436,21 @@ class Story(Watcher):
     def told(self, node: str, command: str) -> None:
         if command in {"stop", "reset"}:
             self._calm &= all(map(self.facts.is_fine, self.case.names)) and self.facts.late_until < self.facts.now
-            soon, self._told_at = self.facts.now - self._told_at < self.facts.period, self.facts.now
+            since, self._told_at = self.facts.now - self._told_at, self.facts.now
+            alone = since > 2 * self.facts.age * self.facts.period  # a reset does not undo what it cannot know of
+            resets = command == "reset" and node == self._led and alone
+            self._follow_by = self.facts.now + self._resets * 1e9 if resets else float("inf")
         if command == "stop":
             # Which of two orders in a period at different robots is newer, robots cannot tell.
-            self._holders = set() if self.case.each_robot and soon else {node}
+            self._holders = set() if self.case.each_robot and since < self.facts.period else {node}
             self._stopped_at, self._stopped_since, self._ordered = node, self.facts.now, True
             self.facts.moving_from = float("inf")
         elif command == "reset":
             self._holders, self._stopped_at = set(), None
             self._ordered = True
             self.facts.moving_from = float("inf")
+        elif command == "release":
+            self._led = None
         elif command == "leave" and node not in self._left:
             self._left.add(node)
             self.facts.begin((node,), "leave")
@@ -446,6 +462,8 @@ class Story(Watcher):
         self._holders.discard(node)
 
     def published(self, node: str, topic: Topic, message: Message, data: bytes) -> None:
+        if isinstance(message, DesiredAbstractState) and message.mode == Mode.RUN:
+            self._led = node
         if isinstance(message, AgentState):
             follows = message.status == Status.ACTIVE and message.broadcast_step != NEVER
             (self._following.add if follows else self._following.discard)(node)

@@ -2,9 +2,12 @@
 
 import pytest
 from tests.virtual.bags import BagCase, Harm
+from tests.virtual.lockstep import LockstepCase
 from tests.virtual.rounds import Doing, RoundsCase
 from tests.virtual.schedule import Case, Fault
 from tests.virtual.search import AnyCase, run
+
+from swarmabs_config.graph import PLANE
 
 _WITHOUT = "a fleet without coordinators"
 _STOPPED = "a fleet without coordinators that is stopped while a robot is dead"
@@ -90,6 +93,9 @@ FOUND = {
         loss=0.0,
         planned="[]",
         faults=(Doing("ends", 6, 11), Doing("stands", 4, 0.645, 0.311), Doing("deaf", 5, 0.585, other=4)),
+    ),
+    "robots that wait for the plane vote although nobody is silent, so that other relays are recorded": LockstepCase(
+        1312, "drop, each robot", (), PLANE, 3, stands=True
     ),
     "what robots compute themselves is taken for wrong where a bag begins, and hears them late": BagCase(
         0, _WITHOUT, (Harm(1.418, "late", 1, 1.758, 0.3), Harm(2.261, "begins", 1)), recorders=1

@@ -266,7 +266,11 @@ class Peer:
         if self._over or self._held_back:
             return ()
         agreement, linked = self._agreement, self._linked()
-        news = agreement.tell(self._content.set_of(robot for robot in silent if robot in linked), self._known)
+        missed = self._content.set_of(robot for robot in silent if robot in linked)
+        # A vote of one that misses nobody, but waits for a message, lets it go on if the sender has.
+        if not missed and not agreement.votes and not self._waiting():
+            return ()
+        news = agreement.tell(missed, self._known)
         if waited and agreement.out and (self._deaf or (self._given and self._complete)):
             news |= agreement.wait()
         if not news:
