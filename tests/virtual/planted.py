@@ -219,10 +219,10 @@ PLANTED = (
     ),
     Planted(
         "an_old_state_replaces_a_new_one",
-        "The observer uses the last state that has arrived, which may be older than one before it.",
-        "swarmabs_core.realtime.observer",
-        "if newest is None or message.step > newest.step:",
-        "if True:",
+        "Observer and plane take an older state of a robot instead of the newest.",
+        "swarmabs_core.realtime.validation",
+        "return known is None or state.step > known.step or",
+        "return known is None or state.step != known.step or",
     ),
     Planted(
         "leads_although_cut_off",
