@@ -24,6 +24,7 @@ from swarmabs_core.behaviours import Agent, Request
 from swarmabs_core.errors import InputError
 from swarmabs_core.membership import SILENT, Change, ChangeKind
 from swarmabs_core.messages import EVENTS, MAIN_TOPICS, Action, Message, Messages, Topic
+from swarmabs_core.nodes import agent_name
 from swarmabs_core.steering import STEERER
 from swarmabs_ros.lockstep import LONGEST, Repeater
 from swarmabs_run.run import RunOptions
@@ -57,7 +58,11 @@ CASES = {
     "plain": Case(),
     "packed": Case(options=PACKED),
     "plane watched, packed": Case(("observer={type: parent_response}",), PACKED),
-    "little credit": Case(("duration=0.16",), changed={CONTROLLER: {"recording_window": 10}}),
+    "little credit": Case(
+        ("duration=0.3",),
+        changed={CONTROLLER: {"recording_window": 18}}
+        | {name: {"repeat_steps": 20} for name in (PLANE, OBSERVER, *map(agent_name, (1, 2, 3)))},
+    ),
     "noise and lag": Case(
         ("plane.sensor={noise: [1.0e-4, 1.0e-3]}", "swarm.sensor={noise: [1.0e-5, 1.0e-4]}", "swarm.actuator_lag=0.01")
     ),
@@ -90,12 +95,14 @@ CASES = {
     )._replace(options=PACKED),
 }
 
+_CHANGES = _faults("kind: kill, agent: 1, at: 0.03", "kind: join, agent: 3, at: 0.02")
 STEERED = _faults("kind: join, agent: 3, at: null", "kind: reference, offset: 0.05, at: 0.02")
 STEERED = STEERED._replace(overrides=(*STEERED.overrides, "lockstep.on_stall=drop"))
 DROPPING = {
     "drop": Case(("lockstep.on_stall=drop",)),
     "drop, packed": Case(("lockstep.on_stall=drop",), PACKED),
     "drop, each robot": Case((*_EACH_ROBOT.overrides, "lockstep.on_stall=drop")),
+    "drop, with a planned join and kill": Case((*_CHANGES.overrides, "lockstep.on_stall=drop")),
 }
 OTHERS = DROPPING | {
     "steered": STEERED._replace(options=RunOptions(steered=True)),

@@ -74,7 +74,7 @@ def lockstep_case(seed: int) -> LockstepCase:
     name, after = draw.choice(_ALL), draw.randint(0, LARGEST) % 120
     if name not in DROPPING:
         return LockstepCase(seed, name, doings)
-    if draw.random() < 0.3:
+    if cast_of(name).scenario.faults or draw.random() < 0.3:
         others = (PLANE, RECORDER) if cast_of(name).scenario.decentralised else (PLANE, RECORDER, OBSERVER, CONTROLLER)
         return LockstepCase(seed, name, doings, draw.choice(others), after, stands=True)
     return LockstepCase(seed, name, doings, agent_name(draw.randint(1, len(AGENTS))), after)

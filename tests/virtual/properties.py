@@ -45,12 +45,14 @@ from swarmabs_core.messages import (
 from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.agent import RealtimeLaw
 from swarmabs_core.realtime.base import Level
-from swarmabs_core.robot_controller import RESET
+from swarmabs_core.robot_controller import RESET, STOPPED
 
 CLEAN = {"crash", "idle", "leave", "pause", "cut"}
 """Faults of one of a pair of coordinators because of which no robot stops at all."""
 GUARD_MOST = 0.5
 """Upper limit, s, of the time by which a RESET must be newer than a STOP."""
+LATEST_RESET = 3.0
+"""Age, s, up to which a RESET counts."""
 LONGEST_STOP = 0.2
 """Time, s, for which robots may stop when one of a pair of coordinators has a fault."""
 MAJORITY = 1.2
@@ -274,6 +276,9 @@ class _Robot:
         self.sets: dict[int, dict[tuple[Topic, bool], Message]] = {}
         self.stop: int | None = None
         self.reset = -(2**62)
+        self.writers: dict[bool, tuple[bytes, int]] = {}
+        self.released = -(2**62)
+        self.held = 0
         self.new: list[tuple[bool, Topic, Message, bool]] = []
         self.forged: dict[tuple[int, Topic, bool], Message] = {}
         self.doubted: int | None = None
@@ -288,7 +293,7 @@ class ActsOnOneSet(Property):
     statement = (
         "A robot moves only on broadcasts that it has received: all of one step, both sums from one observer, the "
         "desired state from one controller in mode RUN, not older than the age limit, and not after a STOP that no "
-        "RESET followed."
+        "RESET followed, up to 3 s late."
     )
 
     def __init__(self, facts: Facts) -> None:
@@ -298,6 +303,7 @@ class ActsOnOneSet(Property):
         self._laws = {agent_name(config.agent_id): RealtimeLaw(config) for config in configs}
         self._spoke: set[str] = set()
         self._guard = min(facts.age + facts.ahead, facts.clock.steps(GUARD_MOST))
+        self._latest = max(facts.age, facts.clock.steps(LATEST_RESET))
         if facts.case.each_robot:  # they hear no broadcasts
             return
         self.published = {AGENT_STATE: self._state, EVENTS: self._event}
@@ -310,10 +316,19 @@ class ActsOnOneSet(Property):
             self._robots[node] = _Robot()
 
     def _broadcast(self, topic: Topic, standby: bool, node: str, parcel: Parcel) -> None:  # noqa: FBT001
-        robot = self._robots.get(node)
-        if robot is not None and parcel.message is not None:
-            stops = topic is DESIRED_ABSTRACT_STATE and parcel.message.mode == Mode.STOP  # type: ignore[union-attr]
-            robot.new.append((standby, topic, parcel.message, not parcel.sender and not stops))
+        robot, message = self._robots.get(node), parcel.message
+        if robot is None or message is None:
+            return
+        stops = False
+        if isinstance(message, DesiredAbstractState):
+            stops = message.mode == Mode.STOP
+            step = self.facts.step_of(node)
+            writer, since = robot.writers.get(standby, (b"", step))
+            robot.writers[standby] = parcel.writer, since if writer == parcel.writer else step
+            known = parcel.sender and step - robot.writers[standby][1] > 3 * self.facts.age
+            if known and message.mode == Mode.RESET and step - self._latest <= message.step <= step + self.facts.ahead:
+                robot.released = max(robot.released, message.step)
+        robot.new.append((standby, topic, message, not parcel.sender and not stops))
 
     def _state(self, node: str, state: AgentState) -> None:
         robot, facts = self._robots[node], self.facts
@@ -327,6 +342,22 @@ class ActsOnOneSet(Property):
         self._spoke.add(node)
         if robot.new:
             self._take(robot, facts.step_of(node))
+
+    def period(self) -> None:
+        """Check that a RESET has released the robots that have heard it, and no STOP after it."""
+        for name, robot in self._robots.items():
+            free = robot.stop is not None and robot.released - robot.stop > self._guard
+            activity = self.facts.fleet.nodes[name].activity
+            if not free or robot.forged or robot.new or activity is None or not self.facts.is_sound(name):
+                robot.held = 0
+                continue
+            robot.held += 1
+            if (
+                robot.held == EVERY
+                and f"safe stop: {STOPPED}" in activity.engine.behaviour.health(self.facts.fleet.now(name)).text
+            ):
+                text = f"is stopped by the STOP of step {robot.stop}, but has heard a RESET of step {robot.released}"
+                raise self.broken(name, text)
 
     def _event(self, node: str, event: SwarmEvent) -> None:
         """Check that a robot does not take a RESET as effective too early."""

@@ -293,9 +293,11 @@ def _pause(draw: Random, case: Case, at: float) -> list[Fault]:
 
 
 def _leader(draw: Random, case: Case, at: float) -> list[Fault]:
-    """Let one that leads, or a robot, be lost for longer than a takeover takes."""
+    """Let one that leads, or a robot, be lost for longer than a takeover takes, or live in the future."""
     name, lasting = draw.choice(case.pairs or (case.robot_names,))[0], draw.uniform(8.0, 40.0) / case.hertz
-    kind = draw.choice(("crash", "idle", "pause", "cut"))
+    kind = draw.choice(("crash", "idle", "pause", "cut", "clock"))
+    if kind == "clock":
+        return [Fault(at, kind, name, 2.0 * lasting, draw.choice((2.5, 3.5, 6.0, 9.0)) / case.hertz)]
     return [Fault(at, kind, f"{name}>{ALL}" if kind == "cut" else name, lasting)]
 
 
@@ -350,7 +352,7 @@ def _weather(draw: Random, case: Case, at: float) -> list[Fault]:
 def _clock(draw: Random, case: Case, at: float) -> list[Fault]:
     if draw.random() < 0.3:
         return [Fault(at, "drift", _some(draw, case), draw.uniform(0.5, 2.0), draw.choice((-400, -50, 50, 400)))]
-    periods = draw.choice((0.5, 1.0, 2.0, 3.0, 5.0, 12.0, 40.0)) * draw.choice((-1, 1))
+    periods = draw.choice((0.5, 1.0, 2.0, 3.0, 5.0, 12.0, 40.0, 120.0)) * draw.choice((-1, 1))
     return [Fault(at, "clock", _some(draw, case), _length(draw), periods / case.hertz)]
 
 
@@ -375,7 +377,10 @@ def _operator(draw: Random, case: Case, at: float) -> list[Fault]:
         (other,) = (name for name in controllers if name != told)
         faults.append(Fault(max(0.0, at - 0.1), "cut", f"{told}>{other}", draw.uniform(0.2, 2.0)))
     elif case.pairs and draw.random() < 0.5:  # all have known of that order for long
-        faults.append(Fault(at + case.periods(draw.uniform(21.0, 40.0)), "reset", draw.choice(controllers)))
+        at += case.periods(draw.uniform(21.0, 40.0))
+        if draw.random() < 0.4:  # all of it is late
+            faults.append(Fault(at - 0.01, "slow", f"{ALL}>{ALL}", 1.3, draw.uniform(11.0, 25.0) / case.hertz))
+        faults.append(Fault(at, "reset", draw.choice(controllers)))
     return faults
 
 
@@ -441,7 +446,8 @@ def _stay_away(draw: Random, case: Case, at: float) -> list[Fault]:
                 at += away + draw.uniform(22.0, 40.0) / case.hertz
                 faults.append(Fault(at, "crash", robot, away))
     if draw.random() < 0.5:
-        begins, lasting = at + draw.uniform(0.0, away), _length(draw)
+        after = faults[-1].at if faults[-1].kind == REMOVAL and draw.random() < 0.5 else at
+        begins, lasting = draw.uniform(after, at + away), _length(draw)
         kind, lost = draw.choice(("crash", "crash", "idle")), draw.choice((observers, (draw.choice(observers),)))
         if kind == "idle" and faults[-1].kind == REMOVAL:  # they hear of it only afterwards
             begins = max(0.0, faults[-1].at - draw.uniform(0.0, lasting))
@@ -552,7 +558,7 @@ def _split(draw: Random, case: Case, at: float) -> list[Fault]:
     how = draw.random()
     if how < 0.4:
         return cuts + _orders(draw, case, at + draw.uniform(0.0, lasting))
-    if how < 0.6:  # the other side continues its law meanwhile
+    if how < 0.7:  # the other side continues its law meanwhile
         return [*cuts, Fault(at + draw.uniform(0.0, 0.5), "reset", draw.choice(case.robot_names))]
     return cuts
 
