@@ -13,8 +13,9 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from functools import partial
-from itertools import pairwise
+from itertools import groupby, pairwise
 from math import inf
+from operator import attrgetter
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple, cast
@@ -354,8 +355,8 @@ class Bags:
         is_counted(report, found, name)
         # Without its beginning nothing says that numbers of messages in a file have no gaps.
         headless = any(damage.offset == 0 for file in report.files for damage in file.lost)
-        if len({piece.path for piece in recorder.pieces}) == 1 and not headless:
-            losses_are_counted(report, recorder.written, lost, name)
+        if not headless:
+            losses_are_counted(report, recorder, lost, name)
         reason, cut = open_bag(bag).aborted(), recorder.ending in {KILLED, POWER}
         unknown = cut and reason is None and not recorder.writer.path.exists()  # the file that was not complete is lost
         if ((reason is None) != (recorder.ending == CLOSED) or (reason == CUT_OFF) != cut) and not unknown:
@@ -412,11 +413,14 @@ def has_checksums(bag: Path, name: str) -> None:
                     raise BrokenError("bags survive", name, f"has a chunk without a CRC in {file.path.name}")
 
 
-def losses_are_counted(report: RepairReport, written: list[Stored], lost: set[int], name: str) -> None:
-    """Raise an error if the report of a repair does not count what is lost before other messages of its topic."""
+def losses_are_counted(report: RepairReport, recorder: Recorder, lost: set[int], name: str) -> None:
+    """Raise an error if the report of a repair does not count what is lost before others of its topic in a file."""
     truth: Counter[str] = Counter()
     gap: Counter[str] = Counter()
-    for number, stored in enumerate(written):
+    begins = {min(piece.first for piece in of) for _, of in groupby(recorder.pieces, key=attrgetter("path"))}
+    for number, stored in enumerate(recorder.written):
+        if number in begins:
+            gap.clear()
         if number in lost:
             gap[stored.topic] += 1
         else:
