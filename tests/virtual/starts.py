@@ -63,15 +63,17 @@ STALLED = 5.0
 SLACK = 3.0 * POLL
 """Time, s, that the orchestrator has for noticing something."""
 FOR_EVER = 1e6
+REFUSED = "told what cannot be"
+"""Why a node refuses to start."""
 _TOPIC_OF = {OBSERVER: "swarm/abstract_state", CONTROLLER: "swarm/desired_abstract_state", PLANE: "plane/state"}
 
 
 class Trouble(NamedTuple):
     """What happens to `who` at a time (s) and lasts for a while (s), to the first so many processes of its name.
 
-    A node is late, dies while it starts, never comes up, says everything twice or does not end when told to; one does
-    not hear of another one (``who>whom``); later a process is killed or stopped. The launcher dies; a user interrupts;
-    the recorder gives up; somebody else subscribes to all topics.
+    A node is late, dies while it starts, refuses what it is told, never comes up, says everything twice or does not end
+    when told to; one does not hear of another one (``who>whom``); later a process is killed or stopped. The launcher
+    dies; a user interrupts; the recorder gives up; somebody else subscribes to all topics.
     """
 
     at: float
@@ -135,7 +137,20 @@ def start_case(seed: int) -> StartCase:
     return replace(case, faults=tuple(sorted(faults)))
 
 
-_OF_NODES = ("late", "late", "dies", "dies", "hangs", "deaf", "deaf", "twice", "ignores", "killed", "stopped")
+_OF_NODES = (
+    "late",
+    "late",
+    "dies",
+    "dies",
+    "refuses",
+    "hangs",
+    "deaf",
+    "deaf",
+    "twice",
+    "ignores",
+    "killed",
+    "stopped",
+)
 _KINDS = (*_OF_NODES, "launcher dies", "interrupt", "gives up", "viewer")
 _NOBODY = {"launcher dies": "the launcher", "interrupt": "the user", "gives up": RECORDER, "viewer": "a stranger"}
 
@@ -147,7 +162,7 @@ def _trouble(draw: Random, kind: str, names: list[str]) -> Trouble:
     times = draw.choice((1, 1, 2, 3))
     if kind == "late":
         return Trouble(0.0, kind, who, draw.choice((draw.uniform(0.5, 5.0), draw.uniform(5.0, 28.0), 45.0)), times)
-    if kind == "dies":
+    if kind in {"dies", "refuses"}:
         return Trouble(draw.choice((0.0, draw.uniform(0.0, 2.0))), kind, who, 0.0, times)
     if kind == "hangs":
         return Trouble(0.0, kind, who, 0.0, times)
@@ -246,6 +261,7 @@ class Host:
         self._sequence = 0
         self._blocked: float | None = None
         self._dropped: set[str] = set()
+        self.refused = inf
         self.viewers: list[str] = []
         self._announced = announced_to([*self.plan.values()])
         for trouble in case.faults:
@@ -430,6 +446,8 @@ class Host:
         for trouble in self._of(process, "dies"):
             if process.number <= trouble.times:
                 self.after(0.05 + trouble.at, partial(self._fails, process))
+        for trouble in self._of(process, "refuses"):
+            self.after(0.05 + trouble.at, partial(self._refuses, process))
         if any(process.number <= trouble.times for trouble in self._of(process, "hangs")):
             self.tell(self.now, process.name, "begins, and never comes up", done=False)
             return
@@ -439,6 +457,12 @@ class Host:
     def _fails(self, process: Process) -> None:
         if process.alive and self.began is None:
             self._die(process, self.draw.choice((11, 9, 1 << 8, 2 << 8)))
+
+    def _refuses(self, process: Process) -> None:
+        if process.alive and self.began is None:
+            self._say(process, "failed", reason=REFUSED)
+            self.refused = min(self.refused, self.now)
+            self._die(process, 2 << 8)
 
     def _up(self, process: Process) -> None:
         if not process.alive:
@@ -734,6 +758,9 @@ class StartStory:
         lives = recorder is not None and recorder.ended >= decided and host.code != -9
         if outcome.status != "ok" and lives and not told and RECORDER not in (outcome.reason or ""):
             raise _wrong(f"says {text}, but does not tell the recorder to end")
+        acted = min((time for time, _, _ in host.signals if time >= host.refused), default=decided)
+        if acted > host.refused + 2.0 * SLACK and not host.asked and host.code != -9:
+            raise _wrong(f"does nothing for {acted - host.refused:.1f} s after a process has said that it is {REFUSED}")
         wrong = {SIGTERM} if outcome.status == "interrupted" else set() if host.asked else {SIGINT}
         if wrong.intersection(told[:1]):
             raise _wrong(f"says {text}, but tells the recorder so by {Signals(told[0]).name}")
