@@ -580,7 +580,8 @@ class Host:
             return
         silent = {name: process for name, process in needed.items() if not process.alive or process.stopped}
         waiting = [process for name, process in needed.items() if name not in silent and process.running]
-        if self.case.drops and all(process.plan.agents for process in silent.values()):
+        agreed = self.now - self._blocked > STALLED + 1.0
+        if self.case.drops and agreed and all(process.plan.agents for process in silent.values()):
             self._dropped |= silent.keys()
             for process in waiting:
                 if process.stalled:
@@ -825,7 +826,7 @@ class StartStory:
             )
         if trouble.kind == "ignores":
             return not case.realtime or robot or trouble.who == RECORDER or trouble.lasting < ENDING_SECONDS - 1.0
-        killed = trouble.kind == "killed" and case.realtime and robot and not others
+        killed = trouble.kind == "killed" and robot and (case.realtime or case.drops) and not others
         return killed or trouble.kind in {"twice", "viewer"}
 
 
