@@ -483,6 +483,52 @@ PLANTED = (
         "return bool(there and self.out) and not is_majority({*ranks(self.inside)}, there)",
         "return bool(there and self.out) and not self.inside",
     ),
+    Planted(
+        "reset_that_is_late_is_ignored",
+        "A robot ignores a RESET that is older than the age limit of broadcasts.",
+        "swarmabs_core.realtime.broadcasts",
+        "        if isinstance(message, DesiredAbstractState) and message.mode == Mode.RESET and not problem:\n"
+        "            self._reset(message.step, step)\n"
+        "        problem = untimely or problem\n",
+        "        problem = untimely or problem\n"
+        "        if isinstance(message, DesiredAbstractState) and message.mode == Mode.RESET and not problem:\n"
+        "            self._reset(message.step, step)\n",
+    ),
+    Planted(
+        "leader_from_the_future_counts_as_alive",
+        "A standby takes a leader for alive whose clock is so far ahead that robots refuse it.",
+        "swarmabs_core.realtime.leadership",
+        "        if message_step <= step + self._ahead:\n            self._heard = max(self._heard, message_step)\n",
+        "        self._heard = max(self._heard, min(message_step, step + self._ahead))\n",
+    ),
+    Planted(
+        "all_are_silent_once_one_is_out",
+        "In lockstep an observer drops all robots when another node hangs, once one of them has ended or not begun.",
+        "swarmabs_core.behaviours.observer",
+        "heard = len(missing) < len(self._membership.publishing(self._gathering.step))",
+        "heard = len(missing) < len([*self._membership])",
+    ),
+    Planted(
+        "sequence_goes_on_in_the_next_file",
+        "The numbers of messages do not begin anew in each file of a bag.",
+        "swarmabs_bag.run.writer",
+        "        self._first, self._last = None, 0\n        self._counts = dict.fromkeys(self._counts, 0)\n",
+        "        self._first, self._last = None, 0\n",
+    ),
+    Planted(
+        "last_events_are_not_missed",
+        "A whole bag without the events of its end is confirmed.",
+        "swarmabs_analysis.verification.lockstep",
+        "for event in self._late.values() if whole or event.step < self.step - WINDOW]",
+        "for event in self._late.values() if event.step < self.step - WINDOW]",
+    ),
+    Planted(
+        "who_refuses_to_start_is_waited_for",
+        "A robot's process that refuses to start is taken for one that the run can do without.",
+        "swarmabs_run.orchestration.supervision",
+        "return self.started and name in self.dispensable",
+        "return name in self.dispensable",
+    ),
 )
 
 

@@ -65,6 +65,22 @@ FOUND = {
         ),
         quiet=7.957,
     ),
+    "an event that a recorder has told is told again, and twice in the merged bag": Case(
+        1300865,
+        robots=3,
+        hertz=10,
+        paired=True,
+        recorded=True,
+        faults=(
+            Fault(3.3, "clock", "plane_sim", 5.282, 1.1),
+            Fault(4.026, "clock", "abstraction_observer", 3.806, 1),
+            Fault(4.348, "clock", "agent_003", 1.159, -0.4),
+            Fault(4.976, "stop", "parent_controller_standby"),
+            Fault(5.636, "stop", "parent_controller"),
+            Fault(5.681, "stop", "parent_controller"),
+        ),
+        quiet=8.582,
+    ),
     "robots that nobody connects with the plane any more wait for its state for ever": RoundsCase(
         80040,
         robots=9,

@@ -30,6 +30,8 @@ from swarmabs_core.record import Record
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from swarmabs_core.messages import Message
+
 
 def recorded(*, paired: bool, relaying: Iterable[int] = ()) -> tuple[Topic, ...]:
     """Return the topics of a recording, with those of standby coordinators if any has one, and of relaying robots."""
@@ -208,7 +210,7 @@ class RealtimeCollector:
 
     def _refuse(self, problem: Problem, step: int) -> tuple[Record, ...]:
         """Count a dropped message; return the event that reports it, if it is due."""
-        return tuple(map(Record.of, self._refusals.add(problem, step, self._now)))
+        return tuple(told for event in self._refusals.add(problem, step, self._now) for told in self._once(event))
 
     def _drop_strangers(self, step: int | None) -> tuple[Record, ...]:
         """Drop the events of processes of which nothing else has been heard for long; without a step, of all."""
@@ -256,26 +258,35 @@ class RealtimeCollector:
         dispute = self._disputes.get(key)
         if dispute is None:
             self._disputes[key] = _Disputed(first, last, 1, step)
-            return (self._told(EventCode.DISPUTE_BEGINS, key, first, 1),)
+            return self._told(EventCode.DISPUTE_BEGINS, key, first, 1)
         dispute.last, dispute.count, dispute.renewed = max(dispute.last, last), dispute.count + 1, step
         if first >= dispute.first:
             return ()
         dispute.first = step - MEMORY  # the oldest that are taken, so this is told at most twice
-        return (self._told(EventCode.DISPUTE_BEGINS, key, dispute.first, dispute.count),)
+        return self._told(EventCode.DISPUTE_BEGINS, key, dispute.first, dispute.count)
 
     def _end_disputes(self, step: int | None) -> tuple[Record, ...]:
         """Return the events with which disputes end that were not renewed for some time; without a step, of all."""
         disputes = self._disputes.items()
         over = [key for key, dispute in disputes if step is None or abs(step - dispute.renewed) > QUIET_STEPS]
-        ended = ((key, self._disputes.pop(key)) for key in over)
-        return tuple(self._told(EventCode.DISPUTE_ENDS, key, dispute.last, dispute.count) for key, dispute in ended)
+        ended = [(key, self._disputes.pop(key)) for key in over]
+        ends = EventCode.DISPUTE_ENDS
+        return tuple(t for key, dispute in ended for t in self._told(ends, key, dispute.last, dispute.count))
 
-    def _told(self, code: EventCode, key: tuple[str, Topic, int], step: int, count: int) -> Record:
+    def _told(self, code: EventCode, key: tuple[str, Topic, int], step: int, count: int) -> tuple[Record, ...]:
         cause, topic, number = key
         agent_id, of = (0, f" of source {number}") if topic.message is Basis else (number, "")
         where = f"{topic.name}{of}"
-        event = code.event(self._now, max(0, step), float(count), robot=agent_id, cause=cause, where=where)
-        return Record.of(event)
+        return self._once(code.event(self._now, max(0, step), float(count), robot=agent_id, cause=cause, where=where))
+
+    def _once(self, event: Message) -> tuple[Record, ...]:
+        """Return the record of an own event, unless a recorder has told the same before, in a bag that is merged."""
+        record = Record.of(event)
+        recorded, place = self._known.setdefault(event.step, {}), (record.topic, record.payload)
+        if place in recorded:
+            return ()
+        recorded[place] = record.payload
+        return (record,)
 
     def _problem(self, record: Record, step: int, writer: bytes) -> Problem | None:
         topic, agent_id, message = record.topic, record.agent_id, record.message
