@@ -282,6 +282,8 @@ class RealtimeCollector:
     def _once(self, event: Message) -> tuple[Record, ...]:
         """Return the record of an own event, unless a recorder has told the same before, in a bag that is merged."""
         record = Record.of(event)
+        if event.step < self._oldest:  # nothing of it is compared any more
+            return (record,)
         recorded, place = self._known.setdefault(event.step, {}), (record.topic, record.payload)
         if place in recorded:
             return ()
