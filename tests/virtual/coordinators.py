@@ -529,6 +529,8 @@ class SpeaksOfOrders(Property):
         stopped = [at for command, at in self._told.values() if command == "stop"]
         if not stopped or self._reset_at > min(stopped):
             return
+        if facts.wrong >= {*facts.case.stoppable}:  # nothing tells which of their orders is newer
+            return
         other, newest = sorted(facts.case.stoppable, key=facts.started.__getitem__)
         if facts.runs_since(other) > facts.started[newest] > min(stopped):
             return  # it has started in RUN, while the one that knows the STOP stood still

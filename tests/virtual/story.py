@@ -207,7 +207,8 @@ class Story(Watcher):
             self._command(name, "join")
         fleet.run(case.quiet + heals - fleet.time)
         self._say("all", f"no fault for {heals:g} s")
-        if self._holders or self._stops():
+        unknown = facts.wrong >= {*case.stoppable}  # nothing tells which of their orders is newer
+        if (self._holders or self._stops()) and not unknown:
             fleet.run(holds)
             why = f"an operator stopped the swarm at {self._stopped_at} and nobody has reset it"
             self.ending.nobody_moves(self._stopped_since, why)

@@ -45,6 +45,18 @@ FOUND = {
         faults=(Fault(0.0, "crash", "agent_001", 2.97), Fault(3.01, "crash", "abstraction_observer", 1.0)),
         quiet=4.1,
     ),
+    "a controller whose clock was set back in STOP does not repeat it until the clock is as late again": Case(
+        1400374,
+        robots=2,
+        hertz=10,
+        paired=True,
+        faults=(
+            Fault(3.374, "clock", "parent_controller", 1.394, 12),
+            Fault(3.634, "clock", "parent_controller_standby", 1.875, -12),
+            Fault(4.062, "stop", "parent_controller_standby"),
+        ),
+        quiet=5.7,
+    ),
     "an order before the first step ends a robot": Case(
         22061,
         hertz=10,

@@ -199,7 +199,8 @@ class RealtimeController:
         step = self._config.schedule.step(now)
         self._writers.advance(step)
         events = self.voice.say(self._end_reset(now, step), now, able=self._keeps_still)
-        if self._plane is not None and self._plane.step > step + self._age:  # the clock was set back
+        newest = max(self._last_published, -1 if self._plane is None else self._plane.step)
+        if newest > step + self._age:  # the clock was set back
             self._plane, self._last_published, self._fast, self._divided = None, -1, 0, None
             self._heard.forget()
             self._mode.forget(step)
