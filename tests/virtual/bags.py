@@ -545,10 +545,13 @@ def is_run(recorder: LockstepRecorder, bag: Path, found: list[Stored], run: Run)
     missing = [step_of(stored.payload) for stored in lacks if stored.topic != EVENTS.name]
     last = min(missing, default=run.steps[-1].step + 1) - 1
     steps = complete_steps(bag)
-    # Before a bag tells that a robot is dropped, it is not known that its relays are not missing.
-    dropped = {stored for stored in run.stored if stored.topic == EVENTS.name and SILENT.encode() in stored.payload}
-    unknown = () if dropped & {*found} else run.optional - {*found}
-    least = min([last, *(step_of(stored.payload) - 1 for stored in unknown)])
+    # Relays of a robot that is dropped may be missing. Before a bag tells of it, it is not known that the robot has not
+    # said more in its last step than what is there.
+    there = {*found}
+    told = any(stored.topic == EVENTS.name and SILENT.encode() in stored.payload for stored in found)
+    ends = {step_of(stored.payload) for stored in run.optional if not told} & {last}
+    lacking = {step_of(stored.payload) for stored in run.optional - there}
+    least = min([last, *(step - 1 for step in lacking | ends)])
     if steps is None or (steps.first == 0 and last >= 0 and not least <= steps.last_complete <= last):
         raise BrokenError("losses are counted", name, f"has the steps up to {last}, but a repair finds {steps}")
 

@@ -107,13 +107,13 @@ class TakesTurns(Property):
             self._ordered_at = self.facts.now
 
     def _peer(self, node: str, parcel: Parcel) -> None:
-        if parcel.sender != self._peers.get(node) or parcel.message is None:
-            return
         one, step = self._instances.get(node), self.facts.step_of(node)
-        if one is None:
+        if one is None or parcel.sender not in {self._peers[node], ""} or parcel.message is None:
             return
-        if parcel.writer != one.writer:
+        if parcel.writer != one.writer:  # also one who forges may be bound in the silence of the peer
             one.writer, one.changed = parcel.writer, step
+        if not parcel.sender:
+            return
         if getattr(parcel.message, "mode", Mode.RUN) != Mode.RUN:
             self._ordered_at = self.facts.now
         if parcel.message.step <= step + self.facts.ahead:
