@@ -107,9 +107,10 @@ class TakesTurns(Property):
             self._ordered_at = self.facts.now
 
     def _peer(self, node: str, parcel: Parcel) -> None:
-        one, step = self._instances.get(node), self.facts.step_of(node)
-        if one is None or parcel.sender not in {self._peers[node], ""} or parcel.message is None:
+        one = self._instances.get(node)
+        if one is None or parcel.message is None or (parcel.sender and parcel.sender != self._peers[node]):
             return
+        step = self.facts.step_of(node)
         if parcel.writer != one.writer:  # also one who forges may be bound in the silence of the peer
             one.writer, one.changed = parcel.writer, step
         if not parcel.sender:

@@ -322,12 +322,13 @@ class ActsOnOneSet(Property):
         stops = False
         if isinstance(message, DesiredAbstractState):
             stops = message.mode == Mode.STOP
-            step = self.facts.step_of(node)
-            writer, since = robot.writers.get(standby, (b"", step))
-            robot.writers[standby] = parcel.writer, since if writer == parcel.writer else step
-            known = parcel.sender and step - robot.writers[standby][1] > 3 * self.facts.age
-            if known and message.mode == Mode.RESET and step - self._latest <= message.step <= step + self.facts.ahead:
-                robot.released = max(robot.released, message.step)
+            if standby not in robot.writers or robot.writers[standby][0] != parcel.writer:
+                robot.writers[standby] = parcel.writer, self.facts.step_of(node)
+            if message.mode == Mode.RESET and parcel.sender:
+                step = self.facts.step_of(node)
+                known = step - robot.writers[standby][1] > 3 * self.facts.age
+                if known and step - self._latest <= message.step <= step + self.facts.ahead:
+                    robot.released = max(robot.released, message.step)
         robot.new.append((standby, topic, message, not parcel.sender and not stops))
 
     def _state(self, node: str, state: AgentState) -> None:
