@@ -1,5 +1,6 @@
-"""What holds for all tests: the option ``--full``, and a proof that a test leaves nothing behind."""
+"""What holds for all tests: the option ``--full``, a proof that a test leaves nothing behind, and an end of each."""
 
+import faulthandler
 import os
 import signal
 import sys
@@ -37,6 +38,26 @@ _GONE_WITHIN = 5.0
 _PORTS = range(PORT_BASE, PORT_BASE + DOMAIN_GAIN * (LARGEST_DOMAIN + 3))
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD)
 _SHARED_MEMORY = Path("/dev/shm")
+_PATIENCE = 2.0
+"""Multiple of a test's time after which it hangs where no signal reaches it, as in a library, or in clearing up."""
+_STDERR = pytest.StashKey[int]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[_STDERR] = os.dup(2)  # tests have another one, which is read only once they end
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[Any]:
+    """Print where all threads of this process are, and end it, if a test does not end although its time is over."""
+    mark = item.get_closest_marker("timeout")
+    seconds = float(item.config.getini("timeout") if mark is None else mark.args[0])
+    if seconds:
+        faulthandler.dump_traceback_later(_PATIENCE * seconds, exit=True, file=item.config.stash[_STDERR])
+    try:
+        return (yield)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
