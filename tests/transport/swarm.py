@@ -193,6 +193,12 @@ class Swarm:
             self.step()
         return self.finished
 
+    def run_calmly(self, until: float) -> None:
+        """Go on until a time, s, as usual; what the script has is left for later."""
+        script, self._script = self._script, turns([])
+        self.run(until)
+        self._script = script
+
     def run_turns(self, turns: int) -> None:
         end = self.turn + turns
         while self.turn < end and not self.finished:

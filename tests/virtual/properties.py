@@ -564,6 +564,7 @@ class SumsUpWhatItHears(Property):
         self._newest = {name: {} for name in (PLANE, *facts.case.pairs[0])}
         self._standing: dict[str, dict[int, int]] = {name: {} for name in self._newest}
         self._silent: dict[str, set[int]] = {name: set() for name in self._newest}
+        self._carried_away: dict[str, set[int]] = {name: set() for name in self._newest}
         self._used: dict[str, tuple[int, list[tuple[AgentState, bool]]]] = {}
         self.published = {BASIS: self._basis, ABSTRACT_STATE: self._sum, AUXILIARY_STATE: self._moments}
         for topic in variants(AGENT_STATE):
@@ -587,6 +588,7 @@ class SumsUpWhatItHears(Property):
             }
             self._begun.discard(node)
             self._newest[node] = {}
+            self._carried_away[node].clear()
 
     def resumes(self, node: str) -> None:
         """Let robots stand until they are heard again: a node does not know how old that is which it knows."""
@@ -617,6 +619,8 @@ class SumsUpWhatItHears(Property):
         robot = removal.agent_id  # type: ignore[attr-defined]
         state, silent_before = newest.get(robot), self.facts.step_of(node) - self.facts.state_age
         if state is None and removal.step >= self._standing[node].get(robot, 0):
+            if robot in self._standing[node].keys() | self._silent[node]:
+                self._carried_away[node].add(robot)
             self._standing[node].pop(robot, None)
             self._silent[node].discard(robot)
         elif state is not None and state.step < silent_before and state.step <= removal.step:
@@ -634,7 +638,7 @@ class SumsUpWhatItHears(Property):
         if node in facts.wrong:
             return
         used = dict(zip(basis.agent_ids, zip(basis.state_steps, basis.standing, strict=True), strict=True))
-        lacks = facts.case.robots - len(used.keys() | newest.keys())
+        lacks = facts.case.robots - len(used.keys() | newest.keys() | self._carried_away[node])
         begins = basis.source == Source.OBSERVER and node not in self._begun
         if begins and lacks and facts.case.start == "wait" and not self._under_way:
             raise self.broken(node, f"in step {basis.step} it begins without waiting for {lacks} robots")

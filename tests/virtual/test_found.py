@@ -1,8 +1,9 @@
 """What the search has found in the nodes: each case once broke a property."""
 
 import pytest
+from tests.transport.network import Act
 from tests.virtual.bags import BagCase, Harm
-from tests.virtual.lockstep import LockstepCase
+from tests.virtual.lockstep import Doing as Turn, LockstepCase
 from tests.virtual.rounds import Doing, RoundsCase
 from tests.virtual.schedule import Case, Fault
 from tests.virtual.search import AnyCase, run
@@ -124,6 +125,35 @@ FOUND = {
     ),
     "robots that wait for the plane vote although nobody is silent, so that other relays are recorded": LockstepCase(
         1312, "drop, each robot", (), PLANE, 3, stands=True
+    ),
+    "robots vote although nobody is silent while a neighbour, which is behind them, waits for the plane": LockstepCase(
+        1600875,
+        "drop, each robot",
+        (
+            Turn(3, Act.PASS, 7),
+            Turn(3, Act.RUN, 246),
+            Turn(19, Act.OTHER, 244),
+            Turn(7, Act.PASS, 57),
+            Turn(13, Act.RUN, 13),
+            Turn(14, Act.OTHER, 128),
+            Turn(5, Act.OTHER, 207),
+            Turn(13, Act.LOSE, 105),
+        ),
+        PLANE,
+        67,
+        stands=True,
+    ),
+    "an observer that restarts begins without one that is carried away meanwhile": Case(
+        1601935,
+        hertz=10,
+        paired=True,
+        stopped=True,
+        faults=(
+            Fault(0.0, "crash", "agent_004", 3.953),
+            Fault(0.739, "crash", "agent_002", 7.264),
+            Fault(4.168, "crash", "abstraction_observer", 0.282),
+            Fault(5.298, "removal", "agent_002"),
+        ),
     ),
     "what robots compute themselves is taken for wrong where a bag begins, and hears them late": BagCase(
         0, _WITHOUT, (Harm(1.418, "late", 1, 1.758, 0.3), Harm(2.261, "begins", 1)), recorders=1

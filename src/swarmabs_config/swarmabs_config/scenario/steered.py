@@ -98,9 +98,14 @@ def _planned(
     ended = {agent_id: change for agent_id, change in ended.items() if change not in schedule}
     if not (steered or joined or ended):
         return None
+    joins = {change.agent_id: change.step for change in schedule if change.kind is ChangeKind.JOIN} | joined
+    # Who did not even answer in its first step has never taken part.
+    absent = {agent_id for agent_id, change in ended.items() if change.step < joins.get(agent_id, 0)}
     faults: list[Fault] = []
     for fault in scenario.faults:
-        if isinstance(fault, JoinFault) and fault.agent in joined:
+        if isinstance(fault, JoinFault) and fault.agent in absent:
+            faults.append(JoinFault(at=None, agent=fault.agent))
+        elif isinstance(fault, JoinFault) and fault.agent in joined:
             faults.append(JoinFault(at=at(joined[fault.agent]), agent=fault.agent))
         elif isinstance(fault, JoinFault) or not (
             fault.kind in steered or (isinstance(fault, MembershipFault) and fault.agent in ended)
@@ -109,6 +114,6 @@ def _planned(
     for kind in sorted(steered):
         setting = _SETTINGS[kind]
         faults += [setting(at=at(step), **{setting.sets: value}) for step, value in sorted(settings[kind].items())]
-    for change in sorted(ended.values()):
+    for change in sorted(change for change in ended.values() if change.agent_id not in absent):
         faults.append(_ENDING[change.kind.value](at=at(change.step), agent=change.agent_id))
     return [{"kind": fault.kind, **tree_of(fault)} for fault in faults]

@@ -109,6 +109,7 @@ class Peer:
         self._kept: deque[tuple[int, Messages]] = deque()
         self._recorded, self._written = bool(controller.recording_window), -1
         self._heard: set[int] = set()
+        self._newest: dict[int, tuple[int, int]] = {}
         self._over = False
         self._begin(0)
 
@@ -205,6 +206,7 @@ class Peer:
             self._refuse_dropped(relay)
             return  # it is about to find out that the others have gone on without it
         self._heard.add(robot)
+        self._newest[robot] = max(turn, self._newest.get(robot, turn))
         if self._over or robot not in self._near or self._is_out(robot):
             return
         if relay.step > self._step:
@@ -265,10 +267,11 @@ class Peer:
         """
         if self._over or self._held_back:
             return ()
-        agreement, linked = self._agreement, self._linked()
+        agreement, linked, turn = self._agreement, self._linked(), (self._step, self._round)
         missed = self._content.set_of(robot for robot in silent if robot in linked)
-        # A vote of one that misses nobody, but waits for a message, lets it go on if the sender has.
-        if not missed and not agreement.votes and not self._waiting():
+        # A vote of one that misses nobody lets it go on without messages whose senders have: these may not repeat them.
+        passed = any(self._newest.get(robot, turn) >= turn for robot in self._waiting())
+        if not missed and not agreement.votes and not passed:
             return ()
         news = agreement.tell(missed, self._known)
         if waited and agreement.out and (self._deaf or (self._given and self._complete)):
