@@ -452,6 +452,9 @@ class Story(Watcher):
             self.facts.moving_from = float("inf")
         elif command == "release":
             self._led = None
+            pair = next(pair for pair in self.case.pairs if node in pair)
+            if not all(self.facts.is_fine(other) for other in pair if other != node):  # there is nobody to take over
+                self.facts.late_until = max(self.facts.late_until, self.facts.now + self.facts.settles)
         elif command == "leave" and node not in self._left:
             self._left.add(node)
             self.facts.begin((node,), "leave")
