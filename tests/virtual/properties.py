@@ -47,7 +47,7 @@ from swarmabs_core.realtime.agent import RealtimeLaw
 from swarmabs_core.realtime.base import Level
 from swarmabs_core.robot_controller import RESET, STOPPED
 
-CLEAN = {"crash", "idle", "leave", "pause", "cut"}
+CLEAN = {"crash", "idle", "leave", "pause", "cut", "skew"}
 """Faults of one of a pair of coordinators because of which no robot stops at all."""
 GUARD_MOST = 0.5
 """Upper limit, s, of the time by which a RESET must be newer than a STOP."""

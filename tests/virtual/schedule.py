@@ -26,9 +26,9 @@ ALL = "*"
 LINKS = ("cut", "loss", "slow", "late", "again")
 """What can happen on a link: nothing passes; some messages are lost; all are late by a time; each by another time up to
 one; some arrive a second time, so much later."""
-NODES = ("crash", "idle", "pause", "clock", "drift", "blind")
-"""What can happen to a node: it dies and starts; is deactivated and activated; stands still; its clock is wrong or too
-fast; its sensor is silent."""
+NODES = ("crash", "idle", "pause", "clock", "skew", "drift", "blind")
+"""What can happen to a node: it dies and starts; is deactivated and activated; stands still; its clock is wrong, within
+what is tolerated, or too fast; its sensor is silent."""
 COMMANDS = ("stop", "reset", "release", "leave", "join")
 """What an operator can say to a node."""
 REMOVAL = "removal"
@@ -234,6 +234,8 @@ def case_of(seed: int, robots: int | None = None) -> Case:
             faults += draw.choice(kinds)(draw, case, time + draw.uniform(0.0, lasting))
         quiet = time + lasting
         faults = [f for f in faults if f.kind != "impostor"]  # who takes the place of one that is lost is believed
+    if not case.each_robot and draw.random() < 0.3:
+        faults += _skew(draw, case, quiet)
     faults = sorted(Fault(round(f.at, 3), f.kind, f.who, round(f.lasting, 3), round(f.value, 4)) for f in faults)
     if not case.each_robot:
         law = draw.choice(("pd", "pd", "pid", "arise")) if case.hertz >= 20 else "pd"
@@ -354,6 +356,16 @@ def _clock(draw: Random, case: Case, at: float) -> list[Fault]:
         return [Fault(at, "drift", _some(draw, case), draw.uniform(0.5, 2.0), draw.choice((-400, -50, 50, 400)))]
     periods = draw.choice((0.5, 1.0, 2.0, 3.0, 5.0, 12.0, 40.0, 120.0)) * draw.choice((-1, 1))
     return [Fault(at, "clock", _some(draw, case), _length(draw), periods / case.hertz)]
+
+
+def _skew(draw: Random, case: Case, until: float) -> list[Fault]:
+    """Let a clock be wrong all the time, within what is tolerated; perhaps a pair of which it is one is parted."""
+    ahead = draw.choice((0.2, 0.9, 1.5, 1.5)) * draw.choice((1, 1, -1)) / case.hertz
+    if not case.paired or draw.random() < 0.5:
+        return [Fault(0.0, "skew", _some(draw, case), until, ahead)]
+    one, other = draw.sample(draw.choice(case.pairs), 2)
+    parted = _parted(draw.uniform(case.begins, max(case.begins, until - 1.0)), one, other, draw.uniform(0.5, 1.0))
+    return [Fault(0.0, "skew", one, until, ahead), *parted]
 
 
 def _operator(draw: Random, case: Case, at: float) -> list[Fault]:

@@ -73,7 +73,8 @@ class Trouble(NamedTuple):
 
     A node is late, dies while it starts, refuses what it is told, never comes up, says everything twice or does not end
     when told to; one does not hear of another one (``who>whom``); later a process is killed or stopped. The launcher
-    dies; a user interrupts; the recorder gives up; somebody else subscribes to all topics.
+    dies; a user interrupts; the recorder gives up; somebody else subscribes to all topics. These times count from the
+    moment at which all may run if it has `begun`.
     """
 
     at: float
@@ -81,10 +82,12 @@ class Trouble(NamedTuple):
     who: str
     lasting: float = 0.0
     times: int = 1
+    begun: bool = False
 
     def __str__(self) -> str:
         end = inf if self.lasting >= FOR_EVER else self.at + self.lasting
-        return f"{time_of(self.at, end)}: {self.kind}, {self.who}{f', {self.times} times' if self.times > 1 else ''}"
+        often, since = f", {self.times} times" if self.times > 1 else "", " after all may run" if self.begun else ""
+        return f"{time_of(self.at, end)}{since}: {self.kind}, {self.who}{often}"
 
 
 @dataclass(frozen=True)
@@ -152,13 +155,14 @@ _OF_NODES = (
     "stopped",
 )
 _KINDS = (*_OF_NODES, "launcher dies", "interrupt", "gives up", "viewer")
+_SURPRISES = {"killed", "stopped", "launcher dies", "interrupt", "gives up", "viewer"}
 _NOBODY = {"launcher dies": "the launcher", "interrupt": "the user", "gives up": RECORDER, "viewer": "a stranger"}
 
 
 def _trouble(draw: Random, kind: str, names: list[str]) -> Trouble:
     robots = [name for name in names if name.startswith(ROBOT_PREFIX[:5])]
-    who = _NOBODY.get(kind) or draw.choice((draw.choice(names), draw.choice(robots)))
-    at = draw.choice((draw.uniform(0.0, 1.0), draw.uniform(0.0, 4.0)))
+    others = [name for name in names if name not in robots]
+    who = _NOBODY.get(kind) or draw.choice((draw.choice(names), draw.choice(robots), draw.choice(others)))
     times = draw.choice((1, 1, 2, 3))
     if kind == "late":
         return Trouble(0.0, kind, who, draw.choice((draw.uniform(0.5, 5.0), draw.uniform(5.0, 28.0), 45.0)), times)
@@ -171,7 +175,8 @@ def _trouble(draw: Random, kind: str, names: list[str]) -> Trouble:
         return Trouble(0.0, kind, f"{who}>{other}", draw.choice((draw.uniform(1.0, 25.0), FOR_EVER)))
     if kind == "ignores":
         return Trouble(0.0, kind, who, draw.choice((draw.uniform(1.0, 8.0), 15.0, FOR_EVER)))
-    return Trouble(at, kind, who)
+    begun = draw.random() < 0.5
+    return Trouble(draw.choice((draw.uniform(0.0, 1.0), draw.uniform(0.0, 4.0))), kind, who, begun=begun)
 
 
 @cache
@@ -264,9 +269,7 @@ class Host:
         self.refused = inf
         self.viewers: list[str] = []
         self._announced = announced_to([*self.plan.values()])
-        for trouble in case.faults:
-            if trouble.kind in {"killed", "stopped", "launcher dies", "interrupt", "gives up", "viewer"}:
-                self.after(trouble.at, partial(self._happen, trouble))
+        self._surprise(begun=False)
         self.after(0.02, self._go_on)
 
     # Time
@@ -294,6 +297,12 @@ class Host:
     def sleep(self, seconds: float) -> None:
         """Let time pass."""
         self.run_until(self.now + seconds)
+
+    def _surprise(self, *, begun: bool) -> None:
+        """Let what the case has for the time before or after the begin happen."""
+        for trouble in self.case.faults:
+            if trouble.kind in _SURPRISES and trouble.begun is begun:
+                self.after(trouble.at, partial(self._happen, trouble))
 
     # What the launcher asks of the operating system
 
@@ -407,6 +416,7 @@ class Host:
         if name == "start" and self.code is None:
             self.began = self.now
             self.tell(self.now, "the orchestrator", "lets all run", done=False)
+            self._surprise(begun=True)
             for process in self.processes.values():
                 self.after(self.draw.uniform(1e-3, 0.1), partial(self._started, process))
 

@@ -187,7 +187,9 @@ class Story(Watcher):
         try:
             self._happen()
             if self.bags is not None:
-                self.bags.check(explained=not any(fault.kind in {"clock", "drift"} for fault in self.case.faults))
+                self.bags.check(
+                    explained=not any(fault.kind in {"clock", "skew", "drift"} for fault in self.case.faults)
+                )
         finally:
             if self.bags is not None:
                 self.bags.remove()
@@ -311,7 +313,7 @@ class Story(Watcher):
             fleet.pause(name)
             facts.stands_still(name)
             self._say(name, "stands still", fault)
-        elif fault.kind == "clock":
+        elif fault.kind in {"clock", "skew"}:
             facts.odd.add(name)
             facts.wrong.add(name)
             fleet.set_clock(name, fault.value)
@@ -349,7 +351,7 @@ class Story(Watcher):
             self._say(name, "goes on", fault)
             fleet.resume(name)
             self.facts.resumes(name)
-        elif fault.kind in {"clock", "drift"}:
+        elif fault.kind in {"clock", "skew", "drift"}:
             fleet.set_clock(name, 0.0)
             self._say(name, "has a clock that is right again", fault)
         elif fault.kind == "blind":

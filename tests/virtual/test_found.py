@@ -143,6 +143,17 @@ FOUND = {
         67,
         stands=True,
     ),
+    "a standby whose clock is ahead, within what is tolerated, leads on beside its primary": Case(
+        2000193,
+        robots=2,
+        hertz=10,
+        paired=True,
+        quiet=12.0,
+        faults=(
+            Fault(0.0, "skew", "parent_controller_standby", 11.862, 0.15),
+            Fault(6.54, "cut", "parent_controller>parent_controller_standby", 0.967),
+        ),
+    ),
     "an observer that restarts begins without one that is carried away meanwhile": Case(
         1601935,
         hertz=10,

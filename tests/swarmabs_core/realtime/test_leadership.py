@@ -311,14 +311,15 @@ def test_robots_obey_a_stop_of_a_controller_whose_clock_is_ahead() -> None:
         assert box.stopped
 
 
-def test_a_message_that_is_two_steps_old_was_heard_without_delay() -> None:
-    for late in (2, 3):
-        standby = leadership(STANDBY, listening=0)
+@pytest.mark.parametrize(("ahead", "oldest"), [(0, 2), (1, 3), (2, 4), (3, TAKEOVER)])
+def test_a_message_is_without_delay_that_seems_old_because_clocks_differ(ahead: int, oldest: int) -> None:
+    for late in (oldest, oldest + 1):
+        standby = Leadership(STANDBY, TAKEOVER, ahead, 0)
         for k in range(100, 140):
             if k > 110:
                 standby.hear(k - late, k)
             standby.tick(k)
-        assert standby.leading == (late > 2)
+        assert standby.leading == (late > oldest)
 
 
 def voice_of(rank: str, rules: Leadership) -> Voice:

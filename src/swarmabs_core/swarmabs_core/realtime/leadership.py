@@ -21,7 +21,7 @@ TAKEOVER_STEPS = 2
 AGREED = 10
 """Steps in a row in which a standby must hear the primary before it yields."""
 PROMPT = 2
-"""Largest age, in steps, of a message that was heard without delay."""
+"""Largest age, in steps, of a message that was heard without delay, if the clocks agree."""
 _LISTENS = {SINGLE: 0.0, PRIMARY: 1.0, STANDBY: 2.0}
 """Time, s, for which an instance that starts listens."""
 SETTLES = 10
@@ -67,7 +67,8 @@ class Leadership:
        hears the other one, and leads if it does not.
     2. One that stands by leads as soon as it was able to speak for more than `takeover` steps in which the other one
        did not.
-    3. If both speak, the standby yields once it has heard the primary without delay for `AGREED` steps in a row.
+    3. If both speak, the standby yields once it has heard the primary without delay for `AGREED` steps in a row, as far
+       as the clocks agree.
     4. A leader that was unable to speak for more than `takeover` steps yields when it hears the other one.
 
     Attributes
@@ -84,6 +85,7 @@ class Leadership:
         self._rank = rank
         self._takeover = takeover
         self._ahead = ahead
+        self._prompt = min(PROMPT + ahead, takeover)
         self._starting = listening
         self.state = PairRole.LEADING if rank == SINGLE else PairRole.LISTENING
         self.since = 0
@@ -177,7 +179,7 @@ class Leadership:
         """Count the steps in a row in which the other one was heard without delay."""
         if not begins:
             return
-        prompt = step - self._heard <= PROMPT
+        prompt = step - self._heard <= self._prompt
         self._agreed = min(self._agreed + 1, AGREED) if prompt else 0
 
     def _decide(self, step: int, *, able: bool) -> None:
