@@ -154,6 +154,16 @@ FOUND = {
             Fault(6.54, "cut", "parent_controller>parent_controller_standby", 0.967),
         ),
     ),
+    "a STOP at the silent controller that its leader does not hear is given up for the RESET before it": Case(
+        2101489,
+        hertz=20,
+        paired=True,
+        stopped=True,
+        faults=(
+            Fault(2.259, "cut", "parent_controller_standby>parent_controller", 1.247),
+            Fault(2.359, "stop", "parent_controller_standby"),
+        ),
+    ),
     "an observer that restarts begins without one that is carried away meanwhile": Case(
         1601935,
         hertz=10,

@@ -167,6 +167,7 @@ class Coordinator:
                     setattr(of, name, older(vars(of)[name]))
         if copied.mode._commanded is not None:
             copied.mode._commanded = copied.mode._commanded[0], older(copied.mode._commanded[1])
+        copied.mode._peer_resets = older(self.mode._peer_resets[0]), older(self.mode._peer_resets[1])
         copied.mode._reset_since = max(self.mode._reset_since - 1, NOW - LONG - RESET)
         copied.heard_source = older(self.heard_source)
         copied.waiting = tuple((older(step), mode) for step, mode in self.waiting)

@@ -114,6 +114,7 @@ class PublishedMode:
         self._reset_since = 0
         self._commanded: tuple[Mode, int] | None = None
         self._newest = _LONG_AGO
+        self._peer_resets = _LONG_AGO, _LONG_AGO
 
     @property
     def guard(self) -> int:
@@ -175,7 +176,8 @@ class PublishedMode:
         """Take over the mode that the peer has published in a step.
 
         A STOP counts whoever leads, unless a later RESET was commanded here or heard; RUN and RESET count only while
-        this controller does not lead, and once the latch is open.
+        this controller does not lead, and once the latch is open. It stays closed in a RESET that had begun when STOP
+        was commanded here: the peer has not heard of that.
         """
         self.told = True
         commanded, since = self._commanded or (mode, _LONG_AGO)
@@ -189,7 +191,11 @@ class PublishedMode:
                 self.publish_stop("stopped by the other controller")
             return
         if mode is Mode.RESET:
-            self._latch.reset(step)
+            first, last = self._peer_resets
+            first = first if first <= step <= last + self._latch.guard else step
+            self._peer_resets = first, max(last, step)
+            if commanded is not Mode.STOP or first > since:
+                self._latch.reset(step)
         if leading or step <= self._newest:
             return
         self._newest = step
@@ -207,6 +213,7 @@ class PublishedMode:
         self._latch.forget(step)
         self.orders = Orders(step) if self.now is Mode.STOP and self.orders.stop >= 0 else Orders()
         self._newest = _LONG_AGO
+        self._peer_resets = _LONG_AGO, _LONG_AGO
         self._reset_since = min(self._reset_since, step)
         if self._commanded is not None:
             self._commanded = self._commanded[0], min(self._commanded[1], step)
