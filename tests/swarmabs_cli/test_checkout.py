@@ -8,14 +8,15 @@ import pytest
 from tests.swarmabs_cli.conftest import ran, refused
 
 CHECKS = ("ruff check .", "ruff format --check --quiet .", "mypy")
-EVERY_DAY = "-m not system and not full -n 3 --dist loadfile"
-SYSTEM = "-m system and not full -n 2 --dist loadfile"
-FULL = "-m full -n 2 --dist loadfile"
+BY_FILE = "--dist loadfile --max-worker-restart 0"
+EVERY_DAY = f"-m not system and not full -n 3 {BY_FILE}"
+SYSTEM = f"-m system and not full -n 2 {BY_FILE}"
+FULL = f"-m full -n 2 {BY_FILE}"
 
 
 @pytest.fixture
 def started(here: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
-    """Return what is started on a machine with three cores, and its exit codes: a signal's if there is an "x" in it."""
+    """Return what is started on a machine with three cores, and its exit codes: a signal's if "dies" is in it."""
     (here / "scripts").mkdir()
     (here / "scripts" / "swarm").touch()
     (here / "tests").mkdir()
@@ -24,7 +25,7 @@ def started(here: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     def run(words: list[str], cwd: Path, env: dict[str, str], **_: Any) -> CompletedProcess[str]:
         assert (cwd, env["PYTHONPATH"].split(":")[0]) == (here, str(here))
         module = " ".join(words[2:])
-        return CompletedProcess(words, found.setdefault(module, -9 if "x" in module else 0))
+        return CompletedProcess(words, found.setdefault(module, -9 if "dies" in module else 0))
 
     monkeypatch.setattr("subprocess.run", run)
     monkeypatch.setattr("os.cpu_count", lambda: 3)
@@ -38,7 +39,7 @@ def started(here: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
         ("--system", (f"pytest {SYSTEM}",)),
         ("--full", (*CHECKS, *(f"pytest --full {tier}" for tier in (EVERY_DAY, SYSTEM, FULL)))),
         ("--full tests", ("pytest --full tests",)),
-        *((words, (f"pytest {words}",)) for words in ("tests/x", "-k system --lf --durations=5 --cov --full-trace")),
+        *((words, (f"pytest {words}",)) for words in ("tests/dies", "-k system --lf --durations=5 --cov --full-trace")),
         ("-- --full", ("pytest --full",)),
         (
             "--coverage tests",
@@ -51,7 +52,7 @@ def started(here: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     ],
 )
 def test_what_is_started(words: str, modules: tuple[str, ...], here: Path, started: dict[str, int]) -> None:
-    ran("test", *words.split(), code=1 if "x" in words else 0)
+    ran("test", *words.split(), code=1 if "dies" in words else 0)
     assert tuple(module.replace(f"{here}/", "") for module in started) == modules
 
 

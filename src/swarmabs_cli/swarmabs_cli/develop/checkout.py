@@ -176,7 +176,9 @@ class Tier(NamedTuple):
 
     def arguments(self) -> list[str]:
         """Return the arguments of pytest."""
-        return ["-m", self.marks, "-n", str(min(self.processes, os.cpu_count() or 1)), "--dist", "loadfile"]
+        processes = str(min(self.processes, os.cpu_count() or 1))
+        # A test that ends its process ends the tests: with a new process, they may wait for ever.
+        return ["-m", self.marks, "-n", processes, "--dist", "loadfile", "--max-worker-restart", "0"]
 
 
 TIERS = (Tier("not system and not full", MOST_PROCESSES), Tier("system and not full", 2), Tier("full", 2))
