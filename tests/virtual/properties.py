@@ -769,9 +769,8 @@ class AnswersThePlane(Property):
         if message.mode == Mode.RUN and not -self.facts.ahead <= late <= self.facts.age:
             raise self.broken(node, f"asks for step {message.step} in its step {message.step + late}")
         since = self._doubted.get(node, -(2**62))
-        if node in self.facts.wrong:  # its steps of then and now do not compare
-            return
-        if message.mode == Mode.RUN and 0 <= message.step + late - since <= self.facts.age:
+        same = node not in self.facts.wrong  # otherwise its steps of then and now do not compare
+        if same and message.mode == Mode.RUN and 0 <= message.step + late - since <= self.facts.age:
             raise self.broken(node, f"asks for step {message.step}, but knows since step {since} that states differ")
         if message.mode == Mode.RUN and message.step not in self._heard[node]:
             raise self.broken(node, f"asks for step {message.step}, of which it has no state of the plane")
