@@ -104,6 +104,19 @@ def test_a_simulated_body_is_that_of_the_robot_and_coasts_until_it_is_told_somet
         assert drive.read(step * 10 * MS) == Measurement(step * 10 * MS, *motion)
 
 
+@pytest.mark.parametrize("kind", [Kind.SINGLE_INTEGRATOR, Kind.DOUBLE_INTEGRATOR])
+def test_a_simulated_body_stops_by_itself_when_commands_cease(kind: Kind) -> None:
+    """The robots that go on take a silent one for one at rest: 0.2 s after the last command it is."""
+    body = Body(3, kind, Schedule(10 * MS), 0.5, position=0.1)
+    often, once = SimulatedDrive(body), SimulatedDrive(body)
+    for drive in (often, once):
+        drive.read(0)
+        drive.write(0.4, 0)
+    last = [often.read(step * 10 * MS) for step in range(1, 21)][-1]
+    assert last.position > 0.1
+    assert once.read(500 * 10 * MS) == Measurement(500 * 10 * MS, last.position, 0.0)
+
+
 def test_a_package_brings_a_drive_that_can_stop(packages: Path) -> None:
     install(packages, "drive", "standing", STANDING)
     install(packages, "drive", "rolling", STANDING.replace("standing", "rolling").replace("def stop", "def roll"))

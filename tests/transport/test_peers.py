@@ -220,6 +220,20 @@ def test_the_law_of_all_begins_anew_with_a_reset_although_nobody_has_stopped_the
     assert min(behaviour(fleet, robot).law.begun for robot in ALL) > ordered
 
 
+def test_a_robot_that_joins_two_sides_does_not_bring_the_law_of_before_a_reset() -> None:
+    """When it starts it hears in the same period of both laws, and of the RESET that only one side knows."""
+    fleet = peers_of("pd_het_4", "links={type: listed, pairs: [1 2, 2 3, 2 4, 3 4]}")
+    fleet.kill(agent_name(2))
+    fleet.run(0.5)
+    ordered = round(fleet.time * 100)
+    fleet.call(agent_name(4), "reset")
+    fleet.run(2.0)
+    fleet.revive(agent_name(2))
+    fleet.run(2.0)
+    assert active(fleet) == ALL
+    assert min(behaviour(fleet, robot).law.begun for robot in ALL) > ordered
+
+
 def test_a_robot_that_starts_need_not_wait_for_a_reset_of_long_ago() -> None:
     fleet = peers_of()
     fleet.kill(agent_name(2))

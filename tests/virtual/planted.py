@@ -70,8 +70,8 @@ PLANTED = (
         "law_from_before_the_reset",
         "Robots join the law of one that has not heard of the newest RESET.",
         "swarmabs_core.realtime.peer",
-        "        if told.orders.reset == self._controller.orders.reset:\n            self._views.append(told.law)\n",
-        "        self._views.append(told.law)\n",
+        "[law for known, law in self._views if known == reset]",
+        "[law for _, law in self._views]",
     ),
     Planted(
         "carried_away_robot_is_back_after_a_restart",

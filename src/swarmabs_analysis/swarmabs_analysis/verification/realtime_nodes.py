@@ -30,9 +30,10 @@ from swarmabs_core.messages import (
     StandingState,
     Status,
 )
-from swarmabs_core.realtime import controller, drives
+from swarmabs_core.realtime import controller
 from swarmabs_core.realtime.agent import RealtimeAgentConfig, RealtimeLaw
 from swarmabs_core.realtime.controller import RealtimeControllerConfig
+from swarmabs_core.realtime.drives import moved
 from swarmabs_core.realtime.observer import RealtimeObserverConfig, RealtimeSums, Role
 from swarmabs_core.realtime.plane import PlaneMotion, RealtimePlaneConfig
 
@@ -220,7 +221,7 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         """Return the state with the position and velocity of a simulated body."""
         if self._start is None:
             return state
-        passed = min(state.step - before.step, drives.MOST_STEPS)
+        passed = state.step - before.step
         places = [self._moved((before.position, before.velocity), passed, state.command)]
         if state.broadcast_step == NEVER and state.command == 0.0:
             # Stopped at once, or its process was restarted.
@@ -229,9 +230,7 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         return state._replace(position=there[0], velocity=there[1])
 
     def _moved(self, place: tuple[float, float], periods: int, command: float) -> tuple[float, float]:
-        for _ in range(periods):
-            place = self._law.controller.ideal.advance(*place, command)
-        return place
+        return moved(self._law.controller.ideal, place, command, periods, self._config.schedule)
 
 
 def _refuse_to_follow(wrong: object, state: AgentState, reason: str) -> None:

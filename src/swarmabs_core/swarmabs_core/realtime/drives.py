@@ -21,8 +21,10 @@ from swarmabs_core.systems.kinds import KINDS
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-MOST_STEPS = 1000
-"""Largest number of periods that a simulated robot makes up for after a pause; in further ones it was at rest."""
+    from swarmabs_core.drive import IdealDrive
+
+COMMAND_TIMEOUT = 0.2
+"""Time, s, without a command after which a simulated body stops by itself, as the base of a robot must."""
 
 
 class Measurement(NamedTuple):
@@ -80,8 +82,18 @@ class DriveType(Part[Body, Drive]):
     """A drive; `name` is the value of the parameter ``drive.type`` of a robot's node."""
 
 
+def moved(
+    model: IdealDrive, motion: tuple[float, float], command: float, periods: int, schedule: Schedule
+) -> tuple[float, float]:
+    """Return the position (m) and velocity (m/s) of a simulated body some periods after its last command."""
+    longest = schedule.steps(COMMAND_TIMEOUT)
+    for _ in range(min(periods, longest)):
+        motion = model.advance(*motion, command)
+    return motion if periods <= longest else (motion[0], 0.0)
+
+
 class SimulatedDrive:
-    """A body that moves exactly as the law assumes."""
+    """A body that moves exactly as the law assumes, and stops by itself when commands cease."""
 
     def __init__(self, body: Body) -> None:
         self._model = KINDS[body.kind].drive(body.schedule.period, body.mass, body.damping)
@@ -93,10 +105,11 @@ class SimulatedDrive:
     def read(self, now: int) -> Measurement:
         """Simulate the periods that have passed under the held command, and return the resulting motion."""
         step = self._schedule.step(now)
-        if self._step is not None:
-            for _ in range(min(max(0, step - self._step), MOST_STEPS)):
-                self._position, self._velocity = self._model.advance(self._position, self._velocity, self._command)
-        self._step = step if self._step is None else max(step, self._step)
+        if self._step is None:
+            self._step = step
+        passed, self._step = max(0, step - self._step), max(step, self._step)
+        motion = self._position, self._velocity
+        self._position, self._velocity = moved(self._model, motion, self._command, passed, self._schedule)
         return Measurement(now, self._position, self._velocity)
 
     def write(self, command: float, now: int) -> None:  # noqa: ARG002 - it applies from the last reading on

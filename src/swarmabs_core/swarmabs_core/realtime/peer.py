@@ -133,7 +133,7 @@ class RealtimePeer:
         self._constants: dict[int, Constants] = {}
         self._changed: set[int] = set()
         self._told: dict[int, tuple[int, Told]] = {}
-        self._views: list[LawView] = []
+        self._views: list[tuple[int, LawView]] = []  # with the newest RESET that their senders knew
         self._plane: PlaneState | None = None
         self._summed = -1
         self._begun = False
@@ -166,7 +166,8 @@ class RealtimePeer:
                 published += self._learn(answer, now, UNKNOWN, self._signatures.sign(answer))
         if step - self._summed > self._age:  # otherwise states of the plane decide when it sums up
             published += self._sum_up(step)
-        self._controller.agree(self._views)
+        reset = self._controller.orders.reset
+        self._controller.agree([law for known, law in self._views if known == reset])
         self._views = []
         published += self._share(self._controller.tick(now), now)
         return (*published, *self._relay(step, now))
@@ -295,10 +296,8 @@ class RealtimePeer:
         latest = self._schedule.step(now) + self._ahead + self._controller.guard + 1
         if max(told.orders) > latest:
             return ()
-        answers = self._share(self._controller.obey(told.orders, now), now)
-        if told.orders.reset == self._controller.orders.reset:
-            self._views.append(told.law)
-        return answers
+        self._views.append((told.orders.reset, told.law))
+        return self._share(self._controller.obey(told.orders, now), now)
 
     def _hear_motion(
         self, motion: Motion, constants: Constants | None, relay: Relay, now: int, sender: Sender
