@@ -361,7 +361,7 @@ def test_a_server_ends_although_nothing_more_happens() -> None:
 
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
-HUNG = RunError("the drive hangs")
+HUNG = "the drive hangs"
 FORBIDDEN = 13.0
 
 
@@ -438,9 +438,10 @@ class Managed:
 @pytest.fixture
 def managed(ros: None) -> Iterator[Managed]:
     rclpy.init()
-    node = RealtimeNode("probe")
-    yield Managed(node)
-    node.destroy_node()
+    managed = Managed(RealtimeNode("probe"))
+    yield managed
+    managed.node.destroy_node()
+    vars(managed).clear()  # the lifecycle of a node keeps it in the network until it is collected
 
 
 def test_a_life_from_the_configuration_to_the_end(managed: Managed) -> None:
@@ -451,7 +452,7 @@ def test_a_life_from_the_configuration_to_the_end(managed: Managed) -> None:
     assert node.health() == Health(Level.OK, "fine", (("state", "active"), ("age", "3")))
     assert [len(now) - len(then) for now, then in zip(managed.entities(), before, strict=True)] == [1, 1, 3]
     assert managed.stop().success
-    managed.loop.error = HUNG
+    managed.loop.error = RunError(HUNG)
     answer = managed.stop()
     assert (answer.success, answer.message) == (False, "probe: the drive hangs")
     managed.loop.error = None
@@ -480,9 +481,9 @@ def test_what_fails_is_told_and_leaves_a_state_that_is_known(
 ) -> None:
     managed.trigger(*going)
     managed.loop.asked.clear()
-    managed.loop.error = HUNG
+    managed.loop.error = hung = RunError(HUNG)
     assert managed.trigger(failing) != [SUCCESS]
-    assert (managed.node.state, managed.node.failure) == (state, HUNG)
+    assert (managed.node.state, managed.node.failure) == (state, hung)
     assert managed.loop.asked == told
     assert managed.node.health()[:2] == (Level.ERROR, f"{state} after an error: the drive hangs")
     managed.loop.error = None
