@@ -59,7 +59,7 @@ from swarmabs_config.graph import CONTROLLER, OBSERVER, STANDBY_SUFFIX, standby_
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import decode, step_of
 from swarmabs_core.membership import SILENT
-from swarmabs_core.messages import AGENT_STATE, EVENTS, STANDING, Message, Relay, Topic, topic_of
+from swarmabs_core.messages import AGENT_STATE, EVENTS, STANDING, Message, Relay, Topic, relay_topic, topic_of
 from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.relays import Content
@@ -548,7 +548,7 @@ def is_run(recorder: LockstepRecorder, bag: Path, found: list[Stored], run: Run)
     # Relays of a robot that is dropped may be missing. Before a bag tells of it, it is not known that the robot has not
     # said more in its last step than what is there.
     there = {*found}
-    told = any(stored.topic == EVENTS.name and SILENT.encode() in stored.payload for stored in found)
+    told = any(map(tells_of_drop, found))
     ends = {step_of(stored.payload) for stored in run.optional if not told} & {last}
     lacking = {step_of(stored.payload) for stored in run.optional - there}
     least = min([last, *(step - 1 for step in lacking | ends)])
@@ -573,6 +573,11 @@ def misses_one(run: Run, draw: Random) -> None:
         raise BrokenError("bags are explained", "verify", text)
 
 
+def tells_of_drop(stored: Stored) -> bool:
+    """Return whether a message tells that a robot is dropped because it is silent."""
+    return stored.topic == EVENTS.name and SILENT.encode() in stored.payload
+
+
 Missing = tuple["str | None", int, int]
 """A message that is missing: topic (None: all), robot (0: none), step."""
 
@@ -581,7 +586,7 @@ def names_steps(named: set[Missing], merged: list[Stored], run: Run, *, cut: boo
     """Raise an error unless what merged bags of a run in lockstep lack up to their last step is named.
 
     So is what comes after it, if the bags are `cut` off. Of events, and of how the abstract state divides, no number of
-    a step is known.
+    a step is known. Where the event is lost that tells of a dropped robot, more of that robot may seem to be missing.
     """
     optional = {EVENTS.name, STANDING.name}
     there = {place_of(stored.topic, stored.payload) for stored in merged}
@@ -590,6 +595,13 @@ def names_steps(named: set[Missing], merged: list[Stored], run: Run, *, cut: boo
     wanted = {_missing(place) for place in places - there if place.topic not in optional and place.step <= last}
     perhaps = {_missing(place_of(stored.topic, stored.payload)) for stored in run.optional}
     found = {name for name in named if name[2] <= last and name[0] not in optional}
+    if not any(tells_of_drop(stored) for stored in merged):
+        dropped = {event.agent_id for step in run.steps for event in step.events if event.detail == SILENT}
+        theirs = {
+            *((AGENT_STATE.name, robot) for robot in dropped),
+            *((relay_topic(robot).name, 0) for robot in dropped),
+        }
+        perhaps |= {name for name in found - {_missing(place) for place in places} if name[:2] in theirs}
     is_named(found - perhaps, wanted - perhaps)
     if cut:
         never: set[Missing] = {(None, 0, step) for step in range(last + 1, run.scenario.steps + 1)}
