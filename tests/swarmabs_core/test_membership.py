@@ -56,6 +56,13 @@ def test_the_earliest_end_of_a_robot_stands() -> None:
     assert membership.publishing(4) == (2, 3)
 
 
+def test_a_robot_that_ends_before_it_joins_never_joins() -> None:
+    membership = member(Change(5, 2, JOIN))
+    membership.end(2, 2, stays=True, reason="silent")
+    told = {step: membership.changes(step) for step in range(20) if membership.changes(step)}
+    assert told == {3: [(2, EventKind.DEAD, "silent")]}
+
+
 @pytest.mark.parametrize(
     ("kind", "agent_id", "end"),
     [

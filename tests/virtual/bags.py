@@ -59,12 +59,27 @@ from swarmabs_config.graph import CONTROLLER, OBSERVER, STANDBY_SUFFIX, standby_
 from swarmabs_config.scenario import Scenario
 from swarmabs_core.cdr import decode, step_of
 from swarmabs_core.membership import SILENT
-from swarmabs_core.messages import AGENT_STATE, EVENTS, STANDING, Message, Relay, Topic, relay_topic, topic_of
+from swarmabs_core.messages import (
+    ABSTRACT_STATE,
+    AGENT_STATE,
+    AUXILIARY_STATE,
+    BASIS,
+    DESIRED_ABSTRACT_STATE,
+    EVENTS,
+    PLANE_STATE,
+    STANDING,
+    Message,
+    Relay,
+    Topic,
+    relay_topic,
+    topic_of,
+)
 from swarmabs_core.nodes import agent_name
 from swarmabs_core.realtime.base import Schedule
 from swarmabs_core.relays import Content
 from swarmabs_run.simulation import Simulation
 
+_TOPICS = (ABSTRACT_STATE, AUXILIARY_STATE, DESIRED_ABSTRACT_STATE, PLANE_STATE, BASIS)
 _DEPTH = 10
 """Messages of a topic that wait for a recorder that stands still."""
 
@@ -93,6 +108,7 @@ class BagCase:
 
     A file of a bag ends after so many bytes (`split`, 0: never) or s (`lasts`); chunks have `chunk_bytes`; writes are
     short with a probability. A run in lockstep takes `pace` s for a step; its recorder gathers messages for so long, s.
+    No recorder hears the topic `deaf_to`.
     """
 
     seed: int
@@ -105,6 +121,7 @@ class BagCase:
     short: float = 0.0
     pace: float = 0.02
     gathers: float = 0.0
+    deaf_to: str = ""
     robots: int = 3
     numbers: tuple[int, ...] | None = None
 
@@ -119,6 +136,7 @@ class BagCase:
             *([f"files of {self.split} bytes"] if self.split else []),
             *([f"files of {self.lasts:g} s"] if self.lasts else []),
             *(["short writes"] if self.short else []),
+            *([f"nobody hears {self.deaf_to}"] if self.deaf_to else []),
         ]
         return "\n".join([f"seed {self.seed}: {'; '.join(words)}", *numbered(self.faults, self.numbers)])
 
@@ -155,6 +173,7 @@ def bag_case(seed: int) -> BagCase:
         draw.choice((0.0, 0.3)),
         pace,
         draw.choice((0.0, 0.2, 0.2)),
+        draw.choice(_TOPICS).name if name in FLEETS and draw.random() < 0.15 else "",
     )
 
 
@@ -446,6 +465,8 @@ class _Host:
         draw, arrivals = self._draw, []
         waiting: dict[tuple[Harm, Topic], list[Said]] = {}
         for said in _said_in(self._case):
+            if usual_topic(said.topic).name == self._case.deaf_to:
+                continue
             harms = [harm for harm in self._harms if _during(harm, said.time)]
             if any(harm.kind == "loss" and draw.random() < harm.value for harm in harms):
                 continue
@@ -622,7 +643,7 @@ def names_losses(named: set[Missing], merged: list[Stored], fleet: Fleet) -> Non
     said, known = _said_at_once(fleet), set()
     for together in () if fleet.scenario.decentralised else said:
         if together & there:
-            known |= {one for one in together - there if one[2] > begins.get(one[:2], one[2])}
+            known |= {one for one in together - there if one[2] > begins.get(one[:2], min(steps))}
     possible = {_folded(one) for one in _all_said(fleet) - there}
     if wrong := sorted(name for name in named if name[0] is not None and name not in possible):
         topic, of, step = wrong[0]

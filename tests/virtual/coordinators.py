@@ -146,7 +146,9 @@ class TakesTurns(Property):
         one = self._instances.get(node)
         if event.kind != EventKind.LEADING or one is None or node in self.facts.wrong:
             return
-        self._begins_to_speak(node, one, self.facts.step_of(node))
+        step = self.facts.step_of(node)
+        self._begins_to_speak(node, one, step)
+        self._could_speak(node, one, step)
 
     def _begins_to_speak(self, node: str, one: _Instance, step: int) -> None:
         """Check that one that has not spoken for longer than a takeover takes may speak."""
@@ -157,6 +159,24 @@ class TakesTurns(Property):
         running = facts.now - facts.runs_since(node) if facts.runs_since(node) == facts.started[node] else inf
         if one.peer == one.released == _LONG_AGO and running < listens * 1e9 - 2 * facts.period:
             raise self.broken(node, f"leads {running / 1e9:.3f} s after its start, and has to listen for {listens:g} s")
+
+    @property
+    def _is_ordered(self) -> bool:
+        """Whether there was a STOP or a RESET a short while ago, which a controller repeats whatever it hears."""
+        return self.facts.now - self._ordered_at < 1.5e9
+
+    def _could_speak(self, node: str, one: _Instance, step: int) -> None:
+        """Check that a standby that takes over has heard what it needs for as long as the other one was silent."""
+        if self._is_ordered or node not in {standby for _, standby in self.facts.case.pairs}:
+            return
+        since, gap = step, self._takeover + self.facts.state_age
+        for heard in one.inputs[::-1]:
+            if since - heard > gap:
+                break
+            since = heard
+        if step - since < self._takeover:
+            text = f"begins to lead in step {step}, but has been able to since step {since} only"
+            raise self.broken(node, f"{text}; it has to be for {self._takeover}")
 
     def _says(self, node: str, message: Any) -> None:
         one, facts = self._instances.get(node), self.facts
@@ -197,7 +217,7 @@ class TakesTurns(Property):
     def period(self) -> None:
         """Check who should speak."""
         facts = self.facts
-        if facts.late_until > facts.now or facts.moving_from > facts.now or facts.now - self._ordered_at < 1.5e9:
+        if facts.late_until > facts.now or facts.moving_from > facts.now or self._is_ordered:
             return
         for node, one in self._instances.items():
             if facts.runs_since(node) > facts.now - facts.settles or node in facts.wrong:

@@ -75,19 +75,27 @@ class RoundsCase:
 
 
 def rounds_case(seed: int) -> RoundsCase:
-    """Draw a case: with changes of the swarm that are planned, or with robots that end or stand still."""
+    """Draw a case: with changes of the swarm that are planned, or with robots that end or stand still.
+
+    Robots end while others have yet to join, but neither these before they have, nor any after others have left: who is
+    gone may lack a last message for ever.
+    """
     draw = Random(f"virtual rounds:{seed}")
     robots = draw.randint(4, 10)
     links, loss = draw.choice(LINKS if robots < 6 else LINKS + MORE), draw.choice((0.0, 0.0, 0.05))
     if draw.random() < 0.3:
         first, *others = draw.sample(range(3, robots + 1), 2)
-        kinds = draw.sample(("kill", "leave", "join", "freeze"), 2)
+        joining = draw.random() < 0.5
+        kinds = ["join", "join"] if joining else draw.sample(("kill", "leave", "join", "freeze"), 2)
         planned = [
             f"{{kind: {kind}, agent: {robot}, at: {0.01 * draw.randint(2, STEPS - 3):g}}}"
             for kind, robot in zip(kinds, (first, *others), strict=True)
         ]
         links = draw.choice([one for one in LINKS if "ring" not in one])
-        return RoundsCase(seed, robots, links, loss, f"[{', '.join(planned)}]", ())
+        rest = sorted({*range(1, robots + 1)} - {first, *others})
+        ending = draw.sample(rest, draw.randint(1, len(rest))) if joining else []
+        doings = [Doing("ends", robot, draw.randint(1, 100)) for robot in ending]
+        return RoundsCase(seed, robots, links, loss, f"[{', '.join(planned)}]", tuple(doings))
     doings = []
     for robot in draw.sample(range(1, robots + 1), draw.randint(1, robots // 2)):
         if draw.random() < 0.7:

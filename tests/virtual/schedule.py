@@ -287,7 +287,11 @@ def _some(draw: Random, case: Case) -> str:
 
 
 def _crash(draw: Random, case: Case, at: float) -> list[Fault]:
-    return [Fault(at, draw.choice(("crash", "crash", "idle")), _some(draw, case), _length(draw))]
+    """Let a node be lost, and perhaps its last messages come again when it has started again."""
+    name, lasting = _some(draw, case), _length(draw)
+    again = [Fault(max(0.0, at - 0.5), "again", f"{name}>{ALL}", 0.6, lasting + draw.uniform(3.0, 30.0) / case.hertz)]
+    kind = draw.choice(("crash", "crash", "idle"))
+    return [*again[: draw.random() < 0.2], Fault(at, kind, name, lasting)]
 
 
 def _pause(draw: Random, case: Case, at: float) -> list[Fault]:
@@ -468,8 +472,15 @@ def _stay_away(draw: Random, case: Case, at: float) -> list[Fault]:
 
 
 def _reset_at_a_stop(draw: Random, case: Case, at: float) -> list[Fault]:
-    """Let an operator stop and reset the swarm in turn, after about the guard time or the time of a RESET."""
+    """Let an operator stop and reset the swarm in turn, after about the guard time or the time of a RESET.
+
+    Perhaps one controller is not heard by the other one, which it hears late.
+    """
     faults, time = [], at
+    if case.paired and draw.random() < 0.3:
+        one, other = draw.sample(case.stoppable, 2)
+        faults.append(Fault(at, "slow", f"{one}>{other}", 2.0, draw.uniform(0.5, 6.0) / case.hertz))
+        faults.append(Fault(at, "cut", f"{other}>{one}", draw.uniform(0.2, 2.0)))
     for number in range(draw.randint(2, 4)):
         faults.append(Fault(time, ("stop", "reset")[number % 2], draw.choice(case.stoppable)))
         time += draw.choice((draw.uniform(0.0, 16.0) / case.hertz, draw.uniform(0.5, 1.5)))
@@ -495,7 +506,7 @@ def _deaf(draw: Random, case: Case, at: float) -> list[Fault]:
 
 
 def _absence(draw: Random, case: Case, at: float) -> list[Fault]:
-    """Let a robot be dead for long, and meanwhile a coordinator, or both of a pair, for a while."""
+    """Let a robot be dead for long, and meanwhile a coordinator, or both of a pair, for a while, perhaps twice."""
     robot = agent_name(draw.randint(1, case.robots))
     pair, lasting = draw.choice((*case.pairs[:1], *case.pairs) or (case.robot_names,)), _length(draw)
     lost = draw.choice((pair, pair, pair[:1], pair[-1:]))
@@ -504,6 +515,9 @@ def _absence(draw: Random, case: Case, at: float) -> list[Fault]:
     faults = [Fault(begins, "crash", name, lasting) for name in lost]
     if not case.each_robot and draw.random() < 0.3:
         faults.append(Fault(at + draw.uniform(0.0, 0.5), REMOVAL, draw.choice((robot, draw.choice(case.robot_names)))))
+    if draw.random() < 0.3:
+        begins += lasting + draw.uniform(0.05, 1.0)
+        faults += [Fault(begins, "crash", name, lasting) for name in lost]
     long = begins - at + lasting + case.settles + 1.0
     away = draw.choice((long, long, draw.uniform(0.3, 1.0)))
     return [Fault(at, "crash", robot, away), *faults]

@@ -215,7 +215,9 @@ class Story(Watcher):
             why = f"an operator stopped the swarm at {self._stopped_at} and nobody has reset it"
             self.ending.nobody_moves(self._stopped_since, why)
         peers = self._checks.peers
-        stopped = self._ordered and (peers is None or peers.stopped)
+        # Orders that were carried out need not be repeated, whatever has happened since.
+        carried_out = peers is None and facts.moving_from < inf
+        stopped = self._ordered and not carried_out and (peers is None or peers.stopped)
         if stopped:
             self._order("reset")
             fleet.run(resets)

@@ -182,7 +182,7 @@ class Membership:
         if self._around(step).first != step:
             return changes
         for agent_id, span in self._spans.items():
-            if span.first == step and step > 0:
+            if span.first == step and step > 0 and span.covers(step):  # who ended before never joins
                 changes.append((agent_id, EventKind.JOINED, ""))
             if span.last is not None and span.last + 1 == step:
                 changes.append((agent_id, EventKind.DEAD if span.stays else EventKind.LEFT, span.reason))

@@ -10,6 +10,7 @@ from tests.swarmabs_core.helpers import builtin
 from swarmabs_config import configure
 from swarmabs_config.scenario import Scenario, parse_scenario
 from swarmabs_core.cdr import decode
+from swarmabs_core.membership import Membership
 from swarmabs_core.messages import AgentState
 
 STEPS = 12
@@ -58,17 +59,21 @@ def finished(world: World) -> bool:
 
 
 def may_go_on(world: World, scenario: Scenario, step: int) -> bool:
-    """Return whether a majority of those in a step, or half with the lowest, is in contact and hears the plane."""
+    """Return whether a majority of those in a step, or half with the lowest, is in contact and hears the plane.
+
+    Those that have yet to join pass on messages, but do not count.
+    """
     members = configure.members(scenario)
-    part = {robot for robot in members if world.drops.get(robot, step) >= step}
-    left, links = {robot for robot in part if robot not in world.dead}, configure.links(scenario)
+    there = {robot for robot in members if world.drops.get(robot, step) >= step}
+    part = there & {*Membership(members, configure.schedule(scenario)).publishing(step)}
+    left, links = {robot for robot in there if robot not in world.dead}, configure.links(scenario)
     while left:
         side = new = {min(left)}
         while new:
             near = {other for one in new for other in links.of(one) if not {(one, other), (other, one)} & world.cut}
             new = (near & left) - side
             side = side | new
-        most = 2 * len(side) > len(part) or (2 * len(side) == len(part) and min(part) in side)
+        most = 2 * len(side & part) > len(part) or (2 * len(side & part) == len(part) and min(part) in side)
         if most and not side.isdisjoint(scenario.links.sensing or side):
             return True
         left = left - side
