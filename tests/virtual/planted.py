@@ -330,6 +330,13 @@ PLANTED = (
         "        self._mode.reset(step)\n",
     ),
     Planted(
+        "takes_over_as_it_comes_back",
+        "A standby that was cut off takes over as it hears again: it counts the silence of that time.",
+        "swarmabs_core.realtime.leadership",
+        "step - max(self._heard, self._able_since - 1) > self._takeover:",
+        "step - self._heard > self._takeover:",
+    ),
+    Planted(
         "takes_over_late",
         "A standby waits twice as long as it may.",
         "swarmabs_core.realtime.leadership",

@@ -515,7 +515,7 @@ def _absence(draw: Random, case: Case, at: float) -> list[Fault]:
     faults = [Fault(begins, "crash", name, lasting) for name in lost]
     if not case.each_robot and draw.random() < 0.3:
         faults.append(Fault(at + draw.uniform(0.0, 0.5), REMOVAL, draw.choice((robot, draw.choice(case.robot_names)))))
-    if draw.random() < 0.3:
+    if case.start == "proceed" and draw.random() < 0.5:  # others wait for all if nobody follows any more
         begins += lasting + draw.uniform(0.05, 1.0)
         faults += [Fault(begins, "crash", name, lasting) for name in lost]
     long = begins - at + lasting + case.settles + 1.0
