@@ -222,6 +222,9 @@ class Facts:
         pairs = [[self.is_fine(name) for name in pair] for pair in self.case.pairs]
         if not all(map(any, pairs)) or sum(map(self.is_fine, self.case.robot_names)) < FEWEST:
             return ""
+        fine = {*filter(self.is_fine, self.case.robot_names)}
+        if self.case.start == "wait" and len(fine) < self.case.robots and not fine & self.followed:
+            return ""  # an observer that starts waits for all, unless the swarm is under way
         return "always" if all(map(all, pairs)) or self.late_until < self.now else "soon"
 
     def _hears_most(self, robot: str) -> bool:
