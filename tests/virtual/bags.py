@@ -639,11 +639,12 @@ def names_losses(named: set[Missing], merged: list[Stored], fleet: Fleet) -> Non
     for topic, of, step in there:
         begins[topic, of] = min(step, begins.get((topic, of), step))
     steps = {step for _, _, step in there}
-    silent: set[Missing] = {(None, 0, step) for step in range(min(steps), max(steps)) if step not in steps}
+    first = min(steps)
+    silent: set[Missing] = {(None, 0, step) for step in range(first, max(steps)) if step not in steps}
     said, known = _said_at_once(fleet), set()
     for together in () if fleet.scenario.decentralised else said:
         if together & there:
-            known |= {one for one in together - there if one[2] > begins.get(one[:2], min(steps))}
+            known |= {one for one in together - there if one[2] > begins.get(one[:2], first)}
     possible = {_folded(one) for one in _all_said(fleet) - there}
     if wrong := sorted(name for name in named if name[0] is not None and name not in possible):
         topic, of, step = wrong[0]

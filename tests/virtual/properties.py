@@ -220,9 +220,9 @@ class Facts:
         if self.case.each_robot:
             return "soon" if self._hears_most(robot) else ""
         pairs = [[self.is_fine(name) for name in pair] for pair in self.case.pairs]
-        if not all(map(any, pairs)) or sum(map(self.is_fine, self.case.robot_names)) < FEWEST:
-            return ""
         fine = {*filter(self.is_fine, self.case.robot_names)}
+        if not all(map(any, pairs)) or len(fine) < FEWEST:
+            return ""
         if self.case.start == "wait" and len(fine) < self.case.robots and not fine & self.followed:
             return ""  # an observer that starts waits for all, unless the swarm is under way
         return "always" if all(map(all, pairs)) or self.late_until < self.now else "soon"
