@@ -77,8 +77,8 @@ class RoundsCase:
 def rounds_case(seed: int) -> RoundsCase:
     """Draw a case: with changes of the swarm that are planned, or with robots that end or stand still.
 
-    Robots end while others have yet to join, but neither these before they have, nor any after others have left: who is
-    gone may lack a last message for ever.
+    Robots end while they or others have yet to join, but not after others have left: who is gone may lack a last
+    message for ever.
     """
     draw = Random(f"virtual rounds:{seed}")
     robots = draw.randint(4, 10)
@@ -92,8 +92,7 @@ def rounds_case(seed: int) -> RoundsCase:
             for kind, robot in zip(kinds, (first, *others), strict=True)
         ]
         links = draw.choice([one for one in LINKS if "ring" not in one])
-        rest = sorted({*range(1, robots + 1)} - {first, *others})
-        ending = draw.sample(rest, draw.randint(1, len(rest))) if joining else []
+        ending = draw.sample(range(1, robots + 1), draw.randint(1, robots - 1)) if joining else []
         doings = [Doing("ends", robot, draw.randint(1, 100)) for robot in ending]
         return RoundsCase(seed, robots, links, loss, f"[{', '.join(planned)}]", tuple(doings))
     doings = []

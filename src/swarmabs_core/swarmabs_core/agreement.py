@@ -76,7 +76,7 @@ class Agreement:
     def __init__(self, rank: int, links: Sequence[int], present: int, publishing: int) -> None:
         self._rank, self._links = rank, links
         self._present, self._publishing = present, publishing
-        self._kept: int | None = None
+        self._decided: int | None = None
         self._answered = False
         self.votes: dict[int, Vote] = {}
 
@@ -122,9 +122,9 @@ class Agreement:
             self.votes[self._rank] = self.own.joined(Vote(out=out, held=held))
         return True
 
-    def follow(self, kept: int) -> None:
-        """Go on as others have, with whom this robot is in contact: they have completed the step with these states."""
-        self._kept = kept
+    def follow(self, dropped: int) -> None:
+        """Go on as others have, with whom this robot is in contact: they have completed the step without these."""
+        self._decided = dropped
 
     def answer(self) -> None:
         """Note that the parent has answered in the step."""
@@ -154,7 +154,7 @@ class Agreement:
     @property
     def _free(self) -> bool:
         """Whether this robot needs no votes of others: it leaves nobody out, or others have decided."""
-        return not self.out or self._kept is not None or self._made_by_another
+        return not self.out or self._decided is not None or self._made_by_another
 
     @property
     def settled(self) -> bool:
@@ -164,8 +164,8 @@ class Agreement:
     @property
     def dropped(self) -> int:
         """The robots that do not take part in the step and from then on, once it is settled."""
-        if self._kept is not None:
-            return self._publishing & ~self._kept
+        if self._decided is not None:
+            return self._decided
         if not self.out or not self.alike:
             return 0
         return self._all_waited if self.waited or self._made_by_another else self.out & ~self._held()

@@ -4,11 +4,11 @@ Knowledge of a step is a set of states, one of each robot, and it only grows: lo
 not matter. A state is passed on as its motion only, coordinates and velocities, because its constants are those of the
 step before, which whoever takes part in a step knows completely. Only if they have changed it is passed on as a whole.
 
-The content begins with three sets: the robots that took part in the step before, those whose states of this step the
-sender holds, and those whose motion follows. Bit i of a set, from the lowest bit of the first byte on, stands for the
-i-th robot of the run by ascending id. Then follow the sizes of three parts (uint32), the motion of one robot after the
-other (float64), and the parts: whole states and the state of the parent in the step before, both as serialized
-messages, and votes, each the rank of its robot (uint16) and four sets. All numbers are little-endian.
+The content begins with three sets: the robots that took part in the step before (see `Knowledge.before`), those whose
+states of this step the sender holds, and those whose motion follows. Bit i of a set, from the lowest bit of the first
+byte on, stands for the i-th robot of the run by ascending id. Then follow the sizes of three parts (uint32), the motion
+of one robot after the other (float64), and the parts: whole states and the state of the parent in the step before, both
+as serialized messages, and votes, each the rank of its robot (uint16) and four sets. All numbers are little-endian.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class Knowledge(NamedTuple):
     Attributes
     ----------
     before : int
-        Set of the robots that took part in the step before, as bits by rank.
+        Set of the robots that took part in the step before, as bits by rank. A robot that has yet to join is in it if
+        it was dropped in that step: so the set tells whoever knows what was planned which robots were dropped.
     held : int
         Set of the robots whose states the sender holds, as bits by rank.
     states : tuple of AgentState or RobotState
@@ -108,6 +109,7 @@ class Content:
 
     def written(
         self,
+        took_part: int,
         held: int,
         states: Iterable[AnyRobotState],
         parent: AnyParentState | None,
@@ -118,6 +120,8 @@ class Content:
 
         Parameters
         ----------
+        took_part : int
+            Who took part in the step before, as `Knowledge.before`.
         held : int
             Set of the robots whose states the sender holds.
         states : iterable of AgentState or RobotState
@@ -141,7 +145,7 @@ class Content:
         voted = b"".join(_RANK.pack(rank) + self._sets(*vote) for rank, vote in sorted(votes.items()))
         return b"".join(
             (
-                self._sets(self.set_of(before), held, carried),
+                self._sets(took_part, held, carried),
                 _SIZES.pack(len(introduced), len(measured), len(voted)),
                 _numbers(len(numbers)).pack(*numbers),
                 introduced,
@@ -164,7 +168,7 @@ class Content:
         return sets
 
     def before(self, relay: Relay) -> int:
-        """Return the set of the robots that took part, as the sender knows, in the step before that of a relay.
+        """Return who took part, as the sender knows, in the step before that of a relay (`Knowledge.before`).
 
         Raises
         ------

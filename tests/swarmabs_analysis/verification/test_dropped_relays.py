@@ -71,6 +71,17 @@ def test_a_run_is_verified_to_its_end(tmp_path: Path, seed: int, links: str) -> 
     assert complete is not None and complete.last_complete == scenario.steps
 
 
+@pytest.mark.parametrize("messages", [4, 14, 24])
+def test_a_run_is_verified_in_which_a_robot_is_dropped_before_it_was_to_join(tmp_path: Path, messages: int) -> None:
+    scenario = swarm(5, "{}", faults="[{kind: join, agent: 4, at: 0.1}]").resolved()
+    world = World(scenario, Random(messages))
+    world.end_at(4, messages)
+    world.run(20.0)
+    assert {*world.drops} == {4} and not world.stopped
+    result = BagToVerify(bag(tmp_path, scenario, steps(scenario, world))).verify()
+    assert (result.difference, result.complete) == (None, True)
+
+
 def difference(scenario: Scenario, of: Iterable[Step], at: tuple[int, int, int], place: int | None) -> Difference:
     """Verify a run in which a byte of a relay, by step, robot and round, is changed, or the relay is missing."""
     verification = LockstepVerification(scenario, relayed=True)

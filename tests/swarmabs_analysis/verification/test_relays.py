@@ -137,7 +137,7 @@ def test_a_state_that_a_robot_has_not_heard_is_not_passed_on() -> None:
     def early(relay: Relay) -> Relay:
         told = content.read(relay, before)
         passed = sorted((*told.states, states[5, 4]), key=lambda state: state.agent_id)
-        return relay._replace(content=content.written(told.held, passed, told.parent, before, told.votes))
+        return relay._replace(content=content.written(told.before, told.held, passed, told.parent, before, told.votes))
 
     topic, step, robot, field, reason = found(scenario, changed(bag, 5, 2, 1, early))
     assert (topic, step, robot, field) == ("agent_002/relay", 5, 2, "passed_on")

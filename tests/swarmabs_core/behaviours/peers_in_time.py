@@ -183,8 +183,11 @@ def central(scenario: Scenario, drops: dict[int, int]) -> dict[str, set[bytes]]:
     network = Network(nodes.values())
     network.start()
     found: dict[str, set[bytes]] = {}
-    while network.pending:
-        for message in network.deliver():
-            found.setdefault(topic_of(message).name, set()).add(encode(message))
-        network.pending.extend(observer.drop([r for r, step in drops.items() if step == observer.step], SILENT))
+    left = dict(drops)
+    for message in network.deliver():
+        found.setdefault(topic_of(message).name, set()).add(encode(message))
+        now = [robot for robot, step in left.items() if step == observer.step]
+        if now:  # at once, since the others do not wait for one that has yet to join
+            network.pending.extend(observer.drop(now, SILENT))
+            left = {robot: step for robot, step in left.items() if robot not in now}
     return found

@@ -58,14 +58,21 @@ def finished(world: World) -> bool:
     return len(world.recorded.get("swarm/desired_abstract_state", ())) == STEPS + 1
 
 
-def may_go_on(world: World, scenario: Scenario, step: int) -> bool:
-    """Return whether a majority of those in a step, or half with the lowest, is in contact and hears the plane.
-
-    Those that have yet to join pass on messages, but do not count.
-    """
-    members = configure.members(scenario)
+def there_in(world: World, step: int) -> tuple[set[int], set[int]]:
+    """Return the robots that were not dropped before a step, and those of them that count: not who has yet to join."""
+    members = configure.members(world.scenario)
     there = {robot for robot in members if world.drops.get(robot, step) >= step}
-    part = there & {*Membership(members, configure.schedule(scenario)).publishing(step)}
+    return there, there & {*Membership(members, configure.schedule(world.scenario)).publishing(step)}
+
+
+def are_majority(side: set[int], part: set[int]) -> bool:
+    """Return whether robots are a majority of others, or half of them with the lowest."""
+    return 2 * len(side & part) > len(part) or (2 * len(side & part) == len(part) and min(part) in side)
+
+
+def may_go_on(world: World, scenario: Scenario, step: int) -> bool:
+    """Return whether a majority of those in a step, or half with the lowest, is in contact and hears the plane."""
+    there, part = there_in(world, step)
     left, links = {robot for robot in there if robot not in world.dead}, configure.links(scenario)
     while left:
         side = new = {min(left)}
@@ -73,8 +80,7 @@ def may_go_on(world: World, scenario: Scenario, step: int) -> bool:
             near = {other for one in new for other in links.of(one) if not {(one, other), (other, one)} & world.cut}
             new = (near & left) - side
             side = side | new
-        most = 2 * len(side & part) > len(part) or (2 * len(side & part) == len(part) and min(part) in side)
-        if most and not side.isdisjoint(scenario.links.sensing or side):
+        if are_majority(side, part) and not side.isdisjoint(scenario.links.sensing or side):
             return True
         left = left - side
     return False
@@ -104,6 +110,10 @@ def judged(world: World, usual: Scenario) -> bool:
     if finished(world):
         found, wanted = recorded(world), central(usual, world.drops)
         assert found == wanted, f"on {', '.join(t for t in sorted(found | wanted) if found.get(t) != wanted.get(t))}"
+        for step in {*world.drops.values()}:
+            _, part = there_in(world, step)
+            rest = {robot for robot in part if world.drops.get(robot) != step}
+            assert are_majority(rest, part), f"robots {rest} have gone on in step {step} without a majority of {part}"
         assert {*world.drops} <= world.dead | {*world.stopped}, f"drops {world.drops}, but {world.dead} have ended"
         return True
     problems = [why for robot, why in world.stopped.items() if robot not in world.drops]

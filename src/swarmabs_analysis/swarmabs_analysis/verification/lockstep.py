@@ -453,6 +453,7 @@ class LockstepVerification(Verification):
         """Drop the robots that are declared dead in this step because they did not answer, and return them.
 
         Such a robot is expected to publish nothing more; it may or may not have published its events of the step.
+        Without an observer even one that has yet to join must answer, since it passes on what it hears.
         """
         events = slot.get(EVENTS)
         if self._scenario.lockstep.on_stall != "drop" or not events:
@@ -462,11 +463,13 @@ class LockstepVerification(Verification):
             m.agent_id for m in (e.message for e in events) if isinstance(m, SwarmEvent) and m.kind == EventKind.DEAD
         }
         states = self._expected.get(self._robots, {})
-        dropped = [agent_id for agent_id in states if agent_id in dead - present]
+        answering = self._membership.lasting(self.step) if self._scenario.decentralised else states
+        dropped = [agent_id for agent_id in answering if agent_id in dead - present]
         published = {stored.payload for stored in events}
         told = self._told.get(self.step, {})
         for agent_id in dropped:
-            del states[agent_id], self._nodes[NodeName(NodeKind.AGENT, agent_id)]
+            states.pop(agent_id, None)
+            del self._nodes[NodeName(NodeKind.AGENT, agent_id)]
             for payload in [p for p, event in told.items() if event.agent_id == agent_id and p not in published]:
                 del told[payload]
         if dropped:

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING
 from swarmabs_analysis.difference import MESSAGE, Difference, differing_fields, in_hex, judge, surplus
 from swarmabs_config import configure
 from swarmabs_core.errors import MalformedMessageError, RunError
+from swarmabs_core.membership import Membership
 from swarmabs_core.messages import ROBOT_STATES, Relay
 from swarmabs_core.relays import Content, reduced
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from swarmabs_analysis.difference import Value
     from swarmabs_analysis.verification.base import Finding
@@ -50,10 +51,12 @@ class RelayVerification:
         robots = configure.members(scenario)
         self._links = configure.links(scenario)
         self._content = Content(robots, scenario.family)
+        self._planned = Membership(robots, configure.schedule(scenario))
         self._peers = {peer.agent_id: peer for peer in configure.peers(scenario, robots, recorded=False)}
         self._sent: deque[Relay] = deque()
         self._states: dict[int, dict[int, AnyRobotState]] = {}
         self._before: dict[int, AnyRobotState] = {}
+        self._took_part = 0
         self._parent: AnyParentState | None = None
         self._failed = False
         for peer in self._peers.values():
@@ -88,7 +91,7 @@ class RelayVerification:
         if not self._failed:
             yield from (_surplus(stored, step) for stored in open_.values())
         yield from self._used(self._states.pop(step, {}), states)
-        self._go_on(parent, states)
+        self._go_on(step, parent, states, ())
 
     def timed(
         self,
@@ -96,7 +99,7 @@ class RelayVerification:
         parent: AnyParentState,
         states: Sequence[Record],
         relays: Iterable[Record],
-        dropped: Iterable[int],
+        dropped: Collection[int],
     ) -> Iterator[Finding]:
         """Yield the findings as `findings` does, in a step in which it depended on time which relays robots sent.
 
@@ -110,17 +113,19 @@ class RelayVerification:
         for robot in dropped:
             del self._peers[robot]
         for peer in self._peers.values():
-            self._attempt(partial(peer.settle, step, known.values(), self._parent))
+            self._attempt(partial(peer.settle, step, known.values(), self._parent, dropped))
         yield from self._used(self._states.pop(step, {}), states)
-        self._go_on(parent, states)
+        self._go_on(step, parent, states, dropped)
 
-    def _go_on(self, parent: AnyParentState, states: Iterable[Record]) -> None:
+    def _go_on(self, step: int, parent: AnyParentState, states: Iterable[Record], dropped: Iterable[int]) -> None:
         """Let robots hear the parent's state of a step that is verified, so that they begin the next one."""
         for robot, peer in self._peers.items():
             if self._links.senses(robot):
                 self._ask(peer, parent)
         self._parent = parent
         self._before = {stored.agent_id: reduced(state) for stored in states if (state := _state(stored))}
+        never_join = (robot for robot in dropped if self._planned.span(robot).first > step)
+        self._took_part = self._content.set_of((*self._before, *never_join))
 
     def _used(self, expected: Mapping[int, AnyRobotState], states: Iterable[Record]) -> Iterator[Finding]:
         """Yield the differences of recorded states from those that follow from what the robots had heard."""
@@ -173,9 +178,8 @@ class RelayVerification:
             said = self._content.read(relay, self._before)
         except MalformedMessageError as error:
             return Difference.of(relay, "content", in_hex(relay.content), "", _in_round(relay, str(error)))
-        before = self._content.set_of(self._before)
-        if said.before != before:
-            there = (self._content.robots_in(said.before), self._content.robots_in(before))
+        if said.before != self._took_part:
+            there = (self._content.robots_in(said.before), self._content.robots_in(self._took_part))
             return Difference.of(relay, "before", *there, _in_round(relay))
         pairs: list[tuple[str, Message, Message]] = [
             (f"robot_{state.agent_id}", state, states[state.agent_id])
@@ -198,7 +202,7 @@ class RelayVerification:
             said = self._content.read(recorded, self._before)
         except MalformedMessageError as error:
             return _content(recorded, expected, str(error))
-        for field, of in (("before", self._took_part), ("held", self._held), ("passed_on", _passed_on)):
+        for field, of in (("before", self._told_before), ("held", self._held), ("passed_on", _passed_on)):
             a, b = of(said), of(due)
             if a != b:
                 unheard = sorted({*a} - {*self._held(due)})
@@ -217,7 +221,7 @@ class RelayVerification:
                 return Difference.of(expected, f"{whose}.{field}", ours, theirs, _in_round(expected))
         return None if self._tolerance and said.votes == due.votes else _content(recorded, expected)
 
-    def _took_part(self, told: Knowledge) -> tuple[int, ...]:
+    def _told_before(self, told: Knowledge) -> tuple[int, ...]:
         return self._content.robots_in(told.before)
 
     def _held(self, told: Knowledge) -> tuple[int, ...]:

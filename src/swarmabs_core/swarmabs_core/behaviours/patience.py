@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from swarmabs_core.behaviours.peer import Peer
+    from swarmabs_core.behaviours.peer import Peer, Turn
     from swarmabs_core.messages import Messages
 
 
@@ -24,13 +24,13 @@ class Patience:
 
     def __init__(self, peer: Peer, limit: float) -> None:
         self._peer, self._limit = peer, limit
-        self._turn = -1, False
-        self._begun = self._given = 0.0
+        self._turn: Turn | None = None
+        self._begun = self._since = 0.0
         self._heard: dict[int, float] = {}
 
     def start_over(self, now: float) -> None:
         """Begin anew at a time, s, after a time in which the robot did not listen."""
-        self._turn = -1, False
+        self._turn = None
         self._note(now)
 
     def look(self, now: float) -> Messages:
@@ -47,13 +47,13 @@ class Patience:
         if self._begun > since:
             return ()
         silent = [robot for robot in peer.neighbours if self._heard.get(robot, self._begun) <= since]
-        return peer.stalled(silent, waited=self._given <= since)
+        return peer.stalled(silent, waited=self._since <= since)
 
     def _note(self, now: float) -> None:
         self._heard.update(dict.fromkeys(self._peer.take_heard(), now))
-        (step, given), before = self._peer.turn, self._turn
-        if step != before[0]:
+        turn, before = self._peer.turn, self._turn
+        if before is None or turn.step != before.step:
             self._begun = now
-        if (step, given) != before:
-            self._given = now
-        self._turn = step, given
+        if turn != before:
+            self._since = now
+        self._turn = turn

@@ -17,7 +17,7 @@ Robots agree on going on without silent ones as `Agreement` says.
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmabs_core.agreement import Agreement
 from swarmabs_core.behaviours.agent import Agent, AgentGroup
@@ -38,6 +38,7 @@ from swarmabs_core.messages import (
     TOPIC_OF,
     AnyParentState,
     AnyRobotState,
+    EventKind,
     Message,
     Messages,
     RecordingProgress,
@@ -56,6 +57,24 @@ if TYPE_CHECKING:
 
 _KEPT_UNRECORDED = 8
 """Steps of which a robot keeps what it has said, if no recorder tells how far it is."""
+
+
+class Turn(NamedTuple):
+    """What a robot waits for.
+
+    Attributes
+    ----------
+    step : int
+        The current step.
+    given : bool
+        Whether it has given its state of it to the parent, and knows all others that count in it.
+    out : int
+        The robots that it leaves out, as bits by rank. Who reaches it gives its state once it knows all their votes.
+    """
+
+    step: int
+    given: bool
+    out: int
 
 
 class Peer:
@@ -109,14 +128,17 @@ class Peer:
         self._kept: deque[tuple[int, Messages]] = deque()
         self._recorded, self._written = bool(controller.recording_window), -1
         self._heard: set[int] = set()
-        self._newest: dict[int, tuple[int, int]] = {}
+        self._newest: dict[int, int] = {}
         self._over = False
+        self._never_join = 0
+        """Robots, as bits by rank, that were dropped in the current step before they were to join."""
         self._begin(0)
 
     def _begin(self, step: int) -> None:
         """Begin a step, and forget the one before but for its states."""
         self._before, self._states = self._states, {}
-        self._set_before = self._content.set_of(self._before)
+        self._set_before = self._content.set_of(self._before) | self._never_join
+        self._never_join = 0
         self._step, self._round, self._sent = step, 0, False
         self._known = 0
         self._parent: AnyParentState | None = None
@@ -206,7 +228,7 @@ class Peer:
             self._refuse_dropped(relay)
             return  # it is about to find out that the others have gone on without it
         self._heard.add(robot)
-        self._newest[robot] = max(turn, self._newest.get(robot, turn))
+        self._newest[robot] = max(relay.step, self._newest.get(robot, -1))
         if self._over or robot not in self._near or self._is_out(robot):
             return
         if relay.step > self._step:
@@ -234,23 +256,29 @@ class Peer:
         """
         self._refuse_dropped(relay)
         if relay.step == self._step + 1 and self._agreement.out:
-            self._agreement.follow(self._content.before(relay))
+            self._agreement.follow(self._left_out(self._content.before(relay)))
 
     def _refuse_dropped(self, relay: Relay) -> None:
-        """Raise `RunError` if a neighbour has completed a step in which this robot takes part without it."""
-        if not self._observer.membership.publishes(self.agent_id, relay.step - 1):
+        """Raise `RunError` if a neighbour has completed a step without this robot, which takes part, or is to join."""
+        membership, before = self._observer.membership, relay.step - 1
+        if not membership.lasts(self.agent_id, before):
             return
-        own = self._content.set_of((self.agent_id,))
-        if relay.step > self._step + 1 or not self._content.before(relay) & own:
+        told = bool(self._content.before(relay) & self._content.set_of((self.agent_id,)))
+        if relay.step > self._step + 1 or told != membership.publishes(self.agent_id, before):
             raise RunError(
                 f"step {self._step}: the others have dropped robot {self.agent_id}, because it did not answer "
                 f"(lockstep.on_stall); robot {relay.agent_id} is at step {relay.step}"
             )
 
+    def _left_out(self, before: int) -> int:
+        """Return whom others have dropped in this step, as they tell of it in the next one (`Knowledge.before`)."""
+        present = self._content.set_of(self._observer.membership.lasting(self._step))
+        return present & (before ^ self._content.set_of(self._due()))
+
     @property
-    def turn(self) -> tuple[int, bool]:
-        """The current step, and whether this robot has given its state of it to the parent."""
-        return self._step, self._given
+    def turn(self) -> Turn:
+        """What this robot waits for."""
+        return Turn(self._step, self._given and self._complete, self._agreement.out)
 
     def take_heard(self) -> set[int]:
         """Return the neighbours of which anything has been heard since the last call."""
@@ -267,10 +295,10 @@ class Peer:
         """
         if self._over or self._held_back:
             return ()
-        agreement, linked, turn = self._agreement, self._linked(), (self._step, self._round)
+        agreement, linked = self._agreement, self._linked()
         missed = self._content.set_of(robot for robot in silent if robot in linked)
         # A vote of one that misses nobody lets it go on without messages whose senders have: these may not repeat them.
-        passed = any(self._newest.get(robot, turn) >= turn for robot in self._waiting())
+        passed = any(map(self._has_gone_on, self._waiting()))
         if not missed and not agreement.votes and not passed:
             return ()
         news = agreement.tell(missed, self._known)
@@ -281,15 +309,25 @@ class Peer:
         self._note_votes()
         return self._proceed()
 
-    def settle(self, step: int, states: Iterable[AnyRobotState], parent: AnyParentState | None) -> Messages:
+    def _has_gone_on(self, robot: int) -> bool:
+        """Return whether a neighbour is at a later step, or, as it ends with this one, need not stay any more."""
+        if self._observer.membership.lasts(robot, self._step + 1):
+            return self._newest.get(robot, -1) > self._step
+        return self._goes_on()
+
+    def settle(
+        self, step: int, states: Iterable[AnyRobotState], parent: AnyParentState | None, dropped: Iterable[int]
+    ) -> Messages:
         """Complete a step, the current one or the next, as a recorded run has done; return what is published.
 
         Parameters
         ----------
         states : iterable of AgentState or RobotState
-            The states of the step, as robots get to know them; who publishes none is dropped.
+            The states of the step, as robots get to know them.
         parent : PlaneState, ParentState or None
             The parent's state in the step before, None in step 0.
+        dropped : iterable of int
+            The robots that are dropped in the step.
 
         Raises
         ------
@@ -302,10 +340,9 @@ class Peer:
             return ()
         if parent is not None:
             self._measure(parent)
-        there = tuple(states)
-        for state in there:
+        for state in states:
             self._learn(state)
-        self._agreement.follow(self._content.set_of(state.agent_id for state in there))
+        self._agreement.follow(self._content.set_of(dropped))
         self._resting = True
         return self._proceed()
 
@@ -356,9 +393,11 @@ class Peer:
         dropped = [robot for robot in content.robots_in(self._agreement.dropped) if membership.lasts(robot, self._step)]
         if not dropped or not self._committed:
             return ()
+        bits = content.set_of(dropped)
+        self._never_join |= bits & ~content.set_of(self._due())
+        self._known &= ~bits
         for robot in dropped:
             self._states.pop(robot, None)
-            self._known &= ~content.set_of((robot,))
         self._observer.drop(dropped, SILENT)
         self._meet()
         self._refuse_gaps(self._step)
@@ -366,7 +405,8 @@ class Peer:
         if not self._speaks(self._step):
             return again
         # Whoever spoke before may have ended before the recorder had it. After the last step nobody is missed.
-        changes = self._observer.changes() if self._due() else ()
+        # Who is to join in this step may still be dropped.
+        changes = [event for event in self._observer.changes() if event.kind != EventKind.JOINED] if self._due() else ()
         return (*(message for _, messages in self._kept for message in messages), *changes, *again)
 
     def steer(self, order: Steering) -> None:
@@ -506,7 +546,8 @@ class Peer:
         self._resting = complete and self._complete_near.keys() >= {*linked}
         self._sent = True
         parent = None if told else self._parent
-        content = self._content.written(self._known, states, parent, self._before, self._agreement.votes)
+        votes = self._agreement.votes
+        content = self._content.written(self._set_before, self._known, states, parent, self._before, votes)
         stamp = self._step * self._period_ns
         return Relay(stamp, self._step, self.agent_id, self._round, int(complete), int(self._resting), content)
 
