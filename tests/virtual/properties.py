@@ -65,6 +65,8 @@ EVERY = 16
 """Each command of so many is computed again; all are where two coordinators speak."""
 FEWEST = 2
 """Number of robots without which the others cannot follow."""
+MOST_BACK = 2
+"""Periods by which a clock may be set back without a robot forgetting what it has heard."""
 MOST_ENTRIES = 3000
 """Entries of all containers of a node of a small fleet, whatever it has heard."""
 SILENT = 5
@@ -282,7 +284,8 @@ class _Robot:
         self.writers: dict[bool, tuple[bytes, int]] = {}
         self.released = -(2**62)
         self.held = 0
-        self.new: list[tuple[bool, Topic, Message, bool]] = []
+        self.new: list[tuple[bool, Topic, Message, bool, int]] = []
+        self.clock = -(2**62)
         self.forged: dict[tuple[int, Topic, bool], Message] = {}
         self.doubted: int | None = None
         self.age = 0
@@ -332,7 +335,7 @@ class ActsOnOneSet(Property):
                 known = step - robot.writers[standby][1] > 3 * self.facts.age
                 if known and step - self._latest <= message.step <= step + self.facts.ahead:
                     robot.released = max(robot.released, message.step)
-        robot.new.append((standby, topic, message, not parcel.sender and not stops))
+        robot.new.append((standby, topic, message, not parcel.sender and not stops, self.facts.step_of(node)))
 
     def _state(self, node: str, state: AgentState) -> None:
         robot, facts = self._robots[node], self.facts
@@ -374,8 +377,12 @@ class ActsOnOneSet(Property):
 
     def _take(self, robot: _Robot, step: int) -> None:
         """Let what was heard since the last state count for the next decision."""
-        for standby, topic, message, forged in robot.new:
+        for standby, topic, message, forged, heard in robot.new:
             of = message.step
+            if heard < robot.clock - MOST_BACK:  # it forgets what it has heard by the clock of before
+                robot.sets.clear()
+                robot.forged.clear()
+            robot.clock = heard
             if of > step + self.facts.ahead:
                 continue
             if forged:

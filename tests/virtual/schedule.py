@@ -488,11 +488,12 @@ def _reset_at_a_stop(draw: Random, case: Case, at: float) -> list[Fault]:
 
 
 def _set_back(draw: Random, case: Case, at: float) -> list[Fault]:
-    """Let the clock of a node be wrong by about as much as is tolerated, or set back by so many periods."""
+    """Let the clock of a node, or of all, be wrong by about as much as is tolerated, or set back by so many periods."""
     periods = draw.choice((1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 6.0, 9.0, 10.0, 11.0, 12.0))
     value = draw.choice((-1.0, -1.0, 1.0)) * periods / case.hertz
     name = draw.choice((_some(draw, case), draw.choice(case.robot_names)))
-    return [Fault(at, "clock", name, draw.uniform(8.0, 60.0) / case.hertz, value)]
+    lasting = draw.uniform(8.0, 60.0) / case.hertz
+    return [Fault(at, "clock", n, lasting, value) for n in (case.names if draw.random() < 0.2 else (name,))]
 
 
 def _deaf(draw: Random, case: Case, at: float) -> list[Fault]:
