@@ -139,6 +139,14 @@ FOUND = {
         planned="[]",
         faults=(Doing("ends", 1, 82), Doing("stands", 3, 0.391, 0.503), Doing("deaf", 1, 0.518, other=6)),
     ),
+    "the last word of a neighbour comes after its round was given up, and is waited for, for ever": RoundsCase(
+        4618312,
+        robots=10,
+        links="{type: ring, loss: 0.3}",
+        loss=0.05,
+        planned="[]",
+        faults=(Doing("ends", 10, 32), Doing("stands", 8, 0.368, 0.297), Doing("stands", 3, 0.532, 0.374)),
+    ),
     "one is told to have joined in the step in which it is dropped": RoundsCase(
         4505080,
         robots=5,

@@ -128,7 +128,7 @@ class Peer:
         self._kept: deque[tuple[int, Messages]] = deque()
         self._recorded, self._written = bool(controller.recording_window), -1
         self._heard: set[int] = set()
-        self._newest: dict[int, int] = {}
+        self._newest: dict[int, tuple[int, int]] = {}
         self._over = False
         self._never_join = 0
         """Robots, as bits by rank, that were dropped in the current step before they were to join."""
@@ -228,7 +228,7 @@ class Peer:
             self._refuse_dropped(relay)
             return  # it is about to find out that the others have gone on without it
         self._heard.add(robot)
-        self._newest[robot] = max(relay.step, self._newest.get(robot, -1))
+        newest = self._newest[robot] = max(turn, self._newest.get(robot, turn))
         if self._over or robot not in self._near or self._is_out(robot):
             return
         if relay.step > self._step:
@@ -241,6 +241,8 @@ class Peer:
                 self._wake(robot)
         if turn >= (self._step, self._round):
             refuse_conflict(self._inbox.setdefault(turn, {}).setdefault(robot, relay), relay, f"robot {robot}")
+        elif turn == newest and relay.step == self._step and self._agreement.votes:
+            self._note(relay)  # it may say no more, and this robot has not waited for it
 
     def _is_out(self, robot: int) -> bool:
         """Return whether this robot has voted to leave out another one; it does not listen to it any more."""
@@ -312,7 +314,7 @@ class Peer:
     def _has_gone_on(self, robot: int) -> bool:
         """Return whether a neighbour is at a later step, or, as it ends with this one, need not stay any more."""
         if self._observer.membership.lasts(robot, self._step + 1):
-            return self._newest.get(robot, -1) > self._step
+            return self._newest.get(robot, (-1, 0))[0] > self._step
         return self._goes_on()
 
     def settle(
@@ -567,15 +569,19 @@ class Peer:
     def _hear(self) -> None:
         """Take what the neighbours have sent in the round."""
         for robot, relay in sorted(self._inbox.pop((self._step, self._round), {}).items()):
-            if robot not in self._near or self._is_out(robot):
-                continue
-            if relay.complete:
-                self._complete_near[robot] = relay.round
-            if not self._links.loses(self._step, self._round, robot, self.agent_id):
-                self._read(relay)
-            if relay.last and (not self._agreement.votes or robot in self._alike_near):
-                self._ended_near.add(robot)
+            if robot in self._near and not self._is_out(robot):
+                self._note(relay)
         self._round, self._sent = self._round + 1, False
+
+    def _note(self, relay: Relay) -> None:
+        """Take what a neighbour has sent in a round of this step."""
+        robot = relay.agent_id
+        if relay.complete:
+            self._complete_near[robot] = relay.round
+        if not self._links.loses(relay.step, relay.round, robot, self.agent_id):
+            self._read(relay)
+        if relay.last and (not self._agreement.votes or robot in self._alike_near):
+            self._ended_near.add(robot)
 
     def _read(self, relay: Relay) -> None:
         """Take what a neighbour passes on."""
