@@ -491,6 +491,20 @@ PLANTED = (
         "return bool(there and self.out) and not self.inside",
     ),
     Planted(
+        "who_has_yet_to_join_makes_a_majority",
+        "Robots in lockstep that have yet to join count for the majority that goes on without silent ones.",
+        "swarmabs_core.behaviours.peer",
+        "self._graph, present, content.set_of(self._due()))",
+        "self._graph, present, present if self._due() else 0)",
+    ),
+    Planted(
+        "waits_for_what_is_not_said_any_more",
+        "A robot in lockstep waits for a message of a neighbour that has gone on without it.",
+        "swarmabs_core.behaviours.peer",
+        "        passed = any(map(self._has_gone_on, self._waiting()))\n",
+        "        passed = False\n",
+    ),
+    Planted(
         "reset_that_is_late_is_ignored",
         "A robot ignores a RESET that is older than the age limit of broadcasts.",
         "swarmabs_core.realtime.broadcasts",
