@@ -57,7 +57,10 @@ STATEMENTS = {
         "What a robot passes on was published by its author, has reached the robot, and is the newest that has; a "
         "neighbour that has told that it lacks a state gets it, unless the datagram is full."
     ),
-    SUMMED: "A robot sums up the newest states that have reached it, for each state of the plane that reaches it.",
+    SUMMED: (
+        "A robot sums up the newest states that have reached it, for each state of the plane that reaches it; the one "
+        "of lowest id of those that hear each other publishes that."
+    ),
     ORDERED: (
         "A robot tells the newest STOP and RESET of all that have reached it and that operators have given to it; it "
         "does not move while the STOP holds."
@@ -73,6 +76,8 @@ STATEMENTS = {
     ),
 }
 """What each of these properties means, for people."""
+_QUIET = 5
+"""Periods for which whoever is to publish the sums may say none."""
 _NO_ORDERS = Orders()
 
 
@@ -120,6 +125,8 @@ class _Robot:
     started: bool = False
     due: list[int] = field(default_factory=list)
     laws: dict[tuple[int, int], tuple[float, ...]] = field(default_factory=dict)
+    spoke: int = -1
+    quiet: int = 0
 
 
 class TellEachOther(Property):
@@ -244,6 +251,14 @@ class TellEachOther(Property):
             told = " or ".join(map(self._named, dict.fromkeys(counted)))
             text = f"follows step {used}, in which it hears no majority: {self._named(hears)} of {told}"
             raise self._break(COUNTED, node, text)
+        lower = (steps for rank, steps in enumerate(robot.may) if rank < robot.rank)
+        is_lowest = not any(of >= used - facts.state_age for steps in lower for of in reversed(steps))
+        robot.quiet = robot.quiet + 1 if is_lowest and used > robot.spoke else 0
+        if robot.quiet > _QUIET:
+            text = (
+                f"follows step {used}, and hears no robot of a lower id, but has published no sums since {robot.spoke}"
+            )
+            raise self._break(SUMMED, node, text)
 
     def _electorates(self, robot: _Robot, ago: int = 0) -> list[frozenset[int]]:
         """Return the ranks that may have counted since so many steps ago."""
@@ -296,6 +311,7 @@ class TellEachOther(Property):
 
     def _speaks(self, node: str, message: AbstractState) -> None:
         robot = self._robots[node]
+        robot.spoke = message.step
         summed = robot.sums.get(message.step)
         if summed is None or node in self.facts.wrong:
             return
