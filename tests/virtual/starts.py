@@ -60,6 +60,7 @@ LONGEST = 400.0
 """Time, s, after which a run that has not ended never does."""
 STALLED = 5.0
 """Time, s, after which nodes in lockstep report that they wait; the default of scenarios."""
+_USUAL_PACE = 0.02
 SLACK = 3.0 * POLL
 """Time, s, that the orchestrator has for noticing something."""
 FOR_EVER = 1e6
@@ -92,7 +93,7 @@ class Trouble(NamedTuple):
 
 @dataclass(frozen=True)
 class StartCase:
-    """A run of processes and what happens to them."""
+    """A run of processes and what happens to them; one in lockstep takes a `pace` (s) for a step."""
 
     seed: int
     realtime: bool = False
@@ -100,6 +101,7 @@ class StartCase:
     drops: bool = False
     robots: int = 3
     per_process: int = 1
+    pace: float = 0.02
     faults: tuple[Trouble, ...] = ()
     numbers: tuple[int, ...] | None = None
 
@@ -118,6 +120,7 @@ class StartCase:
             *(["each robot coordinates"] if self.each_robot else []),
             *(["silent robots are dropped"] if self.drops else []),
             *([f"{self.per_process} robots per process"] if self.per_process > 1 else []),
+            *([f"{self.pace:g} s for a step"] if self.pace > _USUAL_PACE else []),
         ]
         return "\n".join([f"seed {self.seed}: {'; '.join(words)}", *numbered(self.faults, self.numbers)])
 
@@ -137,6 +140,8 @@ def start_case(seed: int) -> StartCase:
     names = [process.name for process in _run_of(case, Path("/nowhere"))._plan]
     kinds = draw.sample(_KINDS, draw.choice((1, 1, 2, 3)))
     faults = [_trouble(draw, draw.choice(kinds), names) for _ in range(draw.choice((0, 1, 1, 2, 3, 5)))]
+    if case.drops and draw.random() < 0.5:
+        faults, case = _silences(draw, names), replace(case, pace=draw.choice((_USUAL_PACE, 0.4, 0.4)))
     return replace(case, faults=tuple(sorted(faults)))
 
 
@@ -177,6 +182,16 @@ def _trouble(draw: Random, kind: str, names: list[str]) -> Trouble:
         return Trouble(0.0, kind, who, draw.choice((draw.uniform(1.0, 8.0), 15.0, FOR_EVER)))
     begun = draw.random() < 0.5
     return Trouble(draw.choice((draw.uniform(0.0, 1.0), draw.uniform(0.0, 4.0))), kind, who, begun=begun)
+
+
+def _silences(draw: Random, names: list[str]) -> list[Trouble]:
+    """Let a robot fall silent, and perhaps others while all report that they wait for it."""
+    robots = [name for name in names if name.startswith(ROBOT_PREFIX[:5])]
+    at, faults = draw.uniform(0.0, 4.0), []
+    for name in draw.sample(robots, draw.randint(1, len(robots) - 1)):
+        faults.append(Trouble(at, draw.choice(("killed", "stopped", "stopped")), name, begun=True))
+        at += draw.choice((draw.uniform(0.0, 1.0), STALLED + draw.uniform(0.0, 1.0), STALLED + draw.uniform(0.0, 2.0)))
+    return faults
 
 
 @cache
@@ -270,7 +285,7 @@ class Host:
         self.viewers: list[str] = []
         self._announced = announced_to([*self.plan.values()])
         self._surprise(begun=False)
-        self.after(0.02, self._go_on)
+        self.after(case.pace, self._go_on)
 
     # Time
 
@@ -563,7 +578,7 @@ class Host:
 
     def _go_on(self) -> None:
         """Let a run that has begun go on, or stall."""
-        self.after(0.02, self._go_on)
+        self.after(self.case.pace, self._go_on)
         current = self.current()
         if self.began is None or self.code is not None or len(current) < len(self.plan):
             return
@@ -813,6 +828,11 @@ class StartStory:
     def _spawned(self, name: str) -> int:
         return sum(process.name == name for process in self.host.processes.values())
 
+    def _is_silence(self, trouble: Trouble) -> bool:
+        """Return whether a robot falls silent in the run."""
+        plan = self.host.plan.get(trouble.who)
+        return trouble.begun and trouble.kind in {"killed", "stopped"} and plan is not None and bool(plan.agents)
+
     def _is_mild(self, trouble: Trouble) -> bool:
         """Return whether a run goes on in spite of this."""
         case, plan = self.case, self.host.plan.get(trouble.who)
@@ -837,6 +857,9 @@ class StartStory:
         if trouble.kind == "ignores":
             return not case.realtime or robot or trouble.who == RECORDER or trouble.lasting < ENDING_SECONDS - 1.0
         killed = trouble.kind == "killed" and robot and (case.realtime or case.drops) and not others
+        if case.drops and not case.each_robot and all(map(self._is_silence, case.faults)):
+            robots = sum(bool(process.agents) for process in self.host.plan.values())
+            return len({other.who for other in case.faults}) < robots
         return killed or trouble.kind in {"twice", "viewer"}
 
 
