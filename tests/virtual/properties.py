@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import product
-from math import inf, isfinite
+from math import fsum, inf, isfinite
 from typing import Any, NamedTuple
 
 from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
@@ -290,6 +290,7 @@ class _Robot:
         self.doubted: int | None = None
         self.age = 0
         self.count = 0
+        self.unmeasured: list[float] = []
 
 
 class ActsOnOneSet(Property):
@@ -344,6 +345,10 @@ class ActsOnOneSet(Property):
             if before is None:
                 raise self.broken(node, "moves in its first step, before it has decided anything")
             self._check(node, robot, before, state)
+        if before is None or state.stamp != before.stamp:
+            robot.unmeasured.clear()
+        elif node not in facts.fleet.force_driven:  # a velocity moves it on while its sensor is silent
+            robot.unmeasured.append(state.command * (state.step - before.step) * facts.clock.period)
         robot.before = state
         robot.age = facts.fleet.now(node) - state.stamp
         self._spoke.add(node)
@@ -440,7 +445,8 @@ class ActsOnOneSet(Property):
             text = f"moved in step {decided} on broadcasts of step {used}, of which it has received {has}"
             raise self.broken(node, text)
         if state.status == Status.ACTIVE:
-            laws = [self._laws[node].decide(before.position, before.velocity, one)[0].command for one in sets]
+            moved = fsum(robot.unmeasured)
+            laws = [self._laws[node].decide(before.position, before.velocity, one, moved)[0].command for one in sets]
             if state.command not in laws:
                 text = (
                     f"its command of step {decided} is {state.command:.9g}; the broadcasts of step {used} that it has "
@@ -458,7 +464,8 @@ class ActsOnOneSet(Property):
         for parts in product(*heard.values()):
             abstract, sums, desired = (message for _, message in parts)
             mixed = Broadcast(desired.stamp, desired.step, abstract, sums, desired)
-            if self._laws[node].decide(before.position, before.velocity, mixed)[0].command == state.command:
+            law = self._laws[node].decide(before.position, before.velocity, mixed, fsum(robot.unmeasured))
+            if law[0].command == state.command:
                 return f"; it follows from {', '.join(words for words, _ in parts)}"
         return ""
 

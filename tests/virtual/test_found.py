@@ -94,6 +94,15 @@ FOUND = {
         ),
         quiet=8.582,
     ),
+    "a robot acts on its last measurement as if it had not moved since, and leaves its lane": Case(
+        7001625,
+        robots=3,
+        paired=True,
+        own_topics=True,
+        stopped=True,
+        faults=(Fault(0.0, "skew", "abstraction_observer", 8.979, -0.075), Fault(7.331, "blind", "agent_003", 1.648)),
+        quiet=8.979,
+    ),
     "robots that nobody connects with the plane any more wait for its state for ever": RoundsCase(
         80040,
         robots=9,

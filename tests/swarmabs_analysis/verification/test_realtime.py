@@ -145,8 +145,8 @@ def one_bit_off(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let all robots decide on a command that is one bit higher, of what they hear of step 60."""
     honest = agent.RealtimeLaw.decide
 
-    def decide(self: agent.RealtimeLaw, position: float, velocity: float, heard: Any) -> Any:
-        decision, limited = honest(self, position, velocity, heard)
+    def decide(self: agent.RealtimeLaw, position: float, velocity: float, heard: Any, moved: float = 0.0) -> Any:
+        decision, limited = honest(self, position, velocity, heard, moved)
         higher = decision._replace(command=math.nextafter(decision.command, math.inf))
         return higher if heard.step == 60 else decision, limited
 
@@ -294,6 +294,32 @@ def test_a_law_with_memory_is_followed_again_after_a_reset() -> None:
         # With losses robots stand for a moment, and for seconds the desired state is on its way to its curve.
         continued = result.not_checkable[NO_ANSWER_BEFORE] if name == "noisy plane" else 0
         assert result.not_checkable.total() - continued <= 4
+
+
+def test_what_a_robot_does_near_the_end_of_its_lane_while_its_sensor_is_silent_is_explained(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ages = ", ".join(f"{name}_age_limit: 0.5" for name in ("broadcast", "state", "plane"))
+    scenario = builtin(
+        "pd_het_4",
+        "step=0.05",
+        f"realtime={{{ages}, clock_tolerance: 0.1}}",
+        "plane={end_stop: 0.5, angle: 0.4, angular_velocity: 3}",
+    )
+    fleet = VirtualFleet(scenario, start_mode=msg.Mode.STOP)
+    fleet.run(1.2)
+    fleet.call(CONTROLLER, "reset")
+    fleet.run(1.0)
+    for _ in range(20):
+        for silent, lasting in ((True, 0.12), (False, 0.04)):
+            for robot in (1, 2):
+                fleet.drives[robot].blind = silent
+            fleet.run(lasting)
+    bag = record(fleet, scenario).bag
+    assert verify(scenario, bag, robots=()).difference is None
+    honest = agent.RealtimeLaw.decide
+    monkeypatch.setattr(agent.RealtimeLaw, "decide", lambda self, *known: honest(self, *known[:3]))
+    assert place(verify(scenario, bag, robots=()).difference)[3] == "command", "it counts how far a robot has moved"
 
 
 def test_a_stop_after_an_answer_that_was_not_recorded_is_checked_against_the_next() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 
 from swarmabs_core.messages import Kind
-from swarmabs_core.realtime.envelope import LaneEnvelope
+from swarmabs_core.realtime.envelope import LaneEnvelope, Unmeasured
 from swarmabs_core.robot_controller import Limits, RobotController
 from swarmabs_core.swarm_law import PAPER, Robot, SwarmGains
 
@@ -77,6 +77,25 @@ def test_a_single_integrator_stays_when_commands_are_held_twice(commands: list[f
         assert abs(kept) <= abs(command)
         assert kept * command >= 0.0
         p += 2.0 * period * kept
+        assert abs(p) <= LANE + 1e-9
+
+
+@given(commands, st.randoms(use_true_random=False), st.floats(-LANE, LANE), periods)
+@settings(max_examples=60, deadline=None)
+def test_a_single_integrator_stays_while_its_sensor_is_silent(
+    commands: list[float], draw: Random, start: float, period: float
+) -> None:
+    controller, lane = envelope(Kind.SINGLE_INTEGRATOR, period)
+    unmeasured = Unmeasured(controller, period)
+    p = measured = start
+    step, stamp, kept = 0, 0, 0.0
+    for command in commands * 3:
+        if draw.random() < 0.4:
+            measured, stamp = p, step
+        unmeasured.note(step, stamp, kept)
+        kept = lane.apply(measured + unmeasured.distance, 0.0, command)
+        held = draw.choice((1, 1, 2))
+        step, p = step + held, p + held * period * kept
         assert abs(p) <= LANE + 1e-9
 
 

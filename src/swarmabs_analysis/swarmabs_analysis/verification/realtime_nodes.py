@@ -106,6 +106,7 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         self._start = start
         self._own_limits = own_limits
         self._law = RealtimeLaw(config)
+        self._unmeasured = self._law.unmeasured()
         self._age = config.schedule.steps(config.broadcast_age_limit)
         self._ahead = config.schedule.ahead(config.clock_tolerance)
         self._before: AgentState | None = None
@@ -115,6 +116,8 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         state, before = stored.message, self._before
         assert isinstance(state, AgentState)  # noqa: S101 - by topic
         self._before = state
+        if before is not None:
+            self._unmeasured.note(before.step, before.stamp, before.command)
         as_configured = state._replace(kind=self._config.kind, mass=self._config.mass, damping=self._config.damping)
         # Only the state of a simulated body is measured at the beginning of its step.
         wrong_time = None if self._start is None else wrong_stamp(state, self._config.schedule)
@@ -129,7 +132,7 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
         if before is None or self._history.is_ambiguous(AGENT_STATE, before.step, state.agent_id):
             return NO_STATE_BEFORE
         finding = self._explain(stored, state, before)
-        if isinstance(finding, Difference) and state.step > before.step + 1:
+        if isinstance(finding, Difference) and (state.step > before.step + 1 or self._unmeasured.gap):
             return NO_STATE_BEFORE  # the command may follow from a state in between
         return finding
 
@@ -175,7 +178,7 @@ class RobotCheck(_Check[RealtimeAgentConfig]):
                 self._check_hold(state, before, followed[0])
             return at_rest
         heard = self._broadcasts(state, before, followed)
-        decision, _ = self._law.decide(before.position, before.velocity, heard)
+        decision, _ = self._law.decide(before.position, before.velocity, heard, self._unmeasured.distance)
         if decision.problem:
             return at_rest
         measured = self._start is not None or state.status == Status.LEFT

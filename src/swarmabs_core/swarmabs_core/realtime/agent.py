@@ -14,7 +14,7 @@ from swarmabs_core.parameters import Settings
 from swarmabs_core.realtime.base import UNKNOWN, Health, Level, Realtime, Schedule, Sender, StepCounter
 from swarmabs_core.realtime.broadcasts import BroadcastInbox
 from swarmabs_core.realtime.drives import DRIVES, SIMULATED, Reporting
-from swarmabs_core.realtime.envelope import LaneEnvelope
+from swarmabs_core.realtime.envelope import LaneEnvelope, Unmeasured
 from swarmabs_core.realtime.leadership import Pair
 from swarmabs_core.realtime.validation import Bounds, Refusals
 from swarmabs_core.robot_controller import HELD, RESET, STOPPED, Decision, RobotController
@@ -79,13 +79,23 @@ class RealtimeLaw:
         robot = Robot(config.kind, config.mass, config.damping, config.gains, config.gravity, period)
         self.controller = RobotController(robot, config.law, config.law_settings, config.limits, config.plane_length)
         self._envelope = LaneEnvelope(self.controller, period, config.lane_limit, config.deceleration)
+        self._period = period
 
-    def decide(self, position: float, velocity: float, heard: Broadcast) -> tuple[Decision, EventCode | None]:
-        """Return the decision at a position (m) with a velocity (m/s), and which limit applied, if any."""
+    def unmeasured(self) -> Unmeasured:
+        """Return what follows a robot's motion while its sensor is silent."""
+        return Unmeasured(self.controller, self._period)
+
+    def decide(
+        self, position: float, velocity: float, heard: Broadcast, moved: float = 0.0
+    ) -> tuple[Decision, EventCode | None]:
+        """Return the decision at a position (m) with a velocity (m/s), and which limit applied, if any.
+
+        `moved` is how far the robot has been moved since it was measured there (`Unmeasured`), m.
+        """
         decision = self.controller.decide(position, velocity, heard)
         if decision.problem:
             return decision, None
-        kept = self._envelope.apply(position, velocity, decision.command)
+        kept = self._envelope.apply(position + moved, velocity, decision.command)
         limited = EventCode.LANE_LIMITED if kept != decision.command else EventCode.COMMAND_LIMITED
         return decision._replace(command=kept), limited if kept != decision.wanted else None
 
@@ -104,6 +114,7 @@ class RealtimeAgent:
         self._config = config
         self._drive = drive
         self._law = RealtimeLaw(config)
+        self._unmeasured = self._law.unmeasured()
         self._inbox = BroadcastInbox(config.schedule, config.broadcast_age_limit, config.clock_tolerance, config.bounds)
         self._refusals = Refusals(config.agent_id)
         self._measurement: Measurement | None = None
@@ -145,6 +156,8 @@ class RealtimeAgent:
         measured = self._drive.read(now)
         if measured is not None and isfinite(measured.position) and isfinite(measured.velocity):
             self._measurement = measured
+        if self._measurement is not None:
+            self._unmeasured.note(step, self._measurement.stamp, self._command)
         if self._leaving is not None:
             return self._repeat_last_state(step)
         fresh = self._fresh(now)
@@ -227,7 +240,7 @@ class RealtimeAgent:
         m, broadcasts = self._measurement, self._inbox.newest
         if problem or m is None or broadcasts is None:
             return self._stop(now, problem)
-        decision, limited = self._law.decide(m.position, m.velocity, broadcasts)
+        decision, limited = self._law.decide(m.position, m.velocity, broadcasts, self._unmeasured.distance)
         if decision.held:
             return self._hold(now, decision.command)
         if decision.problem:

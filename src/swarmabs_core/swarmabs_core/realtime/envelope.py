@@ -9,6 +9,7 @@ from math import copysign, inf, sqrt
 from typing import TYPE_CHECKING
 
 from swarmabs_core.drive import SingleIntegratorDrive
+from swarmabs_core.summation import exact_sum
 
 if TYPE_CHECKING:
     from swarmabs_core.robot_controller import RobotController
@@ -16,6 +17,42 @@ if TYPE_CHECKING:
 LATENCY = 2
 """Number of periods for which a command may be held: its own, and one more if the next command is late."""
 _HALVINGS = 40
+
+
+class Unmeasured:
+    """How far commands have moved a single integrator while its sensor was silent.
+
+    A robot acts on a measurement until that is outdated. What it does meanwhile counts for the room that is left: the
+    periods, each of the length `period` (s), after the first one in which it had the measurement.
+
+    Attributes
+    ----------
+    gap : bool
+        Whether the robot has told nothing of some of these periods, so that commands in between may be unknown.
+    """
+
+    def __init__(self, controller: RobotController, period: float) -> None:
+        self._moves = isinstance(controller.ideal, SingleIntegratorDrive)
+        self._period = period
+        self._parts: list[float] = []
+        self._stamp = self._step = -1
+        self.gap = False
+
+    def note(self, step: int, stamp: int, command: float) -> None:
+        """Note the newest measurement (ns) in a step, and the command (m/s) that was held until then."""
+        if stamp != self._stamp:
+            self._parts.clear()
+            self.gap = False
+        elif self._moves:
+            passed = max(0, step - self._step)
+            self._parts.append(command * passed * self._period)
+            self.gap = self.gap or passed > 1
+        self._stamp, self._step = stamp, step
+
+    @property
+    def distance(self) -> float:
+        """That distance, m; 0 while there is a new measurement in each period, and for robots driven by a force."""
+        return exact_sum(self._parts)
 
 
 class LaneEnvelope:
