@@ -13,7 +13,7 @@ from math import fsum, inf, isfinite
 from typing import Any, NamedTuple
 
 from tests.virtual.fleet import Parcel, VirtualFleet, Watcher
-from tests.virtual.schedule import AGE, AHEAD, Case
+from tests.virtual.schedule import AGE, AHEAD, ALL, Case
 
 from swarmabs_config import configure as lockstep, realtime as configure
 from swarmabs_config.graph import CONTROLLER, PLANE, STANDBY_TOPICS, own_topic
@@ -71,6 +71,8 @@ MOST_ENTRIES = 3000
 """Entries of all containers of a node of a small fleet, whatever it has heard."""
 SILENT = 5
 """Periods for which a robot or the plane may be silent: one whose clock is set back a little waits for it."""
+MOST_LOST = 0.5
+"""Share of the messages of a coordinator that may be lost so that robots get whole sets within the age limit."""
 MOST_REFUSED = 40
 """Reports of refused messages of a node within ten seconds."""
 
@@ -147,6 +149,12 @@ class Facts:
         self._unsound: dict[str, int] = {}
         self.late_until = 0.0
         self._concerned: dict[str, int] = {}
+        coordinators = {ALL, *case.coordinators}
+        self._lossy = [
+            fault
+            for fault in case.faults
+            if fault.kind == "loss" and fault.value >= MOST_LOST and coordinators.intersection(fault.ends[0].split(","))
+        ]
 
     @property
     def now(self) -> int:
@@ -222,6 +230,8 @@ class Facts:
         if self.case.each_robot:
             return "soon" if self._hears_most(robot) else ""
         pairs = [[self.is_fine(name) for name in pair] for pair in self.case.pairs]
+        if any(fault.at <= self.now / 1e9 <= fault.end + self.settles / 1e9 for fault in self._lossy):
+            return ""  # who is still heard leads on, and of each set a part may be lost
         fine = {*filter(self.is_fine, self.case.robot_names)}
         if not all(map(any, pairs)) or len(fine) < FEWEST:
             return ""
@@ -575,6 +585,7 @@ class SumsUpWhatItHears(Property):
         super().__init__(facts)
         self._newest: dict[str, dict[int, AgentState]] = {}
         self._arrived: dict[tuple[str, int], int] = {}
+        self._twofold: dict[tuple[str, int], int] = {}
         self._counted: dict[str, tuple[int, int]] = {}
         if facts.case.each_robot:
             return
@@ -622,6 +633,8 @@ class SumsUpWhatItHears(Property):
         if newest is None or not parcel.sender or not isinstance(state, AgentState):
             return
         before = newest.get(state.agent_id)
+        if before is not None and state.step == before.step and state != before:  # its clock was set back
+            self._twofold[node, state.agent_id] = state.step
         if (before is None or state.step > before.step) and state.step <= self.facts.step_of(node) + self.facts.ahead:
             newest[state.agent_id] = state
             self._arrived[node, state.agent_id] = self.facts.now
@@ -694,7 +707,8 @@ class SumsUpWhatItHears(Property):
                 raise self.broken(node, f"in step {basis.step} of robot {robot}: {text}")
 
         if basis.source == Source.OBSERVER:
-            states = [(newest.get(robot), *of) for robot, of in used.items()]
+            twofold = any(self._twofold.get((node, robot)) == step for robot, (step, _) in used.items())
+            states = [] if twofold else [(newest.get(robot), *of) for robot, of in used.items()]
             known = [(state, bool(stands)) for state, step, stands in states if state and state.step == step]
             if len(known) == len(used):
                 self._used[node] = basis.step, known

@@ -103,6 +103,19 @@ FOUND = {
         faults=(Fault(0.0, "skew", "abstraction_observer", 8.979, -0.075), Fault(7.331, "blind", "agent_003", 1.648)),
         quiet=8.979,
     ),
+    "a RESET ends by the clock while the node stands still, so that the STOP before it holds for ever": Case(
+        7009205,
+        hertz=10,
+        each_robot=True,
+        stopped=True,
+        links="{type: ring, loss: 0.3, seed: 75, sensing: []}",
+        faults=(
+            Fault(8.713, "crash", "agent_003", 1.091),
+            Fault(10.381, "crash", "plane_sim", 0.585),
+            Fault(10.465, "pause", "agent_003", 0.601),
+        ),
+        quiet=11.104,
+    ),
     "robots that nobody connects with the plane any more wait for its state for ever": RoundsCase(
         80040,
         robots=9,

@@ -226,7 +226,8 @@ def test_a_swarm_that_waits_for_a_reset_is_told_so_without_a_plane_once_per_step
     assert node.health(nodes.at(3)).text == "STOP: waiting for a reset"
     assert nodes.desired(node.tick(nodes.at(3.75)))[:3] == (nodes.at(3.75), 3, Mode.STOP)
     node.reset(nodes.at(4))
-    modes = {nodes.desired(node.tick(nodes.at(step + 0.75))).mode for step in range(5, 103)}
+    assert node.tick(nodes.at(4.75)) == ()
+    modes = {nodes.desired(node.tick(nodes.at(step + 0.75))).mode for step in range(5, 104)}
     assert modes == {Mode.RESET}
     node.tick(nodes.at(104.75))
     assert ("mode", "RUN") in node.health(nodes.at(104.75)).values

@@ -131,6 +131,7 @@ class RealtimeController:
         self._fast = 0
         self._asked: DesiredAbstractState | None = None
         self._last_published = -1
+        self._ticked = -1
         self._blind = False
         self.voice = Voice(EventCode.CONTROLLER_LEADS, config.pair, config.schedule, config.clock_tolerance)
         self._restart()
@@ -198,6 +199,8 @@ class RealtimeController:
         """Repeat STOP and RESET even without states of the plane, and report if those are missing."""
         step = self._config.schedule.step(now)
         self._writers.advance(step)
+        self._mode.prolong(step - self._ticked - 1, step)
+        self._ticked = step
         events = self.voice.say(self._end_reset(now, step), now, able=self._keeps_still)
         newest = max(self._last_published, -1 if self._plane is None else self._plane.step)
         if newest > step + self._age:  # the clock was set back

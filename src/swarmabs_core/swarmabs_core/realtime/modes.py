@@ -168,6 +168,10 @@ class PublishedMode:
         """End the RESET."""
         self.now, self.why = Mode.RUN, "reset is over"
 
+    def prolong(self, missed: int, step: int) -> None:
+        """Let a RESET last longer, up to a step, by the periods in which it was not published: nobody heard it then."""
+        self._reset_since = min(self._reset_since + max(0, missed), step)
+
     def is_over(self, step: int) -> bool:
         """Return whether RESET has been published for long enough."""
         return self.now is Mode.RESET and step - self._reset_since >= self._lasting
