@@ -61,6 +61,7 @@ LONGEST = 400.0
 STALLED = 5.0
 """Time, s, after which nodes in lockstep report that they wait; the default of scenarios."""
 _USUAL_PACE = 0.02
+"""Time, s, that a step takes in most runs."""
 SLACK = 3.0 * POLL
 """Time, s, that the orchestrator has for noticing something."""
 FOR_EVER = 1e6
@@ -101,7 +102,7 @@ class StartCase:
     drops: bool = False
     robots: int = 3
     per_process: int = 1
-    pace: float = 0.02
+    pace: float = _USUAL_PACE
     faults: tuple[Trouble, ...] = ()
     numbers: tuple[int, ...] | None = None
 
