@@ -25,6 +25,7 @@ EXTRA_LOCKS = {
     "docs": "docs.lock",
     "export": "sweep.lock",
     "foxglove": "foxglove.lock",
+    "soak": "test.lock",
     "sweep": "sweep.lock",
     "test": "test.lock",
     "view": "view.lock",

@@ -17,8 +17,11 @@ from types import ModuleType
 from typing import Any
 from unittest.mock import Mock
 
+import click
 import pytest
 from tests.processes import ROOT, until
+
+import swarmabs_cli.develop.checkout
 
 sys.path.insert(0, str(ROOT / "scripts"))
 
@@ -26,6 +29,7 @@ from _setup import children, environment, machine, stages, state
 from _setup.checkout import Checkout
 from _setup.report import FAILED, UNSUITABLE, SetupError
 
+COMMANDS = swarmabs_cli.develop.checkout
 SCRIPTS = ROOT / "scripts"
 NO_LOCK = 2  # stderr, as good as any descriptor where no lock is wanted
 PLACES = ("/co/.venv", "/co/install", "3.12")
@@ -519,6 +523,12 @@ def test_locks_agree_and_name_no_place() -> None:
                 requirement, _, marker = line.rstrip(" \\").partition(" ; ")
                 package, version = requirement.split("==")
                 assert pinned.setdefault(f"{package} ; {marker}", version) == version
+
+
+def test_commands_of_the_checkout_install_what_they_need() -> None:
+    commands = {command.name for command in vars(COMMANDS).values() if isinstance(command, click.Command)}
+    assert commands - {"wheel"} <= stages.EXTRA_LOCKS.keys()
+    assert stages.EXTRA_LOCKS["soak"] == stages.EXTRA_LOCKS["test"], "it runs what is in tests"
 
 
 def test_include_folders_are_replaced_once_and_progress_of_pip_is_counted() -> None:
