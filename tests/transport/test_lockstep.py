@@ -80,11 +80,15 @@ CASES = {
     "leave": _faults("kind: leave, agent: 3, at: 0.02"),
     "remove": _faults("kind: remove, agent: 3, at: 0.02"),
     "join": _faults("kind: join, agent: 3, at: 0.03"),
+    "join and leave in one step": _faults("kind: join, agent: 3, at: 0.03", "kind: leave, agent: 3, at: 0.03"),
     "reference": _faults("kind: reference, offset: 0.1, at: 0.02, until: 0.04"),
     "disturbance": _faults("kind: disturbance, torque: 0.2, at: 0.02"),
     "each robot": _EACH_ROBOT,
     "each robot, in a ring that loses messages, with a join and a kill": Case(
         (*_RING, "faults=[{kind: join, agent: 3, at: 0.02}, {kind: kill, agent: 2, at: 0.03}]")
+    ),
+    "each robot, of which one hears the plane, steered": Case(
+        (*_EACH_ROBOT.overrides, "links={sensing: [2]}"), RunOptions(steered=True)
     ),
     "several, packed": _faults(
         "kind: lie, agent: 2, position_offset: 0.1",
@@ -96,24 +100,25 @@ CASES = {
 }
 
 _CHANGES = _faults("kind: kill, agent: 1, at: 0.03", "kind: join, agent: 3, at: 0.02")
-STEERED = _faults("kind: join, agent: 3, at: null", "kind: reference, offset: 0.05, at: 0.02")
-STEERED = STEERED._replace(overrides=(*STEERED.overrides, "lockstep.on_stall=drop"))
+_ASKED_FOR = _faults("kind: join, agent: 3, at: null", "kind: reference, offset: 0.05, at: 0.02")
+_STEERABLE = (*_ASKED_FOR.overrides, "lockstep.on_stall=drop")
 DROPPING = {
     "drop": Case(("lockstep.on_stall=drop",)),
     "drop, packed": Case(("lockstep.on_stall=drop",), PACKED),
     "drop, each robot": Case((*_EACH_ROBOT.overrides, "lockstep.on_stall=drop")),
     "drop, with a planned join and kill": Case((*_CHANGES.overrides, "lockstep.on_stall=drop")),
 }
-OTHERS = DROPPING | {
-    "steered": STEERED._replace(options=RunOptions(steered=True)),
-    "steered, packed": STEERED._replace(options=RunOptions(steered=True, packed=True)),
+"""Runs of which more is known only when they are over, as of those that are steered."""
+STEERED = {
+    "steered": Case(_STEERABLE, RunOptions(steered=True)),
+    "steered, packed": Case(_STEERABLE, RunOptions(steered=True, packed=True)),
+    "steered, each robot": Case((*_EACH_ROBOT.overrides, *_STEERABLE), RunOptions(steered=True)),
 }
-"""Runs of which more is known only when they are over."""
 
 
 @cache
 def cast_of(name: str) -> Cast:
-    case = (CASES | OTHERS)[name]
+    case = (CASES | DROPPING | STEERED)[name]
     scenario = builtin("pd_het_4", f"swarm.agents=[{', '.join(AGENTS)}]", "duration=0.05", *case.overrides).resolved()
     return Cast(scenario, case.options, case.changed)
 
@@ -253,7 +258,7 @@ ASKED = (
 )
 
 
-@pytest.mark.parametrize("name", ["steered", "steered, packed"])
+@pytest.mark.parametrize("name", STEERED)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_steered_run_is_that_of_a_plan_with_what_was_ordered(seed: int, name: str) -> None:
     draw = Random(seed)
@@ -267,7 +272,7 @@ def test_a_steered_run_is_that_of_a_plan_with_what_was_ordered(seed: int, name: 
     assert_planned(swarm, cast_)
 
 
-@pytest.mark.parametrize("name", ["steered", "steered, packed"])
+@pytest.mark.parametrize("name", STEERED)
 def test_a_pause_changes_nothing_and_drops_nobody(name: str) -> None:
     """It is longer than the stall timeout, after which silent robots are dropped."""
     cast_ = cast_of(name)

@@ -6,30 +6,35 @@ run in which their death was planned.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from random import Random
 from typing import Any, NamedTuple
 
 from tests.transport.network import LARGEST, Act, script
 from tests.transport.swarm import AGENTS, LONGEST_RUN, Node, Swarm
-from tests.transport.test_lockstep import CASES, DROPPING, assert_planned, cast_of, expected, stored
+from tests.transport.test_lockstep import ASKED, CASES, DROPPING, STEERED, assert_planned, cast_of, expected, stored
 from tests.virtual.properties import BrokenError
 from tests.virtual.schedule import Tell, numbered, untold
 
 from swarmabs_config.graph import CONTROLLER, OBSERVER, PLANE, RECORDER
+from swarmabs_core.behaviours import Request
 from swarmabs_core.cdr import decode, step_of
+from swarmabs_core.errors import InputError
 from swarmabs_core.membership import SILENT
 from swarmabs_core.messages import EVENTS, SwarmEvent, Topic
 from swarmabs_core.nodes import ROBOT_PREFIX, agent_name
+from swarmabs_core.steering import ENDS, STEERER
 
 _LENGTH = 30
 _LONG = 8.0
 """Time, s, for which a node stands still, longer than silent robots are waited for."""
 _CALM = 0.7
 """Share of cases in which nothing else happens while it does; all that is drawn would be over before it goes on."""
-_DROPS, _STANDS = 0.4, 0.5
-"""Shares of runs that drop silent robots, and of these of runs in which another node stands still."""
+_DROPS, _STANDS, _STEERED = 0.4, 0.5, 0.3
+"""Shares of runs that drop silent robots, of those that are steered, and of others in which a node stands still."""
 
 
 class Doing(NamedTuple):
@@ -45,12 +50,27 @@ class Doing(NamedTuple):
         return f"after {self.after} usual turns: {self.act.value} ({self.which})"
 
 
+class Asked(NamedTuple):
+    """What an operator asks for in a steered run, and after how many turns; without a request it is a pause."""
+
+    after: int
+    request: Request | None
+
+    def __str__(self) -> str:
+        if self.request is None:
+            return f"after {self.after} turns: an operator pauses the run for {_LONG:g} s"
+        action, robot, value, steps = self.request
+        of, as_much = f" of robot {robot}" * bool(robot), f" {value:g}" * bool(value)
+        so_long = f" for {steps} steps" * bool(steps)
+        return f"after {self.after} turns: an operator asks for {action.name}{of}{as_much}{so_long}"
+
+
 @dataclass(frozen=True)
 class LockstepCase:
     """A run, its deviations, and, if silent robots are dropped, who dies, and after how many turns.
 
     Or a node that is no robot only `stands` still for longer than robots may be silent; if it is `calm` meanwhile, the
-    deviations that are left come after that.
+    deviations that are left come after that. If the run is steered, `asked` is what an operator asks for.
     """
 
     seed: int
@@ -61,6 +81,7 @@ class LockstepCase:
     stands: bool = False
     calm: bool = False
     robots: int = 3
+    asked: tuple[Asked, ...] = ()
     numbers: tuple[int, ...] | None = None
 
     def only(self, numbers: Iterable[int]) -> LockstepCase:
@@ -70,7 +91,10 @@ class LockstepCase:
     def __str__(self) -> str:
         does = f"stands still for {_LONG:g} s{' of calm' * self.calm}" if self.stands else "dies"
         what = f"; {self.who} {does} after {self.after} turns" if self.who else ""
-        return "\n".join([f"seed {self.seed}: lockstep, {self.name}{what}", *numbered(self.faults, self.numbers)])
+        asked = (f"  {one}" for one in self.asked)
+        return "\n".join(
+            [f"seed {self.seed}: lockstep, {self.name}{what}", *asked, *numbered(self.faults, self.numbers)]
+        )
 
 
 def lockstep_case(seed: int) -> LockstepCase:
@@ -81,10 +105,23 @@ def lockstep_case(seed: int) -> LockstepCase:
     after = draw.randint(0, LARGEST) % 120
     if name not in DROPPING:
         return LockstepCase(seed, name, doings)
+    if draw.random() < _STEERED:
+        return _steered(seed, doings, draw)
     if cast_of(name).scenario.faults or draw.random() < _STANDS:
         others = (PLANE, RECORDER) if cast_of(name).scenario.decentralised else (PLANE, RECORDER, OBSERVER, CONTROLLER)
         return LockstepCase(seed, name, doings, draw.choice(others), after, stands=True, calm=draw.random() < _CALM)
     return LockstepCase(seed, name, doings, agent_name(draw.randint(1, len(AGENTS))), after)
+
+
+def _steered(seed: int, doings: tuple[Doing, ...], draw: Random) -> LockstepCase:
+    """Draw a case that is steered, in which perhaps a robot dies; then no other one is taken away, and one remains."""
+    who = draw.choice((0, draw.randint(1, len(AGENTS))))
+    possible = [one for one in ASKED if not who or one.action not in ENDS or one.agent_id == who]
+    asked = draw.sample([None, *possible], draw.randint(1, 4))
+    times = sorted(draw.randint(0, 200) for _ in asked)
+    requests = tuple(map(Asked, times, asked))
+    name = agent_name(who) if who else ""
+    return LockstepCase(seed, draw.choice([*STEERED]), doings, name, draw.randint(0, 120), asked=requests)
 
 
 class _Told(Swarm):
@@ -103,7 +140,33 @@ class _Told(Swarm):
         self._tell = tell
         self.stood: set[str] = set()
         self.waiting: set[str] = set()
+        self._asked, self._resumes = deque(case.asked), 0.0
         super().__init__(cast_of(case.name), list(case.faults))  # type: ignore[arg-type]
+
+    def step(self) -> None:
+        while self._asked and self.turn >= self._asked[0].after:
+            self._ask(self._asked.popleft().request)
+        if self.steerer.paused and self.now >= self._resumes:
+            self._pause(paused=False)
+        super().step()
+
+    def _ask(self, request: Request | None) -> None:
+        """Let the operator ask, or pause the run; what cannot be is refused."""
+        if request is None:
+            self._resumes = self.now + _LONG
+            self._pause(paused=True)
+            return
+        said = ""
+        try:
+            self.steerer.ask(request)
+        except InputError as error:
+            said = f", which is refused: {error}"
+        self._tell(self.now, STEERER, f"is asked for {request.action.name} of robot {request.agent_id}{said}")
+
+    def _pause(self, *, paused: bool) -> None:
+        with suppress(InputError):  # it is over
+            self.steerer.pause(paused=paused)
+            self._tell(self.now, STEERER, "pauses the run" if paused else "resumes the run")
 
     def freeze(self, name: str, seconds: float) -> None:
         self._tell(self.now, name, f"stands still for {seconds:g} s")
@@ -170,7 +233,7 @@ class LockstepStory:
             waiting = {node.name: node.spec.behaviour.missing() for node in swarm.nodes.values() if node.alive}
             said = swarm.problems or f"does not end within {LONGEST_RUN:g} s; it waits for {waiting}"
             raise BrokenError("lockstep goes on", "the swarm", str(said))
-        if swarm.waiting:
+        if swarm.waiting or case.name in STEERED:
             self._compare_with_planned()
             return
         wanted, _ = expected(case.name)
@@ -192,10 +255,10 @@ class LockstepStory:
             swarm.kill(case.who)
 
     def _drop(self) -> None:
-        swarm, case = self.swarm, self.case
+        swarm = self.swarm
         if swarm.run(30.0):
             self._compare_with_planned()
-        elif cast_of(case.name).packed or not self._lacks_last_words():
+        elif not (self._lacks_last_words() or self._outnumbered()):
             raise BrokenError("lockstep goes on", "the swarm", f"does not end: {swarm.problems or swarm.stalls()}")
 
     def _compare_with_planned(self) -> None:
@@ -218,9 +281,14 @@ class LockstepStory:
         """
         swarm, dead = self.swarm, f"agent {int(self.case.who.removeprefix(ROBOT_PREFIX))}"
         if OBSERVER in swarm.nodes:
-            return True
+            return not cast_of(self.case.name).packed
         waiting = [node.name for node in swarm.nodes.values() if node.alive and node.spec.behaviour.awaits()]
         return waiting == [RECORDER] and swarm.nodes[RECORDER].spec.behaviour.missing()[1] == (dead,)
+
+    def _outnumbered(self) -> bool:
+        """Return whether robots without coordinators have stopped as no majority: in a steered run only two begin."""
+        problems = self.swarm.problems.values()
+        return self.case.name in STEERED and any("are no majority" in str(problem) for problem in problems)
 
 
 def _first_difference(found: list[Any], wanted: list[Any]) -> str:

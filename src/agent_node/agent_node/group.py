@@ -56,7 +56,7 @@ def peers(scenario: Scenario, ids: tuple[int, ...], *, steered: bool) -> NodeSpe
         configure.peer_endpoints(scenario, ids, steered=steered),
     )
     group = PeerGroup(robots)
-    gate = Steered(group) if steered else None
+    gate = Steered(group, ends=True, last_step=scenario.steps) if steered else None
     if scenario.lockstep.on_stall != "drop":
         return NodeSpec(gate or group, ends)
     limit = silence_limit(scenario.lockstep.stall_timeout)

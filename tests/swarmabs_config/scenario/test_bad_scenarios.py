@@ -150,7 +150,7 @@ FAULTS = [
     ("{kind: loss, probability: 0}\n- {kind: loss, probability: 0}", "6: faults.1: a second loss (see line 5); keep"),
     ("{kind: kill, at: 1, agent: 1}\n- {kind: leave, at: 2, agent: 1}", "6: faults.1: …twice (see line 5); keep one"),
     ("{kind: join, at: 1, agent: 1}\n- {kind: join, at: 2, agent: 1}", "6: faults.1: robot 1 joins twice (see line 5)"),
-    ("{kind: kill, at: 1, agent: 1}\n- {kind: join, at: 1.001, agent: 1}", "6: faults.1.at: …is gone from step 100"),
+    ("{kind: kill, at: 1, agent: 1}\n- {kind: join, at: 1.011, agent: 1}", "6: faults.1.at: …is gone from step 100"),
     ("{kind: delay, steps: 0, to: 2}\n- {kind: delay, steps: 1, from: 1, agents: [2]}", "6: faults.1: …for robot 2 at"),
     ("{kind: reordering, probability: .1, agents: [1, 7]}", "5: faults.0.agents.1: there is no robot 7; name an"),
     ("{kind: duplication, probability: .1, agents: []}", "5: faults.0.agents: no robots are listed; list"),

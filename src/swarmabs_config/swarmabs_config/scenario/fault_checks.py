@@ -97,7 +97,7 @@ def _memberships(spans: list[_Span]) -> Iterator[Finding]:
                 "remove this fault, or give the time at which the robot joins",
                 see=join.here,
             )
-        elif 0 < join.first >= end.first:
+        elif join.first > end.first:
             yield Finding.of(
                 (*join.here, "at"),
                 f"robot {robot} joins at step {join.first}, but is gone from step {end.first} on",

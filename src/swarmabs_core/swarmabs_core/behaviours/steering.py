@@ -24,7 +24,7 @@ from swarmabs_core.messages import (
     Steering,
     SwarmEvent,
 )
-from swarmabs_core.steering import ENDS, STEERER, StepChange, StepSchedule, change_of
+from swarmabs_core.steering import STEERER, StepChange, StepSchedule, change_of
 
 if TYPE_CHECKING:
     from swarmabs_core.messages import Message, Messages, Topic
@@ -235,11 +235,8 @@ class SteeringController:
     def _must_wait(self, request: Request) -> bool:
         """Return whether a request must wait.
 
-        It waits directly after a join, if the scenario sets its value in this step or during the push, and for the end
-        of another push.
+        It waits if the scenario sets its value in this step or during the push, and for the end of another push.
         """
-        if request.action in ENDS:
-            return 0 < self._membership.span(request.agent_id).first == self._step - 1
         if request.action not in self._settings:
             return False
         if request.action == Action.DISTURBANCE and self._push_end is not None:
@@ -359,17 +356,30 @@ class Steered:
     ----------
     behaviour : Steerable
         The behaviour of the node.
+    ends : bool
+        Whether an order may end it. The others do not wait for it from that step on, and may be far ahead of it before
+        the order arrives.
+    last_step : int, optional
+        The last step that has an order: what the node has to say after it needs none.
     """
 
-    def __init__(self, behaviour: Steerable) -> None:
+    def __init__(self, behaviour: Steerable, *, ends: bool = False, last_step: int | None = None) -> None:
         self._behaviour = behaviour
+        self._ends = ends
+        self._last_step = last_step
         self._orders = Orders()
         self._early: list[Message] = []
 
     @property
     def open(self) -> bool:
         """Whether the order of the current step is known."""
-        return self._behaviour.missing()[0] <= self._orders.known
+        return self._behaviour.missing()[0] <= self._ordered
+
+    @property
+    def _ordered(self) -> int:
+        """The last step that may begin."""
+        known = self._orders.known
+        return known + 1 if known == self._last_step else known
 
     def start(self) -> Messages:
         """Start the node."""
@@ -379,10 +389,12 @@ class Steered:
         """Take an order, or pass a message to the node."""
         if isinstance(message, Steering):
             return self._obey(message)
-        if message.step <= self._orders.known or isinstance(message, (SwarmEvent, RecordingProgress)):
+        if message.step <= self._ordered or isinstance(message, (SwarmEvent, RecordingProgress)):
             return self._behaviour.handle(message)
-        if message.step > self._orders.known + 1:
-            raise StepAheadError(type(message).__name__, got=message.step, expected=self._orders.known + 1)
+        if message.step > self._ordered + 1:
+            if self._ends:
+                return ()
+            raise StepAheadError(type(message).__name__, got=message.step, expected=self._ordered + 1)
         self._early.append(message)
         return ()
 
@@ -398,9 +410,13 @@ class Steered:
         return answers
 
     def awaits(self) -> tuple[Topic, ...]:
-        """Wait for the order of the step, then for what the node awaits."""
+        """Wait for the order of the step, then for what the node awaits, and for the next order if others have it."""
         topics = self._behaviour.awaits()
-        return topics if not topics or self.open else (STEERING,)
+        if not topics:
+            return ()
+        if not self.open:
+            return (STEERING,)
+        return (STEERING, *topics) if self._early else topics
 
     def missing(self) -> tuple[int, tuple[str, ...]]:
         """Return the current step and what is missing for it."""
