@@ -148,7 +148,7 @@ def bag_case(seed: int) -> BagCase:
     recorders = draw.choice((1, 2, 2, 3)) if name in FLEETS else draw.choice((1, 1, 2))
     pace, harms = draw.choice((0.005, 0.02, 0.06)), []
     length = _LENGTH if name in FLEETS else pace * run_of(name).scenario.steps
-    all_end = name in RUNS and recorders > 1 and draw.random() < 0.3
+    all_end = name in RUNS and recorders > 1 and draw.random() < 0.5
     for number in range(1, recorders + 1):
         lossy = (
             ("loss", "loss", "pause", "late", "again", "garbage", "clock", "begins")

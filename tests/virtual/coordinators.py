@@ -319,8 +319,8 @@ class RestsAndLeaves(Property):
 
     name = "rests and leaves"
     statement = (
-        "A robot that does not follow commands 0, or if it is driven by a force its brake; one that is told to leave "
-        f"rests, says so for {LEAVING} periods, then is silent until it is told to join."
+        "A robot that does not follow commands 0, or if it is driven by a force its brake, by a fresh measurement; one "
+        f"that is told to leave rests, says so for {LEAVING} periods, then is silent until it is told to join."
     )
 
     def __init__(self, facts: Facts) -> None:
@@ -328,6 +328,7 @@ class RestsAndLeaves(Property):
         self._before: dict[str, AgentState | None] = dict.fromkeys(facts.case.robot_names)
         self._left: dict[str, tuple[int, int]] = {}
         self._rested: set[str] = set()
+        self._ages: dict[str, int] = {}
         self._time = max(BRAKING_TIME, facts.clock.period)
         self.published = {AGENT_STATE: self._state}
 
@@ -364,6 +365,7 @@ class RestsAndLeaves(Property):
             return
         if state.broadcast_step == NEVER:
             self._rests(node, before, state)
+        self._ages[node] = self.facts.fleet.now(node) - state.stamp
         if node not in self._left:
             self._rested.discard(node)
         moved = state.position - before.position
@@ -378,6 +380,9 @@ class RestsAndLeaves(Property):
 
     def _rests(self, node: str, before: AgentState, state: AgentState) -> None:
         brake = 0.0 if state.kind == Kind.SINGLE_INTEGRATOR else -state.mass * before.velocity / self._time
+        if brake and state.command and self._ages.get(node, 0) > self.facts.measurement_age:
+            age = self._ages[node] / 1e9
+            raise self.broken(node, f"brakes in step {before.step} by a velocity that it measured {age:.3f} s before")
         if abs(state.command - brake) <= 1e-12 or (state.command == 0.0 and not self._brakes(node, before)):
             return
         status = Status(state.status).name

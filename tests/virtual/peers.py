@@ -338,11 +338,12 @@ class TellEachOther(Property):
 
     def _learn(self, robot: _Robot, rank: int, step: int, *, sure: bool) -> None:
         may = robot.may[rank]
+        may.pop(step, None)
         may[step] = None
         if self._may_have_left(rank, step):
             robot.left[rank] = max(robot.left.get(rank, -1), step)
         if len(may) > 200:
-            for old in sorted(may)[:-100]:
+            for old in [*may][:-100]:
                 del may[old]
         if sure:
             robot.known[rank] = max(robot.known[rank], step)

@@ -65,6 +65,8 @@ EVERY = 16
 """Each command of so many is computed again; all are where two coordinators speak."""
 FEWEST = 2
 """Number of robots without which the others cannot follow."""
+_LONG_AGO = -(2**62)
+"""A time or step before all others."""
 MOST_BACK = 2
 """Periods by which a clock may be set back without a robot forgetting what it has heard."""
 MOST_ENTRIES = 3000
@@ -134,6 +136,7 @@ class Facts:
         self.until: dict[str, float] = dict.fromkeys(case.names, 0.0)
         self.odd: set[str] = set()
         self.wrong: set[str] = set()
+        self._alike: set[str] = set()
         self.resumed: dict[str, int] = {}
         self.stood: dict[str, int] = {}
         self._still_since: dict[str, int] = {}
@@ -190,7 +193,15 @@ class Facts:
 
     def is_sound(self, node: str) -> bool:
         """Return whether a node itself has had no fault for long; its links may be bad."""
-        return self._sound.get(node, 0.0) < self.now and node not in self.wrong
+        return self._sound.get(node, 0.0) < self.now and (node not in self.wrong or node in self._alike)
+
+    def is_wrong(self, node: str, *, alike: bool = False) -> None:
+        """Note that a clock is wrong, or that it was set back with all others, whose steps compare from now on."""
+        self.wrong.add(node)
+        if alike:
+            self._alike.add(node)
+        else:
+            self._alike.discard(node)
 
     def starts(self, node: str) -> None:
         """Note that a node starts."""
@@ -290,12 +301,12 @@ class _Robot:
         self.before: AgentState | None = None
         self.sets: dict[int, dict[tuple[Topic, bool], Message]] = {}
         self.stop: int | None = None
-        self.reset = -(2**62)
+        self.reset = _LONG_AGO
         self.writers: dict[bool, tuple[bytes, int]] = {}
-        self.released = -(2**62)
+        self.released = _LONG_AGO
         self.held = 0
         self.new: list[tuple[bool, Topic, Message, bool, int]] = []
-        self.clock = -(2**62)
+        self.clock = _LONG_AGO
         self.forged: dict[tuple[int, Topic, bool], Message] = {}
         self.doubted: int | None = None
         self.age = 0
@@ -397,6 +408,9 @@ class ActsOnOneSet(Property):
             if heard < robot.clock - MOST_BACK:  # it forgets what it has heard by the clock of before
                 robot.sets.clear()
                 robot.forged.clear()
+                stopped = robot.stop is not None and robot.reset - robot.stop <= self._guard
+                robot.stop = heard if stopped else None
+                robot.reset = robot.released = _LONG_AGO
             robot.clock = heard
             if of > step + self.facts.ahead:
                 continue
@@ -566,7 +580,7 @@ class OneLeads(Property):
         inputs = (PLANE,) if pair[0] == CONTROLLER else facts.case.robot_names
         settled = facts.now - self._first.setdefault(pair, facts.now) > facts.settles  # it had nothing to say before
         both = settled and facts.is_fine(node) and facts.is_fine(other) and any(map(facts.is_fine, inputs))
-        if both and facts.now - self._last.get(other, -(2**62)) <= 2 * facts.period:
+        if both and facts.now - self._last.get(other, _LONG_AGO) <= 2 * facts.period:
             raise self.broken(node, f"publishes step {message.step}, and so does {other}")
 
 
@@ -578,7 +592,7 @@ class SumsUpWhatItHears(Property):
         "An observer sums up the newest state of every robot that has reached it; one that is silent for the age limit "
         "counts as standing, one that has left does not count. Torque, inertia and their rates are sums over all that "
         "count, S0 to S3 over those that follow the law. It begins once all are there that it has to wait for, unless "
-        "the swarm is under way."
+        "the swarm is under way. It passes on that a robot was carried away, for those that start later."
     )
 
     def __init__(self, facts: Facts) -> None:
@@ -597,7 +611,9 @@ class SumsUpWhatItHears(Property):
         self.published = {BASIS: self._basis, ABSTRACT_STATE: self._sum, AUXILIARY_STATE: self._moments}
         for topic in variants(AGENT_STATE):
             self.heard[topic] = self._state
+        self._untold: set[tuple[str, int]] = set()
         self.heard[REMOVALS] = self._removal
+        self.published[REMOVALS] = lambda node, removal: self._untold.discard((node, removal.agent_id))
         self._begun: set[str] = set()
         self._under_way = False
         self.published[AGENT_STATE] = self._follows
@@ -615,6 +631,7 @@ class SumsUpWhatItHears(Property):
                 if state.step < oldest and state.status != Status.LEFT
             }
             self._begun.discard(node)
+            self._untold -= {(node, robot) for robot in self._newest[node]}
             self._newest[node] = {}
             self._carried_away[node].clear()
 
@@ -657,6 +674,8 @@ class SumsUpWhatItHears(Property):
             newest[robot] = state._replace(status=Status.LEFT)
             self._silent[node].discard(robot)
             self._arrived[node, robot] = self.facts.now
+            if state.status != Status.LEFT and node != PLANE:
+                self._untold.add((node, robot))
 
     def _basis(self, node: str, basis: Basis) -> None:
         if basis.source not in {Source.OBSERVER, Source.PLANE}:
@@ -697,6 +716,8 @@ class SumsUpWhatItHears(Property):
                 text = "has left, and still counts" if robot in used else "is on the plane, and does not count"
                 raise self.broken(node, f"in step {basis.step} robot {robot} {text}")
             if robot not in used:
+                if (node, robot) in self._untold:
+                    raise self.broken(node, f"has not passed on that robot {robot} was carried away")
                 continue
             step, stands = used[robot]
             if step != state.step:
@@ -799,7 +820,7 @@ class AnswersThePlane(Property):
         late = self.facts.step_of(node) - message.step
         if message.mode == Mode.RUN and not -self.facts.ahead <= late <= self.facts.age:
             raise self.broken(node, f"asks for step {message.step} in its step {message.step + late}")
-        since = self._doubted.get(node, -(2**62))
+        since = self._doubted.get(node, _LONG_AGO)
         same = node not in self.facts.wrong  # otherwise its steps of then and now do not compare
         if same and message.mode == Mode.RUN and 0 <= message.step + late - since <= self.facts.age:
             raise self.broken(node, f"asks for step {message.step}, but knows since step {since} that states differ")

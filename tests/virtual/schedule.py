@@ -31,6 +31,8 @@ NODES = ("crash", "idle", "pause", "clock", "skew", "drift", "blind")
 what is tolerated, or too fast; its sensor is silent."""
 COMMANDS = ("stop", "reset", "release", "leave", "join")
 """What an operator can say to a node."""
+SET_BACK = "set back"
+"""The clocks of all nodes are set back at once, for good."""
 REMOVAL = "removal"
 """An operator says to all observers that a robot was carried off the plane."""
 LIAR = "liar"
@@ -210,7 +212,7 @@ def case_of(seed: int, robots: int | None = None) -> Case:
         draw.random() < 0.3,
         draw.choice(("wait", "wait", "proceed")),
     )
-    if draw.random() < 0.3:
+    if draw.random() < 0.4:
         case = _without_coordinators(case)
     mix = (*_MIX, *_AMONG_ROBOTS) if case.each_robot else _MIX
     kinds = draw.sample(mix, draw.choice((1, 2, 2, 3, 5, len(_MIX))))
@@ -236,10 +238,13 @@ def case_of(seed: int, robots: int | None = None) -> Case:
         faults = [f for f in faults if f.kind != "impostor"]  # who takes the place of one that is lost is believed
     if not case.each_robot and draw.random() < 0.3:
         faults += _skew(draw, case, quiet)
+    first = min((f.at for f in faults if f.kind == SET_BACK), default=inf)  # two might lead to before the start
+    faults = [f for f in faults if f.kind != SET_BACK or f.at == first]
     faults = sorted(Fault(round(f.at, 3), f.kind, f.who, round(f.lasting, 3), round(f.value, 4)) for f in faults)
     if not case.each_robot:
         law = draw.choice(("pd", "pd", "pid", "arise")) if case.hertz >= 20 else "pd"
         small = case.robots <= 4 and case.hertz <= 20
+        small = small and all(fault.kind != SET_BACK for fault in faults)
         case = replace(case, law=law, recorded=small and draw.random() < (0.2 if law == "pd" else 0.4))
     return replace(case, quiet=round(max([quiet, 0.5, *(f.end for f in faults)]), 3), faults=tuple(faults))
 
@@ -269,7 +274,7 @@ def _without_coordinators(case: Case) -> Case:
         paired=False,
         own_topics=False,
         robots=robots,
-        hertz=min(case.hertz, 20 if robots > 5 else 50),
+        hertz=min(case.hertz, 20),
         links=links,
         law=draw.choice(("pd", "arise", "arise")) if case.hertz >= 20 else "pd",
         sealed=draw.random() < 0.3,
@@ -446,12 +451,13 @@ def _stay_away(draw: Random, case: Case, at: float) -> list[Fault]:
 
     Maybe it was silent before, so that hosts of observers have remembered it.
     """
-    robot, away = draw.choice(case.robot_names), draw.uniform(12.0, 40.0) / case.hertz + 0.5
+    robot = draw.choice(case.robot_names)
+    away = draw.uniform(12.0, 40.0) / case.hertz + draw.choice((0.5, 3.5))  # the longer time lets observers speak again
     faults, observers = [], (case.pairs or (case.robot_names,))[0]
     if draw.random() < 0.4:
         faults.append(Fault(at, "crash", robot, draw.uniform(11.0, 15.0) / case.hertz))
         at = faults[0].end + draw.uniform(22.0, 40.0) / case.hertz  # until it is no second sender any more
-    if draw.random() < 0.5:
+    if draw.random() < (0.5 if case.each_robot else 0.3):
         faults += [Fault(at, "leave", robot), Fault(at + away, "join", robot)]
     else:
         faults.append(Fault(at, "crash", robot, away))
@@ -461,10 +467,10 @@ def _stay_away(draw: Random, case: Case, at: float) -> list[Fault]:
             if draw.random() < 0.4:  # it comes back and dies again; who starts then hears of the removal, too
                 at += away + draw.uniform(22.0, 40.0) / case.hertz
                 faults.append(Fault(at, "crash", robot, away))
-    if draw.random() < 0.5:
-        after = faults[-1].at if faults[-1].kind == REMOVAL and draw.random() < 0.5 else at
+    if draw.random() < 0.7:
+        after = faults[-1].at if faults[-1].kind == REMOVAL and draw.random() < 0.7 else at
         begins, lasting = draw.uniform(after, at + away), _length(draw)
-        kind, lost = draw.choice(("crash", "crash", "idle")), draw.choice((observers, (draw.choice(observers),)))
+        kind, lost = draw.choice(("crash", "idle")), draw.choice((observers, (draw.choice(observers),)))
         if kind == "idle" and faults[-1].kind == REMOVAL:  # they hear of it only afterwards
             begins = max(0.0, faults[-1].at - draw.uniform(0.0, lasting))
         faults += [Fault(begins, kind, name, lasting) for name in lost]
@@ -494,6 +500,17 @@ def _set_back(draw: Random, case: Case, at: float) -> list[Fault]:
     name = draw.choice((_some(draw, case), draw.choice(case.robot_names)))
     lasting = draw.uniform(8.0, 60.0) / case.hertz
     return [Fault(at, "clock", n, lasting, value) for n in (case.names if draw.random() < 0.2 else (name,))]
+
+
+def _all_set_back(draw: Random, case: Case, at: float) -> list[Fault]:
+    """Let the clocks of all be set back, as by whoever gives them the time, to a time after the start.
+
+    Perhaps one of a pair, or a robot, is lost afterwards, before the clocks are as late again.
+    """
+    at += draw.uniform(5.0, 10.0)
+    back = Fault(at, SET_BACK, ALL, 0.0, draw.uniform(4.0, at - 0.5))
+    lost = draw.choice((draw.uniform(0.0, 2.0), case.settles + draw.uniform(0.0, 1.0)))
+    return [back, *_leader(draw, case, at + lost)][: draw.choice((1, 2, 2))]
 
 
 def _deaf(draw: Random, case: Case, at: float) -> list[Fault]:
@@ -565,7 +582,9 @@ _MIX: tuple[Callable[[Random, Case, float], list[Fault]], ...] = (
     _reset_at_a_stop,
     _handover,
     _stay_away,
+    _stay_away,
     _set_back,
+    _all_set_back,
     _deaf,
     _absence,
     _forged,

@@ -350,7 +350,7 @@ class Host:
             process.stopped = True
         elif number == SIGCONT:
             process.stopped = False
-        elif process.alive and not process.told:
+        elif process.alive and not process.told and not self._hangs(process):
             process.told = True
             self.after(0.05 + self._ignores(process), partial(self._end, process, number))
 
@@ -468,13 +468,17 @@ class Host:
     def _ignores(self, process: Process) -> float:
         return max((trouble.lasting for trouble in self._of(process, "ignores")), default=0.0)
 
+    def _hangs(self, process: Process) -> bool:
+        """Return whether a process never comes up, and bears all signals but SIGKILL."""
+        return any(process.number <= trouble.times for trouble in self._of(process, "hangs"))
+
     def _begin(self, process: Process) -> None:
         for trouble in self._of(process, "dies"):
             if process.number <= trouble.times:
                 self.after(0.05 + trouble.at, partial(self._fails, process))
         for trouble in self._of(process, "refuses"):
             self.after(0.05 + trouble.at, partial(self._refuses, process))
-        if any(process.number <= trouble.times for trouble in self._of(process, "hangs")):
+        if self._hangs(process):
             self.tell(self.now, process.name, "begins, and never comes up", done=False)
             return
         late = max((t.lasting for t in self._of(process, "late") if process.number in {1, t.times}), default=0.0)

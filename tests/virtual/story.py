@@ -24,6 +24,7 @@ from tests.virtual.schedule import (
     LIAR,
     LINKS,
     RESET_LASTS,
+    SET_BACK,
     TAKEOVER,
     Case,
     Fault,
@@ -165,6 +166,7 @@ class Story(Watcher):
         self._left: set[str] = set()
         self._ordered = False
         self._calm = not case.each_robot
+        self._back = 0.0
         self._following: set[str] = set()
         self._robots = case.robot_names
         self.bags = FleetBags(fleet, case) if case.recorded else None
@@ -285,6 +287,8 @@ class Story(Watcher):
             self._command(fault.who, fault.kind, fault)
         elif fault.kind == "removal":
             self._remove(fault)
+        elif fault.kind == SET_BACK:
+            self._set_back(fault)
         elif fault.kind == LIAR:
             self._say(fault.who, "passes on what others have not said", fault)
             self.facts.liars.add(fault.who)
@@ -317,14 +321,14 @@ class Story(Watcher):
             self._say(name, "stands still", fault)
         elif fault.kind in {"clock", "skew"}:
             facts.odd.add(name)
-            facts.wrong.add(name)
-            fleet.set_clock(name, fault.value)
+            facts.is_wrong(name)
+            fleet.set_clock(name, fault.value - self._back)
             self._say(
                 name, f"has a clock that is {abs(fault.value):g} s {'ahead' if fault.value > 0 else 'behind'}", fault
             )
         elif fault.kind == "drift":
             facts.odd.add(name)
-            facts.wrong.add(name)
+            facts.is_wrong(name)
             fleet.set_drift(name, round(fault.value))
             self._say(name, f"has a clock that runs {fault.value:g} millionths too fast", fault)
         else:
@@ -354,7 +358,7 @@ class Story(Watcher):
             fleet.resume(name)
             self.facts.resumes(name)
         elif fault.kind in {"clock", "skew", "drift"}:
-            fleet.set_clock(name, 0.0)
+            fleet.set_clock(name, -self._back)
             self._say(name, "has a clock that is right again", fault)
         elif fault.kind == "blind":
             self._drive(name).blind = False
@@ -372,6 +376,15 @@ class Story(Watcher):
         removal = Removal(*EventCode.CARRIED_AWAY.event(0, max(0, step), robot=robot))
         fleet.deliver(Parcel("operator", REMOVALS, encode(removal), b"", removal), self.case.coordinators)
 
+    def _set_back(self, fault: Fault) -> None:
+        """Set the clocks of all back; what was wrong with one of them is over."""
+        self._say("all", f"have clocks that are set back by {fault.value:g} s", fault)
+        self._back += fault.value
+        for name in self.case.names:
+            self.facts.odd.add(name)
+            self.facts.is_wrong(name, alike=True)
+            self.fleet.set_clock(name, -self._back)
+
     def _drive(self, name: str) -> Any:
         return self.fleet.drives[int(name.removeprefix(ROBOT_PREFIX))]
 
@@ -381,6 +394,8 @@ class Story(Watcher):
             return tuple(sorted(self._of_links(fault)))
         if fault.kind == "removal":
             return ()
+        if fault.kind == SET_BACK:
+            return self.case.names
         if fault.kind in {"crash", "idle", "pause", "clock", "blind"}:
             return (fault.who,)
         # Who is first in the name of a robot is believed; robots and controllers stop if broadcasts, or states of the
