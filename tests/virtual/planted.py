@@ -550,6 +550,56 @@ PLANTED = (
         "return self.started and name in self.dispensable",
         "return name in self.dispensable",
     ),
+    Planted(
+        "sums_wait_for_the_old_clock",
+        "A robot without coordinators sums up again only when its clock, which was set back, is as late as before.",
+        "swarmabs_core.realtime.peer",
+        "self._plane, self._summed = None, -1",
+        "self._plane = None",
+    ),
+    Planted(
+        "peer_of_the_old_clock_is_heard",
+        "One of a pair whose clock was set back takes its silent peer for heard until the clock is as late again.",
+        "swarmabs_core.realtime.leadership",
+        "            self._heard = self._heard if step > before else _NEVER\n"
+        "            self._spoke = self._able = _NEVER",
+        "            self._spoke = self._able = _NEVER",
+    ),
+    Planted(
+        "loop_waits_for_the_old_clock",
+        "A node whose clock was set back begins no step until the clock is as late again.",
+        "swarmabs_ros.timing",
+        "elif self._made - current > MOST_BACK:",
+        "elif current - self._made > MOST_BACK:",
+    ),
+    Planted(
+        "removal_is_not_passed_on",
+        "An observer does not tell those that start later that a robot was carried away.",
+        "swarmabs_core.realtime.observer",
+        "return (removal,)",
+        "return ()",
+    ),
+    Planted(
+        "brakes_by_an_old_measurement",
+        "A robot with a silent sensor brakes by the velocity that it measured last, until it moves backwards.",
+        "swarmabs_core.realtime.agent",
+        "self._law.brake(m.velocity) if m is not None and self._fresh(now) else 0.0",
+        "self._law.brake(m.velocity) if m is not None else 0.0",
+    ),
+    Planted(
+        "hung_process_is_asked_to_end",
+        "A process that hangs during the start is not killed, but asked to end.",
+        "swarmabs_run.orchestration.process_run",
+        "                        self._machine.signal(name, signal.SIGKILL)",
+        "                        self._machine.signal(name, signal.SIGTERM)",
+    ),
+    Planted(
+        "early_order_is_refused",
+        "A steered node that hears an order before the one of an earlier step takes it for one of another swarm.",
+        "swarmabs_core.behaviours.steering",
+        "        if order.step > self._orders.known + 2:",
+        "        if order.step > self._orders.known + 1:",
+    ),
 )
 
 
