@@ -33,6 +33,8 @@ from tests.virtual.starts import StartCase, StartStory, start_case
 from tests.virtual.story import Result, Story, outcome
 from tests.virtual.timeline import Timeline, Trace
 
+from swarmabs_run.ending import die_with_parent, terminable
+
 COMMAND = "./scripts/swarm soak --virtual"
 MOST_TRIALS = 150
 """Runs that are spent on making a case shorter."""
@@ -251,6 +253,13 @@ def _results(running: set[Future[Trial] | Future[str]], most: int) -> Iterator[T
         yield from (one.result() for one in done)
 
 
+def _begin_worker(parent: int) -> None:
+    """Let a process that runs seeds end when the search asks it to, or ends itself."""
+    die_with_parent(parent)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
 def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
     """Run seeds in so many processes until they or the time are over; show what is broken, and return the exit code.
 
@@ -259,7 +268,7 @@ def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
     tally, shown = Tally(), set[str]()
     limit = inf if minutes is None else 60.0 * minutes
     running: set[Future[Trial] | Future[str]] = set()
-    with ProcessPoolExecutor(jobs, get_context("fork"), signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+    with terminable(), ProcessPoolExecutor(jobs, get_context("fork"), _begin_worker, (os.getpid(),)) as pool:
 
         def take(most: int) -> None:
             """Take what comes until no more than so many are running."""

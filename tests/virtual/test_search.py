@@ -2,11 +2,13 @@
 
 import importlib
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests.processes import marked_processes, until
 from tests.virtual.planted import MINUTES, PLANTED, Planted, changed
 from tests.virtual.schedule import Case, Fault
 from tests.virtual.search import drawn, main, replay, run, shortened
@@ -54,6 +56,17 @@ def test_what_is_planted_is_found(planted: Planted) -> None:
     words = [sys.executable, "-m", "tests.virtual.planted", planted.name, "--minutes", str(MINUTES)]
     done = subprocess.run(words, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_its_processes_end_with_it(nothing_survives: str, number: signal.Signals) -> None:
+    words = [sys.executable, "-m", "tests.virtual.search", "--minutes", "5", "--jobs", "2"]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        until(lambda: len(marked_processes(nothing_survives)) == 3, "it searches in two processes", 60.0)
+        process.send_signal(number)
+        _, errors = process.communicate()
+        until(lambda: not marked_processes(nothing_survives), "all are gone")
+    assert number == signal.SIGKILL or (process.returncode, errors.startswith("interrupted: ")) == (1, True)
 
 
 @pytest.mark.usefixtures("old_broadcasts")

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ import click
 
 from swarmabs_cli.options import Number, WholeNumber, examples, json_option, output_option
 from swarmabs_core.errors import InputError
-from swarmabs_run.ending import GRACE
+from swarmabs_run.ending import GRACE, die_with_parent
 
 SUITES = ("product", "start", "memory", "large", "simulate", "sweep", "recorder", "reading", "functions")
 _LONGEST_WARM_UP = 2.0
@@ -231,10 +232,16 @@ def _refuse_misspelt(words: tuple[str, ...]) -> None:
 
 
 def _run(words: list[str], **environment: str) -> int:
-    """Run a Python module with arguments; return its exit code."""
+    """Run a Python module with arguments; return its exit code. It ends with this process."""
     click.echo(f"== {' '.join(words)}", err=True)
     command = [sys.executable, "-m", *words]
-    code = subprocess.run(command, cwd=_checkout(), env={**_variables(), **environment}, check=False).returncode
+    code = subprocess.run(
+        command,
+        cwd=_checkout(),
+        env={**_variables(), **environment},
+        check=False,
+        preexec_fn=partial(die_with_parent, os.getpid()),  # makes only a system call
+    ).returncode
     return 1 if code < 0 else code
 
 
