@@ -602,6 +602,20 @@ PLANTED = (
     ),
 )
 
+LATE = (
+    "stop_is_lost_in_a_takeover",
+    "deaf_on_one_side",
+    "a_start_never_finds_its_counterparts",
+    "two_steps_are_missing",
+    "mixed_sets",
+    "deaf_after_a_restart",
+    "never_starts_again",
+    "goes_on_after_a_pause",
+    "forgets_what_it_saw",
+    "a_merge_drops_messages_of_the_same_time",
+)
+"""Those of the kind that once was found by chance, in trials of minutes with real processes."""
+
 
 class _Gardener(MetaPathFinder):
     """Finds a module with its right text replaced by the wrong one."""
