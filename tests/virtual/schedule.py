@@ -578,6 +578,7 @@ _MIX: tuple[Callable[[Random, Case, float], list[Fault]], ...] = (
     _clock,
     _operator,
     _takeover_of_a_stop,
+    _takeover_of_a_stop,
     _stop_and_loss,
     _reset_at_a_stop,
     _handover,
