@@ -106,7 +106,7 @@ def _shared_memory() -> set[str]:
     if not _SHARED_MEMORY.is_dir():
         return set()
     names = {path.name for path in _SHARED_MEMORY.iterdir()}
-    return {name for name in names if not name.startswith(("sem.mp-", "lttng-ust-wait-", "virtual-bags-"))}
+    return {name for name in names if not name.startswith(("sem.mp-", "lttng-ust-wait-", "virtual-"))}
 
 
 def _things() -> dict[str, set[Any]]:

@@ -29,8 +29,20 @@ from swarmabs_bag.run.writer import CHUNK_BYTES, BagWriter
 PAGE = 4096
 RESERVED = 2**18
 """Bytes that a writer reserves at first for the end of its file."""
-FOLDER = "/dev/shm" if Path("/dev/shm").is_dir() else None
+_IN_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """Where temporary folders are fast."""
+
+
+@contextmanager
+def own_folder() -> Iterator[None]:
+    """Have all temporary folders, also those of processes forked meanwhile, in one that is removed in the end."""
+    before, place = tempfile.tempdir, None if "TMPDIR" in os.environ else _IN_MEMORY
+    with tempfile.TemporaryDirectory(prefix="virtual-", dir=place) as folder:
+        tempfile.tempdir = folder
+        try:
+            yield
+        finally:
+            tempfile.tempdir = before
 
 
 class Disk:

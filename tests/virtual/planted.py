@@ -655,16 +655,18 @@ def search(planted: Planted, minutes: float) -> int:
     """Plant a mistake in this process, which has not imported the module yet, and search until it is found."""
     assert planted.module not in sys.modules
     sys.meta_path.insert(0, _Gardener(planted))
-    from tests.virtual.search import trial  # noqa: PLC0415 - only now, with the mistake
+    from tests.virtual.disk import own_folder  # noqa: PLC0415 - only now, with the mistake
+    from tests.virtual.search import trial  # noqa: PLC0415
 
     started = time.process_time()
-    for seed in count(1):
-        one, took = trial(seed), time.process_time() - started
-        if one.broken:
-            print(f"{planted.name}: found by seed {seed} within {took:.0f} s: {one.text}", flush=True)
-            return 0
-        if took > 60.0 * minutes:
-            break
+    with own_folder():
+        for seed in count(1):
+            one, took = trial(seed), time.process_time() - started
+            if one.broken:
+                print(f"{planted.name}: found by seed {seed} within {took:.0f} s: {one.text}", flush=True)
+                return 0
+            if took > 60.0 * minutes:
+                break
     print(f"{planted.name}: NOT FOUND within {took:.0f} s by {seed} seeds", flush=True)
     return 1
 

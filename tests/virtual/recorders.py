@@ -21,7 +21,7 @@ from random import Random
 from typing import Any, NamedTuple, cast
 
 from mcap.records import Chunk
-from tests.virtual.disk import FOLDER, RESERVED, Disk, Disks
+from tests.virtual.disk import RESERVED, Disk, Disks
 from tests.virtual.fleet import EPOCH, VirtualFleet, Watcher, decode
 from tests.virtual.properties import BrokenError
 from tests.virtual.schedule import Case
@@ -285,7 +285,7 @@ class Bags:
     """The bags of some recorders in a temporary folder, and what must hold of them."""
 
     def __init__(self) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix="virtual-bags-", dir=FOLDER))
+        self.folder = Path(tempfile.mkdtemp(prefix="bags-"))
         self.disks = Disks()
         self.recorders: list[Recorder] = []
         self._stack = ExitStack()

@@ -26,6 +26,7 @@ from typing import NamedTuple, Protocol, TypeAlias
 
 from tests.virtual.bags import BagCase, BagStory, bag_case
 from tests.virtual.checks import STATEMENTS
+from tests.virtual.disk import own_folder
 from tests.virtual.lockstep import LockstepCase, LockstepStory, lockstep_case
 from tests.virtual.rounds import RoundsCase, RoundsStory, rounds_case
 from tests.virtual.schedule import Case, Tell, case_of, untold
@@ -33,7 +34,7 @@ from tests.virtual.starts import StartCase, StartStory, start_case
 from tests.virtual.story import Result, Story, outcome
 from tests.virtual.timeline import Timeline, Trace
 
-from swarmabs_run.ending import die_with_parent, terminable
+from swarmabs_run.ending import die_with_parent, end_asked, terminable
 
 COMMAND = "./scripts/swarm soak --virtual"
 MOST_TRIALS = 150
@@ -42,6 +43,8 @@ MOST_SHOWN = 20
 """Kinds of failures of which one case is shortened and shown; of further ones only the seeds are."""
 TOLD_EVERY = 30.0
 """Time, s, between two lines on how far a search is."""
+POLL = 0.1
+"""Time, s, after which a search that is asked to end does."""
 LONGEST = 60.0
 """Time of the processor, s, of a seed; usual ones need one."""
 YEAR = 365.25 * 86400.0
@@ -245,34 +248,28 @@ class Tally:
         )
 
 
-def _results(running: set[Future[Trial] | Future[str]], most: int) -> Iterator[Trial | str]:
-    """Yield what comes, and take it out, until no more than so many are running."""
-    while len(running) > most:
-        done, _ = wait(running, return_when=FIRST_COMPLETED)
+def _results(running: set[Future[Trial] | Future[str]], most: int, ends: Callable[[], bool]) -> Iterator[Trial | str]:
+    """Yield what comes, and take it out, until no more than so many are running, or until all `ends`."""
+    while len(running) > most and not ends():
+        done, _ = wait(running, POLL, FIRST_COMPLETED)
         running.difference_update(done)
         yield from (one.result() for one in done)
-
-
-def _begin_worker(parent: int) -> None:
-    """Let a process that runs seeds end when the search asks it to, or ends itself."""
-    die_with_parent(parent)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
     """Run seeds in so many processes until they or the time are over; show what is broken, and return the exit code.
 
-    A case is made shorter while the search goes on.
+    A case is made shorter while the search goes on. If it is asked to end, it does so only where it waits: an executor
+    that is interrupted in its own work may not know all of its processes, and wait for one of them for ever.
     """
     tally, shown = Tally(), set[str]()
     limit = inf if minutes is None else 60.0 * minutes
     running: set[Future[Trial] | Future[str]] = set()
-    with terminable(), ProcessPoolExecutor(jobs, get_context("fork"), _begin_worker, (os.getpid(),)) as pool:
+    with end_asked() as ends, ProcessPoolExecutor(jobs, get_context("fork"), die_with_parent, (os.getpid(),)) as pool:
 
         def take(most: int) -> None:
             """Take what comes until no more than so many are running."""
-            for one in _results(running, most):
+            for one in _results(running, most, ends):
                 if isinstance(one, str):
                     print(one, flush=True)
                     continue
@@ -283,16 +280,15 @@ def search(seeds: Iterable[int], minutes: float | None, jobs: int) -> int:
                 elif one.broken:
                     print(f"seed {one.seed}: {one.text}; replay: {COMMAND} --seeds {one.seed}", flush=True)
 
-        try:
-            for seed in seeds:
-                running.add(pool.submit(trial, seed))
-                take(2 * jobs)
-                if tally.seconds >= limit:
-                    break
-            take(0)
-        except KeyboardInterrupt:
+        for seed in seeds:
+            running.add(pool.submit(trial, seed))
+            take(2 * jobs)
+            if ends() or tally.seconds >= limit:
+                break
+        take(0)
+        if ends():
             for process in active_children():
-                process.terminate()
+                process.kill()
             print(f"interrupted: {tally}", file=sys.stderr)
             return 1
     print(tally)
@@ -338,6 +334,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--trace", type=Path, help="file of all that is published and heard in the seed shown")
     options = parser.parse_args(arguments)
+    with terminable(), own_folder():
+        return _search_or_show(parser, options)
+
+
+def _search_or_show(parser: argparse.ArgumentParser, options: argparse.Namespace) -> int:
     if isinstance(options.seeds, int):
         faults = len(drawn(options.seeds).faults)
         if wrong := [number for number in options.only or () if not 0 <= number < faults]:

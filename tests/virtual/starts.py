@@ -32,7 +32,6 @@ from typing import Any, NamedTuple, cast
 import pytest
 from tests.swarmabs_core.helpers import builtin
 from tests.transport.swarm import AGENTS
-from tests.virtual.disk import FOLDER
 from tests.virtual.properties import BrokenError
 from tests.virtual.schedule import Tell, number_of, numbered, time_of, untold
 
@@ -709,7 +708,7 @@ class StartStory:
 
     def __init__(self, case: StartCase, tell: Tell = untold) -> None:
         self.case = case
-        self._folder = Path(tempfile.mkdtemp(prefix="virtual-start-", dir=FOLDER))
+        self._folder = Path(tempfile.mkdtemp(prefix="start-"))
         self._run = _run_of(case, self._folder)
         self.host = Host(case, self._run._plan, tell)
         self._tell = tell

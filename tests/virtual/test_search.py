@@ -59,14 +59,18 @@ def test_what_is_planted_is_found(name: str) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_its_processes_end_with_it(nothing_survives: str, number: signal.Signals) -> None:
+def test_its_processes_end_with_it(nothing_survives: str, tmp_path: Path, number: signal.Signals) -> None:
+    """One that is killed cannot tidy up: the kernel ends what was started, and temporary files stay."""
     words = [sys.executable, "-m", "tests.virtual.search", "--minutes", "5", "--jobs", "2"]
-    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+    own = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=own) as process:
         until(lambda: len(marked_processes(nothing_survives)) == 3, "it searches in two processes", 60.0)
         process.send_signal(number)
         _, errors = process.communicate()
         until(lambda: not marked_processes(nothing_survives), "all are gone")
-    assert number == signal.SIGKILL or (process.returncode, errors.startswith("interrupted: ")) == (1, True)
+    if number != signal.SIGKILL:
+        assert (process.returncode, errors.startswith("interrupted: ")) == (1, True)
+        assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.usefixtures("old_broadcasts")
