@@ -21,7 +21,7 @@ import click
 import pytest
 from tests.processes import ROOT, until
 
-import swarmabs_cli.develop.checkout
+from swarmabs_cli.develop import checkout as develop
 
 sys.path.insert(0, str(ROOT / "scripts"))
 
@@ -29,7 +29,6 @@ from _setup import children, environment, machine, stages, state
 from _setup.checkout import Checkout
 from _setup.report import FAILED, UNSUITABLE, SetupError
 
-COMMANDS = swarmabs_cli.develop.checkout
 SCRIPTS = ROOT / "scripts"
 NO_LOCK = 2  # stderr, as good as any descriptor where no lock is wanted
 PLACES = ("/co/.venv", "/co/install", "3.12")
@@ -526,7 +525,7 @@ def test_locks_agree_and_name_no_place() -> None:
 
 
 def test_commands_of_the_checkout_install_what_they_need() -> None:
-    commands = {command.name for command in vars(COMMANDS).values() if isinstance(command, click.Command)}
+    commands = {command.name for command in vars(develop).values() if isinstance(command, click.Command)}
     assert commands - {"wheel"} <= stages.EXTRA_LOCKS.keys()
     assert stages.EXTRA_LOCKS["soak"] == stages.EXTRA_LOCKS["test"], "it runs what is in tests"
 

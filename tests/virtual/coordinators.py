@@ -10,7 +10,7 @@ from math import inf
 from typing import Any
 
 from tests.virtual.fleet import EPOCH, Parcel
-from tests.virtual.properties import Facts, Property, variants
+from tests.virtual.properties import LONG_AGO, Facts, Property, variants
 from tests.virtual.schedule import LINKS, RESET_LASTS, TAKEOVER
 
 from swarmabs_config.graph import PLANE
@@ -44,25 +44,24 @@ LEAVING = 10
 """Periods for which a robot that leaves says so."""
 BRAKING_TIME = 0.1
 """Time constant, s, with which a force-driven robot comes to rest."""
-_LONG_AGO = -(2**62)
 
 
 class _Instance:
     """One of a pair: what has reached it since it started, and when it spoke; in steps of its clock."""
 
     def __init__(self) -> None:
-        self.peer = _LONG_AGO
+        self.peer = LONG_AGO
         self.writer = b""
-        self.changed = _LONG_AGO
-        self.robots = _LONG_AGO
+        self.changed = LONG_AGO
+        self.robots = LONG_AGO
         self.inputs: list[int] = []
         self.members: set[int] = set()
         self.modes: set[int] = set()
-        self.spoke = _LONG_AGO
-        self.began = _LONG_AGO
+        self.spoke = LONG_AGO
+        self.began = LONG_AGO
         self.prompt = 0
         self.most_prompt = 0
-        self.released = _LONG_AGO
+        self.released = LONG_AGO
 
 
 class TakesTurns(Property):
@@ -102,7 +101,7 @@ class TakesTurns(Property):
             return
         step = self.facts.step_of(node)
         if command == "release" and step - one.spoke <= 1:
-            one.peer, one.released, one.prompt = _LONG_AGO, step, 0
+            one.peer, one.released, one.prompt = LONG_AGO, step, 0
         elif command in {"stop", "reset"}:
             self._ordered_at = self.facts.now
 
@@ -157,7 +156,7 @@ class TakesTurns(Property):
             text = f"begins to lead in step {step}, but has heard {self._peers[node]} in step {one.peer}"
             raise self.broken(node, f"{text}; it has to be silent for more than {self._takeover}")
         running = facts.now - facts.runs_since(node) if facts.runs_since(node) == facts.started[node] else inf
-        if one.peer == one.released == _LONG_AGO and running < listens * 1e9 - 2 * facts.period:
+        if one.peer == one.released == LONG_AGO and running < listens * 1e9 - 2 * facts.period:
             raise self.broken(node, f"leads {running / 1e9:.3f} s after its start, and has to listen for {listens:g} s")
 
     @property
@@ -194,7 +193,7 @@ class TakesTurns(Property):
         if step - one.released < self._takeover and not late:
             raise self.broken(node, f"publishes step {message.step}, although it was released in step {one.released}")
         if node in facts.case.pairs[0] and step - one.robots > facts.state_age:
-            heard = "none" if one.robots == _LONG_AGO else f"the last one in step {one.robots}"
+            heard = "none" if one.robots == LONG_AGO else f"the last one in step {one.robots}"
             raise self.broken(node, f"publishes sums of step {message.step}, but hears no robot: {heard}")
         resumed = facts.clock.step(EPOCH + facts.resumed.get(node, 0))
         if facts.stood.get(node, 0) > (self._takeover + 2) * facts.period and step - resumed < self._takeover:
@@ -350,6 +349,7 @@ class RestsAndLeaves(Property):
 
     def _state(self, node: str, state: AgentState) -> None:
         before, self._before[node] = self._before[node], state
+        age, self._ages[node] = self._ages.get(node, 0), self.facts.fleet.now(node) - state.stamp
         if node in self._left:
             said, since = self._left[node]
             self._left[node] = said + 1, since
@@ -364,8 +364,7 @@ class RestsAndLeaves(Property):
                 raise self.broken(node, f"begins with {Status(state.status).name} and the command {state.command:.9g}")
             return
         if state.broadcast_step == NEVER:
-            self._rests(node, before, state)
-        self._ages[node] = self.facts.fleet.now(node) - state.stamp
+            self._rests(node, before, state, age)
         if node not in self._left:
             self._rested.discard(node)
         moved = state.position - before.position
@@ -378,11 +377,12 @@ class RestsAndLeaves(Property):
             text = f"moves by {moved:.9g} m in step {state.step} with the command {state.command:.9g} m/s"
             raise self.broken(node, text)
 
-    def _rests(self, node: str, before: AgentState, state: AgentState) -> None:
+    def _rests(self, node: str, before: AgentState, state: AgentState, age: int) -> None:
+        """Check the command of a robot that follows nothing; `age` is that of its measurement before, ns."""
         brake = 0.0 if state.kind == Kind.SINGLE_INTEGRATOR else -state.mass * before.velocity / self._time
-        if brake and state.command and self._ages.get(node, 0) > self.facts.measurement_age:
-            age = self._ages[node] / 1e9
-            raise self.broken(node, f"brakes in step {before.step} by a velocity that it measured {age:.3f} s before")
+        if brake and state.command and age > self.facts.measurement_age:
+            text = f"brakes in step {before.step} by a velocity that it measured {age / 1e9:.3f} s before"
+            raise self.broken(node, text)
         if abs(state.command - brake) <= 1e-12 or (state.command == 0.0 and not self._brakes(node, before)):
             return
         status = Status(state.status).name
@@ -425,7 +425,7 @@ class SpeaksOfOrders(Property):
         self._laws: dict[str, Basis] = {}
         self._answered: dict[str, int] = {}
         self._reset_told = not facts.case.stopped
-        self._reset_at = _LONG_AGO
+        self._reset_at = LONG_AGO
         if facts.case.each_robot:
             return
         self.published = {DESIRED_ABSTRACT_STATE: self._says, BASIS: self._basis, AGENT_STATE: self._moves}
@@ -459,7 +459,7 @@ class SpeaksOfOrders(Property):
         self._aware.add(node)
         if parcel.message.mode == Mode.STOP:  # type: ignore[union-attr]
             self._heard_stop[node] = self.facts.now
-        stands_by = self.facts.now - self._said.get((node, Mode.RUN), _LONG_AGO) > 2 * self.facts.settles
+        stands_by = self.facts.now - self._said.get((node, Mode.RUN), LONG_AGO) > 2 * self.facts.settles
         if parcel.message.mode == Mode.RESET and stands_by and self.facts.is_fine(node):  # type: ignore[union-attr]
             self._restarts[node] = min(self._restarts.get(node, 2**62), parcel.message.step)
 
@@ -473,7 +473,7 @@ class SpeaksOfOrders(Property):
 
     def _speaks(self, node: str, modes: Iterable[Mode]) -> bool:
         """Return whether a controller has published one of these modes just now."""
-        said = max(self._said.get((node, mode), _LONG_AGO) for mode in modes)
+        said = max(self._said.get((node, mode), LONG_AGO) for mode in modes)
         return self.facts.now - said <= 2 * self.facts.period
 
     def _moves(self, node: str, state: AgentState) -> None:
@@ -483,7 +483,7 @@ class SpeaksOfOrders(Property):
     def _basis(self, node: str, basis: Basis) -> None:
         if basis.source != Source.CONTROLLER or node in self.facts.wrong:
             return
-        peers, before = self._laws.get(node), self._answered.get(node, _LONG_AGO)
+        peers, before = self._laws.get(node), self._answered.get(node, LONG_AGO)
         self._answered[node] = basis.step
         takes_over = peers is not None and basis.step - before > TAKEOVER and basis.step - peers.step <= 2 * TAKEOVER
         calm = node not in self.facts.odd and max(self._said_still(), self._reset_at) < self.facts.now - 3e9
@@ -500,7 +500,7 @@ class SpeaksOfOrders(Property):
 
     def _said_still(self) -> int:
         """Return when STOP or RESET was published last."""
-        return max((at for (_, mode), at in self._said.items() if mode != Mode.RUN), default=_LONG_AGO)
+        return max((at for (_, mode), at in self._said.items() if mode != Mode.RUN), default=LONG_AGO)
 
     def _says(self, node: str, message: Any) -> None:
         facts, mode = self.facts, message.mode
@@ -536,12 +536,12 @@ class SpeaksOfOrders(Property):
         for node, (command, since) in self._told.items():
             if facts.runs_since(node) > since or node in facts.odd:
                 continue
-            said = self._said.get((node, Mode.STOP if command == "stop" else Mode.RESET), _LONG_AGO)
+            said = self._said.get((node, Mode.STOP if command == "stop" else Mode.RESET), LONG_AGO)
             if command == "stop" and said < since:
                 raise self.broken(node, "is told to stop, and does not publish STOP at once")
             over = command == "reset" and facts.now - since > RESET_LASTS * 1e9 - facts.period
             # Where states of the plane become late, its steps wait for them. Of a pair one is enough that says STOP.
-            heard = max(self._reset_at, self._heard_stop.get(node, _LONG_AGO))
+            heard = max(self._reset_at, self._heard_stop.get(node, LONG_AGO))
             alone = not facts.case.paired or (command == "stop" and heard < since)
             if alone and not over and facts.now - max(said, since) > (facts.age + 2) * facts.period:
                 text = f"was told to {command} {(facts.now - since) / 1e9:.3f} s ago, and no longer says so"
@@ -560,7 +560,7 @@ class SpeaksOfOrders(Property):
         other, newest = sorted(facts.case.stoppable, key=facts.started.__getitem__)
         if facts.runs_since(other) > facts.started[newest] > min(stopped):
             return  # it has started in RUN, while the one that knows the STOP stood still
-        said = max(self._said.get((name, Mode.STOP), _LONG_AGO) for name in facts.case.stoppable)
+        said = max(self._said.get((name, Mode.STOP), LONG_AGO) for name in facts.case.stoppable)
         if facts.now - max(said, *stopped) > (facts.age + 2) * facts.period:
             raise self.broken(" and ".join(facts.case.stoppable), "were told to stop, and neither says so")
 
@@ -614,7 +614,7 @@ class ReportsItsHealth(Property):
 
     def _hears_plane(self, node: str, parcel: Parcel) -> None:
         if parcel.message is not None:
-            self._plane[node] = max(self._plane.get(node, _LONG_AGO), parcel.message.step)
+            self._plane[node] = max(self._plane.get(node, LONG_AGO), parcel.message.step)
 
     def _desired(self, node: str, message: Any) -> None:
         self._spoke[node] = self.facts.now, message.mode
@@ -662,10 +662,10 @@ class ReportsItsHealth(Property):
 
     def _controls(self, name: str, text: str) -> None:
         facts = self.facts
-        at, mode = self._spoke.get(name, (_LONG_AGO, Mode.RUN))
+        at, mode = self._spoke.get(name, (LONG_AGO, Mode.RUN))
         if facts.now - at <= 2 * facts.period and mode == Mode.STOP:
             raise self.broken(name, f"reports {text!r}, and publishes STOP")
-        step, heard = facts.step_of(name), self._plane.get(name, _LONG_AGO)
+        step, heard = facts.step_of(name), self._plane.get(name, LONG_AGO)
         if step - heard > facts.age:
             raise self.broken(
                 name, f"reports {text!r} in step {step}, but has no state of the plane since step {heard}"

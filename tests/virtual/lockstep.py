@@ -57,12 +57,16 @@ class Asked(NamedTuple):
     request: Request | None
 
     def __str__(self) -> str:
+        return f"after {self.after} turns: an operator asks for {self.what}"
+
+    @property
+    def what(self) -> str:
+        """What is asked for, in words."""
         if self.request is None:
-            return f"after {self.after} turns: an operator pauses the run for {_LONG:g} s"
+            return f"a pause of {_LONG:g} s"
         action, robot, value, steps = self.request
         of, as_much = f" of robot {robot}" * bool(robot), f" {value:g}" * bool(value)
-        so_long = f" for {steps} steps" * bool(steps)
-        return f"after {self.after} turns: an operator asks for {action.name}{of}{as_much}{so_long}"
+        return f"{action.name}{of}{as_much}{f' for {steps} steps' * bool(steps)}"
 
 
 @dataclass(frozen=True)
@@ -145,23 +149,23 @@ class _Told(Swarm):
 
     def step(self) -> None:
         while self._asked and self.turn >= self._asked[0].after:
-            self._ask(self._asked.popleft().request)
+            self._ask(self._asked.popleft())
         if self.steerer.paused and self.now >= self._resumes:
             self._pause(paused=False)
         super().step()
 
-    def _ask(self, request: Request | None) -> None:
+    def _ask(self, asked: Asked) -> None:
         """Let the operator ask, or pause the run; what cannot be is refused."""
-        if request is None:
+        if asked.request is None:
             self._resumes = self.now + _LONG
             self._pause(paused=True)
             return
         said = ""
         try:
-            self.steerer.ask(request)
+            self.steerer.ask(asked.request)
         except InputError as error:
             said = f", which is refused: {error}"
-        self._tell(self.now, STEERER, f"is asked for {request.action.name} of robot {request.agent_id}{said}")
+        self._tell(self.now, STEERER, f"is asked for {asked.what}{said}")
 
     def _pause(self, *, paused: bool) -> None:
         with suppress(InputError):  # it is over

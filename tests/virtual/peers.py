@@ -338,7 +338,7 @@ class TellEachOther(Property):
 
     def _learn(self, robot: _Robot, rank: int, step: int, *, sure: bool) -> None:
         may = robot.may[rank]
-        may.pop(step, None)
+        may.pop(step, None)  # in the order in which they are learnt: after a clock was set back, lower ones are newer
         may[step] = None
         if self._may_have_left(rank, step):
             robot.left[rank] = max(robot.left.get(rank, -1), step)

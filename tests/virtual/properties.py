@@ -65,7 +65,7 @@ EVERY = 16
 """Each command of so many is computed again; all are where two coordinators speak."""
 FEWEST = 2
 """Number of robots without which the others cannot follow."""
-_LONG_AGO = -(2**62)
+LONG_AGO = -(2**62)
 """A time or step before all others."""
 MOST_BACK = 2
 """Periods by which a clock may be set back without a robot forgetting what it has heard."""
@@ -195,8 +195,9 @@ class Facts:
         """Return whether a node itself has had no fault for long; its links may be bad."""
         return self._sound.get(node, 0.0) < self.now and (node not in self.wrong or node in self._alike)
 
-    def is_wrong(self, node: str, *, alike: bool = False) -> None:
+    def goes_wrong(self, node: str, *, alike: bool = False) -> None:
         """Note that a clock is wrong, or that it was set back with all others, whose steps compare from now on."""
+        self.odd.add(node)
         self.wrong.add(node)
         if alike:
             self._alike.add(node)
@@ -301,12 +302,12 @@ class _Robot:
         self.before: AgentState | None = None
         self.sets: dict[int, dict[tuple[Topic, bool], Message]] = {}
         self.stop: int | None = None
-        self.reset = _LONG_AGO
+        self.reset = LONG_AGO
         self.writers: dict[bool, tuple[bytes, int]] = {}
-        self.released = _LONG_AGO
+        self.released = LONG_AGO
         self.held = 0
         self.new: list[tuple[bool, Topic, Message, bool, int]] = []
-        self.clock = _LONG_AGO
+        self.clock = LONG_AGO
         self.forged: dict[tuple[int, Topic, bool], Message] = {}
         self.doubted: int | None = None
         self.age = 0
@@ -410,7 +411,7 @@ class ActsOnOneSet(Property):
                 robot.forged.clear()
                 stopped = robot.stop is not None and robot.reset - robot.stop <= self._guard
                 robot.stop = heard if stopped else None
-                robot.reset = robot.released = _LONG_AGO
+                robot.reset = robot.released = LONG_AGO
             robot.clock = heard
             if of > step + self.facts.ahead:
                 continue
@@ -580,7 +581,7 @@ class OneLeads(Property):
         inputs = (PLANE,) if pair[0] == CONTROLLER else facts.case.robot_names
         settled = facts.now - self._first.setdefault(pair, facts.now) > facts.settles  # it had nothing to say before
         both = settled and facts.is_fine(node) and facts.is_fine(other) and any(map(facts.is_fine, inputs))
-        if both and facts.now - self._last.get(other, _LONG_AGO) <= 2 * facts.period:
+        if both and facts.now - self._last.get(other, LONG_AGO) <= 2 * facts.period:
             raise self.broken(node, f"publishes step {message.step}, and so does {other}")
 
 
@@ -611,9 +612,9 @@ class SumsUpWhatItHears(Property):
         self.published = {BASIS: self._basis, ABSTRACT_STATE: self._sum, AUXILIARY_STATE: self._moments}
         for topic in variants(AGENT_STATE):
             self.heard[topic] = self._state
-        self._untold: set[tuple[str, int]] = set()
+        self._untold: dict[str, set[int]] = {name: set() for name in self._newest}
         self.heard[REMOVALS] = self._removal
-        self.published[REMOVALS] = lambda node, removal: self._untold.discard((node, removal.agent_id))
+        self.published[REMOVALS] = lambda node, removal: self._untold[node].discard(removal.agent_id)
         self._begun: set[str] = set()
         self._under_way = False
         self.published[AGENT_STATE] = self._follows
@@ -631,7 +632,7 @@ class SumsUpWhatItHears(Property):
                 if state.step < oldest and state.status != Status.LEFT
             }
             self._begun.discard(node)
-            self._untold -= {(node, robot) for robot in self._newest[node]}
+            self._untold[node].clear()
             self._newest[node] = {}
             self._carried_away[node].clear()
 
@@ -675,7 +676,7 @@ class SumsUpWhatItHears(Property):
             self._silent[node].discard(robot)
             self._arrived[node, robot] = self.facts.now
             if state.status != Status.LEFT and node != PLANE:
-                self._untold.add((node, robot))
+                self._untold[node].add(robot)
 
     def _basis(self, node: str, basis: Basis) -> None:
         if basis.source not in {Source.OBSERVER, Source.PLANE}:
@@ -716,7 +717,7 @@ class SumsUpWhatItHears(Property):
                 text = "has left, and still counts" if robot in used else "is on the plane, and does not count"
                 raise self.broken(node, f"in step {basis.step} robot {robot} {text}")
             if robot not in used:
-                if (node, robot) in self._untold:
+                if robot in self._untold[node]:
                     raise self.broken(node, f"has not passed on that robot {robot} was carried away")
                 continue
             step, stands = used[robot]
@@ -820,7 +821,7 @@ class AnswersThePlane(Property):
         late = self.facts.step_of(node) - message.step
         if message.mode == Mode.RUN and not -self.facts.ahead <= late <= self.facts.age:
             raise self.broken(node, f"asks for step {message.step} in its step {message.step + late}")
-        since = self._doubted.get(node, _LONG_AGO)
+        since = self._doubted.get(node, LONG_AGO)
         same = node not in self.facts.wrong  # otherwise its steps of then and now do not compare
         if same and message.mode == Mode.RUN and 0 <= message.step + late - since <= self.facts.age:
             raise self.broken(node, f"asks for step {message.step}, but knows since step {since} that states differ")

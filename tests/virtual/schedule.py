@@ -243,9 +243,8 @@ def case_of(seed: int, robots: int | None = None) -> Case:
     faults = sorted(Fault(round(f.at, 3), f.kind, f.who, round(f.lasting, 3), round(f.value, 4)) for f in faults)
     if not case.each_robot:
         law = draw.choice(("pd", "pd", "pid", "arise")) if case.hertz >= 20 else "pd"
-        small = case.robots <= 4 and case.hertz <= 20
-        small = small and all(fault.kind != SET_BACK for fault in faults)
-        case = replace(case, law=law, recorded=small and draw.random() < (0.2 if law == "pd" else 0.4))
+        simple = case.robots <= 4 and case.hertz <= 20 and all(fault.kind != SET_BACK for fault in faults)
+        case = replace(case, law=law, recorded=simple and draw.random() < (0.2 if law == "pd" else 0.4))
     return replace(case, quiet=round(max([quiet, 0.5, *(f.end for f in faults)]), 3), faults=tuple(faults))
 
 

@@ -13,7 +13,7 @@ from tests.swarmabs_core.helpers import builtin
 from tests.virtual.checks import Checks
 from tests.virtual.fleet import EPOCH, Parcel, VirtualFleet, Watcher
 from tests.virtual.lies import VirtualSeals, falsified, forged_relays
-from tests.virtual.properties import BrokenError, Ending, Facts
+from tests.virtual.properties import LONG_AGO, BrokenError, Ending, Facts
 from tests.virtual.recorders import FleetBags
 from tests.virtual.schedule import (
     AGE,
@@ -160,7 +160,7 @@ class Story(Watcher):
         self._holders: set[str] = set()
         self._stopped_at: str | None = None
         self._stopped_since = 0
-        self._told_at = -(2**62)
+        self._told_at = LONG_AGO
         self._led: str | None = None  # who has published RUN last, unless it was to hand over
         self._follow_by = float("inf")
         self._left: set[str] = set()
@@ -320,15 +320,13 @@ class Story(Watcher):
             facts.stands_still(name)
             self._say(name, "stands still", fault)
         elif fault.kind in {"clock", "skew"}:
-            facts.odd.add(name)
-            facts.is_wrong(name)
+            facts.goes_wrong(name)
             fleet.set_clock(name, fault.value - self._back)
             self._say(
                 name, f"has a clock that is {abs(fault.value):g} s {'ahead' if fault.value > 0 else 'behind'}", fault
             )
         elif fault.kind == "drift":
-            facts.odd.add(name)
-            facts.is_wrong(name)
+            facts.goes_wrong(name)
             fleet.set_drift(name, round(fault.value))
             self._say(name, f"has a clock that runs {fault.value:g} millionths too fast", fault)
         else:
@@ -381,8 +379,7 @@ class Story(Watcher):
         self._say("all", f"have clocks that are set back by {fault.value:g} s", fault)
         self._back += fault.value
         for name in self.case.names:
-            self.facts.odd.add(name)
-            self.facts.is_wrong(name, alike=True)
+            self.facts.goes_wrong(name, alike=True)
             self.fleet.set_clock(name, -self._back)
 
     def _drive(self, name: str) -> Any:
